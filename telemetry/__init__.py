@@ -1,0 +1,1 @@
+"""The vocabulary of upright: channels, samples and recordings. SI units, no I/O beyond recording files."""

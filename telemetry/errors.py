@@ -1,0 +1,18 @@
+"""The one base exception of upright; each layer derives its own from it."""
+
+from __future__ import annotations
+
+
+class UprightError(Exception):
+    """Something went wrong that a person can mend.
+
+    The message says what happened; `remedy` says what to do about it. Subclasses add attributes a program can read.
+    """
+
+    def __init__(self, message: str, *, remedy: str = "") -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        message = super().__str__()
+        return f"{message} Remedy: {self.remedy}" if self.remedy else message
