@@ -44,7 +44,7 @@ MONOCAB = ChannelTable((
     Channel("precession", "rad", "mean angle of the gimbals, 0 in the middle"),
     Channel("precession_rate", "rad/s", "mean rate of the gimbals as the drives measure it"),
     Channel("precession_rate_setpoint", "rad/s", "rate sent to the gimbal drives in this cycle, as quantised in the PDO"),
-    Channel("trim_position", "m", "trim mass, positive to the left"),
+    Channel("trim_position", "m", "trim mass, 0 in the middle, positive to the right, where its weight gives a positive roll torque"),
     Channel("trim_rate", "m/s", "trim mass rate as the drive measures it"),
     Channel("trim_rate_setpoint", "m/s", "rate sent to the trim drive in this cycle, as quantised in the PDO"),
     Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are"),
