@@ -1,0 +1,167 @@
+"""The daemon's control socket: a Unix socket that speaks one JSON object a line.
+
+A request is `{"verb": ..., arguments}`; the answer is a stream of lines, each with a `type` (`event`, `progress`,
+`estimates`), that ends with one of type `result` carrying `exit_code` and, when it failed, `code` and `text`.
+Who may write to the socket may move the vehicle: it is readable and writable for its owner and group only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import tempfile
+from collections.abc import AsyncIterator, Callable, Iterator
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from telemetry.errors import UprightError
+
+Message = dict[str, Any]
+MAX_LINE = 1 << 16
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the command line, and `exit_code` of a result."""
+
+    DONE = 0
+    FAILED = 1
+    USAGE = 2
+    REFUSED = 3
+    VEHICLE_FAULT = 4
+
+
+class ApiError(UprightError):
+    """The daemon cannot be reached, or did not understand."""
+
+
+def socket_candidates(vehicle_id: str) -> list[Path]:
+    """Where the socket of a vehicle's daemon may be, the service's own place first."""
+    places = [Path("/run/upright"), Path(tempfile.gettempdir()) / f"upright-{os.getuid()}"]
+    for variable in ("XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY"):
+        if os.environ.get(variable):
+            root = Path(os.environ[variable])
+            places.insert(0, root if variable == "RUNTIME_DIRECTORY" else root / "upright")
+    return [place / f"{vehicle_id}.sock" for place in places]
+
+
+def default_socket(vehicle_id: str) -> Path:
+    """Where a daemon started here puts its socket: systemd's runtime directory, the user's, or one in /tmp."""
+    if os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR"):
+        return socket_candidates(vehicle_id)[0]
+    return socket_candidates(vehicle_id)[-1]
+
+
+class ApiServer:
+    """Serves `answer(request)` on a Unix socket until closed."""
+
+    def __init__(self, path: Path, answer: Callable[[Message], AsyncIterator[Message]]) -> None:
+        self._path = path
+        self._answer = answer
+        self._server: asyncio.Server | None = None
+        self._connections: set[asyncio.StreamWriter] = set()
+
+    async def start(self) -> None:
+        """Listen. Raises ApiError where another daemon listens already or the folder cannot be written."""
+        try:
+            self._path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
+            if self._path.exists():
+                with socket.socket(socket.AF_UNIX) as probe:
+                    try:
+                        probe.connect(str(self._path))
+                    except OSError:
+                        self._path.unlink()
+                    else:
+                        raise ApiError(
+                            f"another daemon serves this vehicle at {self._path}.",
+                            remedy="Stop it (systemctl stop upright), or give this one its own --socket.",
+                        )
+            self._server = await asyncio.start_unix_server(self._serve, str(self._path), limit=MAX_LINE)
+            self._path.chmod(0o660)
+        except OSError as error:
+            raise ApiError(
+                f"cannot listen at {self._path}: {error.strerror}.", remedy="Give a writable place with --socket PATH."
+            ) from error
+
+    async def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+            for writer in list(self._connections):
+                writer.close()
+            await self._server.wait_closed()
+            self._path.unlink(missing_ok=True)
+            self._server = None
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._connections.add(writer)
+        try:
+            line = await reader.readline()
+            if not line:
+                return
+            try:
+                request = json.loads(line)
+                if not isinstance(request, dict) or not isinstance(request.get("verb"), str):
+                    raise ValueError("a request is an object with a verb")
+            except ValueError as error:
+                await _write(writer, result(ExitCode.USAGE, "bad_request", f"Not a request: {error}."))
+                return
+            async for message in self._answer(request):
+                await _write(writer, message)
+        except (ConnectionError, asyncio.LimitOverrunError, ValueError):
+            pass  # The client went away, or sent a line without an end: nothing to answer.
+        finally:
+            self._connections.discard(writer)
+            writer.close()
+
+
+async def _write(writer: asyncio.StreamWriter, message: Message) -> None:
+    writer.write(json.dumps(message).encode() + b"\n")
+    await writer.drain()
+
+
+def result(exit_code: ExitCode, code: str = "", text: str = "", **more: Any) -> Message:
+    """The last line of an answer."""
+    return {"type": "result", "exit_code": int(exit_code), "code": code, "text": text, **more}
+
+
+def call(paths: list[Path], request: Message, *, timeout: float | None = 10.0) -> Iterator[Message]:
+    """Ask the daemon behind the first of `paths` that answers; yields its lines, the result last.
+
+    Raises:
+        ApiError: no daemon there, or it went away before the result.
+    """
+    connection = _connect(paths)
+    connection.settimeout(timeout)
+    with connection, connection.makefile("rwb") as stream:
+        stream.write(json.dumps(request).encode() + b"\n")
+        stream.flush()
+        try:
+            for line in stream:
+                message = json.loads(line)
+                yield message
+                if message.get("type") == "result":
+                    return
+        except TimeoutError as error:
+            raise ApiError(f"the daemon did not answer within {timeout} s.", remedy="See its log.") from error
+        except ConnectionError as error:
+            raise ApiError("the connection to the daemon was cut.", remedy="See its log.") from error
+    raise ApiError("the daemon ended before it answered.", remedy="See its log; `upright status` tells if it is back.")
+
+
+def _connect(paths: list[Path]) -> socket.socket:
+    reasons = []
+    for path in paths:
+        connection = socket.socket(socket.AF_UNIX)
+        try:
+            connection.connect(str(path))
+        except OSError as error:
+            connection.close()
+            reasons.append(f"{path}: {error.strerror}")
+        else:
+            return connection
+    raise ApiError(
+        f"no daemon answers ({'; '.join(dict.fromkeys(reasons))}).",
+        remedy="Start one with `upright serve VEHICLE`, or point to its socket with --socket PATH.",
+    )
