@@ -1,0 +1,149 @@
+"""The MONOCAB, a cabin on one rail held up by two control moment gyroscopes: its linear model about upright.
+
+Torque balance about the rail head (roll positive right side down, precession positive where its rate gives a positive
+roll torque, trim mass positive to the right):
+
+    inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession'
+                       + trim_mass * g * trim_position - trim_mass * trim_height * trim_position''
+
+`gravity_stiffness` is positive, so upright is unstable with the pole +sqrt(gravity_stiffness / inertia). Both servo
+axes follow their rate setpoint with one first-order lag, `speed_loop_lag` (four times the sum of small time constants).
+
+Source: Griese et al., "Parameter identification related to vertical dynamic of a self-stabilizing monorail vehicle",
+equations (1) to (3), with the gravity term's sign set right: the torque m g z of the text is negative for a centre of
+gravity above the rail, and the stiffness is its magnitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from math import isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telemetry.errors import UprightError
+
+GRAVITY = 9.81
+"""Standard gravity, m/s^2."""
+
+Matrix = NDArray[np.float64]
+
+
+class ParameterError(UprightError):
+    """A vehicle parameter is missing or physically impossible. `name` is the parameter."""
+
+    def __init__(self, name: str, message: str) -> None:
+        super().__init__(f"parameter {name}: {message}.", remedy=f"correct [parameters] {name} in the vehicle file.")
+        self.name = name
+
+
+@dataclass(frozen=True, slots=True)
+class MonocabParameters:
+    """What the linear model needs to know of a vehicle, SI units.
+
+    `inertia` kg m^2 is the apparent one (see `apparent_inertia`); `gravity_stiffness` N m/rad; `angular_momentum` N m s
+    of both flywheels together; `speed_loop_lag` s; `trim_mass` kg; `trim_height` m above the rail head.
+    Raises ParameterError where a value is not finite or, but for `trim_height`, not positive.
+    """
+
+    inertia: float
+    gravity_stiffness: float
+    angular_momentum: float
+    speed_loop_lag: float
+    trim_mass: float
+    trim_height: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isfinite(value):
+                raise ParameterError(field.name, f"{value} is not a number")
+            if value <= 0.0 and field.name != "trim_height":
+                raise ParameterError(field.name, f"{value:g} must be positive")
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, float]) -> MonocabParameters:
+        """From a mapping of names to values; names the model does not know are left alone. Raises ParameterError."""
+        for field in fields(cls):
+            if field.name not in values:
+                raise ParameterError(field.name, "missing")
+        return cls(**{field.name: float(values[field.name]) for field in fields(cls)})
+
+    @property
+    def unstable_pole(self) -> float:
+        """The rate, 1/s, at which the vehicle falls over by itself."""
+        return sqrt(self.gravity_stiffness / self.inertia)
+
+
+@dataclass(frozen=True, slots=True)
+class StateSpace:
+    """x' = A x + B u, y = C x, with the names of states, inputs and outputs."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def reduced_model(parameters: MonocabParameters) -> StateSpace:
+    """The model the roll controller is designed on: trim mass at rest, precession angle left out. Equation (2).
+
+    The precession angle is not controllable beside the roll angle: with roll at rest the gyroscopes can only give the
+    torque that a static disturbance asks of them.
+    """
+    inertia, lag = parameters.inertia, parameters.speed_loop_lag
+    return StateSpace(
+        A=np.array(
+            [
+                [0.0, 1.0, 0.0],
+                [parameters.gravity_stiffness / inertia, 0.0, parameters.angular_momentum / inertia],
+                [0.0, 0.0, -1.0 / lag],
+            ]
+        ),
+        B=np.array([[0.0], [0.0], [1.0 / lag]]),
+        C=np.array([[1.0, 0.0, 0.0]]),
+        states=("roll", "roll_rate", "precession_rate"),
+        inputs=("precession_rate_setpoint",),
+        outputs=("roll",),
+    )
+
+
+def full_model(parameters: MonocabParameters) -> StateSpace:
+    """The model with trim mass and precession angle. Equation (1), its z_M being minus `trim_height`."""
+    inertia, lag = parameters.inertia, parameters.speed_loop_lag
+    reaction = parameters.trim_mass * parameters.trim_height / (lag * inertia)
+    gravity = parameters.gravity_stiffness / inertia
+    trim_weight = parameters.trim_mass * GRAVITY / inertia
+    gyroscope = parameters.angular_momentum / inertia
+    return StateSpace(
+        A=np.array(
+            [
+                [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+                [gravity, 0.0, trim_weight, reaction, 0.0, gyroscope],
+                [0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+                [0.0, 0.0, 0.0, -1.0 / lag, 0.0, 0.0],
+                [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+                [0.0, 0.0, 0.0, 0.0, 0.0, -1.0 / lag],
+            ]
+        ),
+        B=np.array([[0.0, 0.0], [-reaction, 0.0], [0.0, 0.0], [1.0 / lag, 0.0], [0.0, 0.0], [0.0, 1.0 / lag]]),
+        C=np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]]),
+        states=("roll", "roll_rate", "trim_position", "trim_rate", "precession", "precession_rate"),
+        inputs=("trim_rate_setpoint", "precession_rate_setpoint"),
+        outputs=("roll", "precession"),
+    )
+
+
+def apparent_inertia(inertia: float, angular_momentum: float, speed_loop_lag: float, gimbal_inertia: float) -> float:
+    """The roll inertia, kg m^2, that the torque balance shows when the gimbals' speed loop is not ideally stiff.
+
+    Rolling precesses the gimbals a little against their speed loop, which looks like extra inertia:
+    inertia + 8 tau^2 L^2 / gimbal_inertia, tau being a quarter of the speed loop's lag (s) and `gimbal_inertia`
+    (kg m^2) that of both gimbals together. Section II of the paper.
+    """
+    small_time_constant = speed_loop_lag / 4.0
+    return inertia + 8.0 * small_time_constant**2 * angular_momentum**2 / gimbal_inertia
