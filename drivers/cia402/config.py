@@ -1,0 +1,166 @@
+"""What one drive is and how its units become SI, from the vehicle file.
+
+velocity (axis) = direction * axis_per_turn * rpm / 60,  position (axis) = direction * axis_per_turn * increments /
+increments_per_turn; torque is the motor's, in N m, positive where it accelerates the axis in its positive direction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from drivers.cia402 import pdo
+from drivers.cia402.objects import ObjectEntry
+from drivers.cia402.pdo import PdoCodec
+from telemetry.errors import UprightError
+
+SHIPPED_EDS = Path(__file__).resolve().parent.parent / "eds"
+"""Folder of the electronic data sheets that ship with upright."""
+
+
+class DriveConfigError(UprightError):
+    """A drive that cannot be described so. `drive` is its name, `key` the key of its section in the vehicle file."""
+
+    def __init__(self, drive: str, key: str, message: str, *, remedy: str = "") -> None:
+        super().__init__(f"drive {drive!r}: {key}: {message}", remedy=remedy)
+        self.drive = drive
+        self.key = key
+
+
+@dataclass(frozen=True, slots=True)
+class DriveConfig:
+    """One drive. Checked when it is made.
+
+    Raises:
+        DriveConfigError: a value, or a PDO, that cannot work.
+    """
+
+    name: str
+    role: Literal["gimbal", "trim"]
+    node: int
+    direction: int
+    """+1 or -1: sign of the axis for a positive motor speed."""
+    axis_per_turn: float
+    """rad or m of the axis a motor turn."""
+    mode: int
+    """CiA 402 mode: 2 (6042h in rpm, with an optional fine part) or 9 (60FFh)."""
+    increments_per_turn: int
+    """Of 6064h, a motor turn."""
+    velocity_unit_rpm: float
+    """rpm a unit of 606Ch and 60FFh."""
+    rated_torque: float
+    """N m at the motor: the base of 6077h (per mille)."""
+    rpdo: tuple[tuple[str, ...], ...]
+    tpdo: tuple[tuple[str, ...], ...]
+    eds: str = "upright_servo.eds"
+    """A shipped EDS by its name, or a path; see `find_eds`."""
+    vendor_id: int = 0
+    """1018h:1; 0 is not checked."""
+    product_code: int = 0
+    """1018h:2; 0 is not checked."""
+    stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
+    """What the drive does when the master is gone (6007h)."""
+    target_velocity_fine_index: int = 0x2F15
+    """Vendor object of the fine part of the target velocity, 1/8192 rpm."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.node <= 127:
+            self._refuse("node", f"{self.node} is not a CANopen node id", "Use 1 to 127.")
+        if self.direction not in (1, -1):
+            self._refuse("direction", f"{self.direction} is not a sign", "Use 1 or -1.")
+        if self.mode not in (2, 9):
+            self._refuse("mode", f"mode {self.mode} is not a velocity mode of this driver", "Use 2 or 9.")
+        for key in ("axis_per_turn", "increments_per_turn", "velocity_unit_rpm", "rated_torque"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value > 0):
+                self._refuse(key, f"{value} is not a positive number", "Take it from the drive's data sheet.")
+        self._check_pdos("rpdo", self.rpdo, self._rpdo_objects, needed=("controlword", "target_velocity"))
+        self._check_pdos("tpdo", self.tpdo, pdo.tpdo_objects(), needed=("statusword", "position_actual"))
+        velocities = [name for pdo_names in self.tpdo for name in pdo_names if name.startswith("velocity_actual")]
+        if len(velocities) != 1:
+            self._refuse("tpdo", f"one velocity is needed, not {len(velocities)}", "Map velocity_actual, once.")
+
+    def _check_pdos(
+        self, key: str, pdos: tuple[tuple[str, ...], ...], known: dict[str, ObjectEntry], needed: tuple[str, ...]
+    ) -> None:
+        if len(pdos) > pdo.MAX_PDOS:
+            self._refuse(key, f"{len(pdos)} PDOs", f"At most {pdo.MAX_PDOS} have a predefined COB-ID.")
+        names = [name for pdo_names in pdos for name in pdo_names]
+        for name in names:
+            if name not in known:
+                self._refuse(key, f"{name!r} cannot be mapped here in mode {self.mode}", f"Use {', '.join(known)}.")
+            if names.count(name) > 1:
+                self._refuse(key, f"{name!r} is mapped twice", "Map it once.")
+        for name in needed:
+            if name not in names:
+                self._refuse(key, f"{name!r} is not mapped", "Without it the drive cannot be run; map it.")
+        for pdo_names in pdos:
+            size = sum(known[name].size for name in pdo_names)
+            if not 1 <= size <= 8:
+                self._refuse(key, f"{list(pdo_names)} has {size} bytes", "A PDO holds 1 to 8; use a second one.")
+
+    def _refuse(self, key: str, message: str, remedy: str) -> None:
+        raise DriveConfigError(self.name, key, message, remedy=remedy)
+
+    @property
+    def _rpdo_objects(self) -> dict[str, ObjectEntry]:
+        return pdo.rpdo_objects(self.mode, self.target_velocity_fine_index)
+
+    @property
+    def mapped_objects(self) -> tuple[ObjectEntry, ...]:
+        """Every object that is mapped, either way."""
+        known = {**self._rpdo_objects, **pdo.tpdo_objects()}
+        return tuple(known[name] for names in (*self.rpdo, *self.tpdo) for name in names)
+
+    @property
+    def rpdo_codecs(self) -> dict[int, PdoCodec]:
+        """COB-ID to codec of what the drive receives, in the order of the PDO numbers."""
+        known = self._rpdo_objects
+        return {
+            pdo.rpdo_cob_id(number, self.node): PdoCodec([known[name] for name in names])
+            for number, names in enumerate(self.rpdo, start=1)
+        }
+
+    @property
+    def tpdo_codecs(self) -> dict[int, PdoCodec]:
+        """COB-ID to codec of what the drive sends, in the order of the PDO numbers."""
+        known = pdo.tpdo_objects()
+        return {
+            pdo.tpdo_cob_id(number, self.node): PdoCodec([known[name] for name in names])
+            for number, names in enumerate(self.tpdo, start=1)
+        }
+
+    @property
+    def velocity_unit(self) -> float:
+        """axis unit/s (rad/s or m/s) of one unit of 606Ch, direction included."""
+        return self.direction * self.axis_per_turn * self.velocity_unit_rpm / 60.0
+
+    @property
+    def setpoint_unit(self) -> float:
+        """axis unit/s of the smallest step of the target velocity, direction included."""
+        if self.mode == 9:
+            return self.velocity_unit
+        return self.direction * self.axis_per_turn / (60.0 * (pdo.FINE_UNITS_PER_RPM if self.has_fine_part else 1))
+
+    @property
+    def has_fine_part(self) -> bool:
+        """Whether the target velocity is sent in two parts."""
+        return any("target_velocity_fine" in names for names in self.rpdo)
+
+
+def find_eds(eds: str, *, drive: str, folder: Path | None = None) -> Path:
+    """The file of an EDS: beside the vehicle file (in `folder`), as a path of its own, or shipped.
+
+    Raises:
+        DriveConfigError: there is none; it names `drive`.
+    """
+    places = [Path(eds), SHIPPED_EDS / eds]
+    if folder is not None:
+        places.insert(0, folder / eds)
+    for place in places:
+        if place.is_file():
+            return place
+    shipped = ", ".join(sorted(path.name for path in SHIPPED_EDS.glob("*.eds")))
+    raise DriveConfigError(drive, "eds", f"there is no file {eds!r}", remedy=f"Give a path, or one of: {shipped}.")

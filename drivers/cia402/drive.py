@@ -1,0 +1,301 @@
+"""One servo inverter at run time: its frames in, its state and motion in SI; target and speed in, its frames out.
+
+Synchronous, no I/O, no clock. Every value has the receive time of its frame. The drive sends its TPDOs after each
+SYNC and takes our RPDOs over at the next one, so what is read here was sampled at the SYNC before.
+Sign: position, velocity and torque are positive where the axis moves in its positive direction (`config.direction`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.cia402 import emergency as emcy
+from drivers.cia402 import nmt, states
+from drivers.cia402.config import DriveConfig
+from drivers.cia402.emergency import Emergency
+from drivers.cia402.nmt import NmtState
+from drivers.cia402.pdo import FINE_UNITS_PER_RPM, PdoCodec
+from drivers.cia402.states import FaultReset, FaultResetOutcome, State
+from telemetry.samples import CanFrame
+
+NAN = float("nan")
+
+FAULT_RESET_PATIENCE = 250
+"""Cycles that a drive has to leave Fault after the edge: 1 s at 250 Hz."""
+
+
+class Drive:
+    """A drive of CiA 402 in velocity mode 2 or 9.
+
+    It never enables by itself: a drive that leaves Operation enabled uncommanded, has a fault under the target
+    Operation enabled, or restarts, is `tripped`. It is then held in quick stop until the fault is reset
+    (`request_fault_reset`), the target has been lowered, and is raised again.
+
+    Attributes, for others to read:
+        state, statusword: as reported last; UNKNOWN and None before.
+        position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first.
+        velocity_setpoint: axis unit/s as quantised in the frame that was sent (in replay: read) last.
+        controlword: as sent (in replay: read) last.
+        *_timestamp_ns: receive time of the frame that a value came with, 0 before the first.
+        nmt_state: of the last heartbeat, None before.
+        mode_display: 6061h where it is mapped, else None.
+        emergency: the EMCY in force, None without one or when it was cleared; last_emergency, emergency_count: of all.
+        tripped, trip_reason: see above.
+        restarted: it booted while in operation and has lost its configuration.
+        wrong_length, last_wrong_length: frames of a wrong length, which are not used: how many, and the last in words.
+        clipped: setpoints that did not fit into their object and were limited to it.
+    """
+
+    def __init__(self, config: DriveConfig) -> None:
+        self.config = config
+        self.state = State.UNKNOWN
+        self.statusword: int | None = None
+        self.statusword_timestamp_ns = 0
+        self.heartbeat_timestamp_ns = 0
+        self.nmt_state: NmtState | None = None
+        self.mode_display: int | None = None
+        self.controlword = states.DISABLE_VOLTAGE
+        self.emergency: Emergency | None = None
+        self.last_emergency: Emergency | None = None
+        self.emergency_count = 0
+        self.tripped = False
+        self.trip_reason = ""
+        self.restarted = False
+        self.wrong_length = 0
+        self.last_wrong_length = ""
+        self.clipped = 0
+        self._target = State.SWITCH_ON_DISABLED
+        self._reset: FaultReset | None = None
+
+        self._position_unit = config.direction * config.axis_per_turn / config.increments_per_turn
+        self._velocity_unit = config.velocity_unit
+        self._rpm_unit = config.direction * config.axis_per_turn / 60.0
+        self._torque_unit = config.direction * config.rated_torque / 1000.0
+        self._setpoint_unit = config.setpoint_unit
+        self._split = FINE_UNITS_PER_RPM if config.has_fine_part else 1
+        bits = 16 if config.mode == 2 else 32
+        self._lowest = -(1 << bits - 1) * self._split - self._split // 2
+        self._highest = (1 << bits - 1) * self._split - self._split // 2 - 1
+
+        takes: dict[str, Callable[[int, int], None]] = {
+            "statusword": self._take_statusword,
+            "position_actual": self._take_position,
+            "velocity_actual": self._take_velocity,
+            "velocity_actual_rpm": self._take_velocity_rpm,
+            "torque_actual": self._take_torque,
+            "mode_display": self._take_mode_display,
+        }
+        self._tpdos = {
+            cob_id: (codec, tuple(takes[name] for name in codec.names)) for cob_id, codec in config.tpdo_codecs.items()
+        }
+        places = {"controlword": 0, "target_velocity": 1, "target_velocity_fine": 2}
+        self._rpdos: dict[int, tuple[PdoCodec, tuple[int, ...]]] = {
+            cob_id: (codec, tuple(places[name] for name in codec.names)) for cob_id, codec in config.rpdo_codecs.items()
+        }
+        self._handlers: dict[int, Callable[[CanFrame], None]] = {
+            **dict.fromkeys(self._tpdos, self._handle_tpdo),
+            **dict.fromkeys(self._rpdos, self._handle_rpdo),
+            nmt.EMERGENCY_COB_ID + config.node: self._handle_emergency,
+            nmt.HEARTBEAT_COB_ID + config.node: self._handle_heartbeat,
+        }
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the measured values and the setpoint, for a recording that starts here; the state machine goes on."""
+        self.position = self.velocity = self.torque = NAN
+        self.position_timestamp_ns = self.velocity_timestamp_ns = self.torque_timestamp_ns = 0
+        self.velocity_setpoint = 0.0
+        self._sent = [self.controlword, 0, 0]
+
+    @property
+    def can_ids(self) -> tuple[int, ...]:
+        """CAN ids that `handle` understands: TPDOs, EMCY, heartbeat, and the RPDOs for replay."""
+        return tuple(self._handlers)
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Receive time of the older of position and velocity, 0 while one is not known."""
+        return min(self.position_timestamp_ns, self.velocity_timestamp_ns)
+
+    @property
+    def fault_reset(self) -> FaultResetOutcome | None:
+        """How the last requested fault reset goes; None when there was none."""
+        return self._reset.outcome if self._reset is not None else None
+
+    @property
+    def condition(self) -> str:
+        """State and what is wrong, in words."""
+        words = [self.state.value if self.statusword is not None else "no statusword yet"]
+        if self.statusword is not None:
+            words.extend(states.flags(self.statusword))
+        if self.emergency is not None:
+            words.append(self.emergency.text)
+        if self.tripped:
+            words.append(f"tripped: {self.trip_reason}")
+        if self.restarted:
+            words.append("restarted, to be configured again")
+        return f"{self.config.name} (node {self.config.node}): " + ", ".join(words)
+
+    # Frames out
+
+    def command(self, target: State, velocity: float) -> tuple[tuple[int, bytes], ...]:
+        """The RPDOs of one cycle as (COB-ID, data): one step towards `target`, moving at `velocity` (axis unit/s).
+
+        The velocity is sent only to a drive that reports Operation enabled and is to stay there; else it is 0.
+
+        Raises:
+            ValueError: `target` is not a state that a master can ask for.
+        """
+        word = self._next_controlword(target)
+        enabled = word & states.ENABLE_OPERATION == states.ENABLE_OPERATION and self.state is State.OPERATION_ENABLED
+        units = self._quantise(velocity) if enabled else 0
+        coarse, fine = divmod(units + self._split // 2, self._split)
+        self._sent = sent = [word, coarse, fine - self._split // 2]
+        self._remember_sent()
+        return tuple(
+            (cob_id, codec.pack(*[sent[place] for place in places])) for cob_id, (codec, places) in self._rpdos.items()
+        )
+
+    def request_fault_reset(self, patience: int = FAULT_RESET_PATIENCE) -> bool:
+        """Begin a fault reset; it runs over the next cycles, see `fault_reset`. False where the drive has no fault.
+
+        The drive ends in Switch on disabled and stays there until the target has been lowered and raised again.
+        """
+        if self.state is not State.FAULT:
+            return False
+        if not self.tripped:
+            self._trip("fault reset")
+        self._reset = FaultReset(patience)
+        return True
+
+    def _next_controlword(self, target: State) -> int:
+        self._target = target
+        state = self.state
+        faulty = state is State.FAULT or state is State.FAULT_REACTION_ACTIVE
+        if target is State.OPERATION_ENABLED:
+            if faulty and not self.tripped:
+                self._trip(f"{state.value} while it was to be enabled")
+        elif self.tripped and not faulty:
+            self.tripped = False
+        if self._reset is not None and self._reset.outcome is FaultResetOutcome.PENDING:
+            word = self._reset.controlword(state)
+            if self._reset.outcome is FaultResetOutcome.PENDING:
+                return word
+            if self._reset.outcome is FaultResetOutcome.DONE:
+                self.emergency = None
+        if self.statusword is None:
+            return states.DISABLE_VOLTAGE
+        if self.tripped and target is State.OPERATION_ENABLED:
+            target = State.QUICK_STOP_ACTIVE
+        word = states.controlword_towards(state, target)
+        if word == states.ENABLE_OPERATION and self.config.mode == 2:
+            word |= states.RAMP_BITS
+        return word
+
+    def _trip(self, reason: str) -> None:
+        self.tripped = True
+        self.trip_reason = reason
+
+    def _quantise(self, velocity: float) -> int:
+        """Axis unit/s to the smallest steps of the target velocity, limited to what its object can hold."""
+        units = velocity / self._setpoint_unit
+        if self._lowest <= units <= self._highest:
+            return round(units)
+        self.clipped += 1
+        if units > 0:
+            return self._highest
+        return self._lowest if units < 0 else 0  # not a number: stand still
+
+    def _remember_sent(self) -> None:
+        """Set what is known of our own frames from their integers, alike for frames sent and frames replayed."""
+        word, coarse, fine = self._sent
+        self.controlword = word
+        self.velocity_setpoint = (coarse * self._split + fine) * self._setpoint_unit + 0.0  # never -0.0
+
+    # Frames in
+
+    def handle(self, frame: CanFrame) -> None:
+        """Take one frame; those of others are ignored. Never raises on what is in a frame."""
+        handler = self._handlers.get(frame.can_id)
+        if handler is not None:
+            handler(frame)
+
+    def _handle_tpdo(self, frame: CanFrame) -> None:
+        codec, takes = self._tpdos[frame.can_id]
+        if len(frame.data) != codec.size:
+            self._refuse(frame, codec.size)
+            return
+        timestamp_ns = frame.timestamp_ns
+        for take, raw in zip(takes, codec.unpack(frame.data), strict=True):
+            take(raw, timestamp_ns)
+
+    def _take_statusword(self, raw: int, timestamp_ns: int) -> None:
+        before = self.state
+        self.statusword = raw
+        self.statusword_timestamp_ns = timestamp_ns
+        self.state = state = states.classify(raw)
+        if (
+            before is State.OPERATION_ENABLED
+            and state is not State.OPERATION_ENABLED
+            and self._target is State.OPERATION_ENABLED
+        ):
+            self._trip(f"left Operation enabled by itself for {state.value} (statusword {raw:04X}h)")
+
+    def _take_position(self, raw: int, timestamp_ns: int) -> None:
+        self.position = raw * self._position_unit
+        self.position_timestamp_ns = timestamp_ns
+
+    def _take_velocity(self, raw: int, timestamp_ns: int) -> None:
+        self.velocity = raw * self._velocity_unit
+        self.velocity_timestamp_ns = timestamp_ns
+
+    def _take_velocity_rpm(self, raw: int, timestamp_ns: int) -> None:
+        self.velocity = raw * self._rpm_unit
+        self.velocity_timestamp_ns = timestamp_ns
+
+    def _take_torque(self, raw: int, timestamp_ns: int) -> None:
+        self.torque = raw * self._torque_unit
+        self.torque_timestamp_ns = timestamp_ns
+
+    def _take_mode_display(self, raw: int, timestamp_ns: int) -> None:
+        self.mode_display = raw
+
+    def _handle_rpdo(self, frame: CanFrame) -> None:
+        codec, places = self._rpdos[frame.can_id]
+        if len(frame.data) != codec.size:
+            self._refuse(frame, codec.size)
+            return
+        for place, raw in zip(places, codec.unpack(frame.data), strict=True):
+            self._sent[place] = raw
+        self._remember_sent()
+
+    def _handle_emergency(self, frame: CanFrame) -> None:
+        if len(frame.data) != emcy.LENGTH:
+            self._refuse(frame, emcy.LENGTH)
+            return
+        emergency = emcy.decode(frame.timestamp_ns, frame.data)
+        if emergency.cleared:
+            self.emergency = None
+            return
+        self.emergency = self.last_emergency = emergency
+        self.emergency_count += 1
+
+    def _handle_heartbeat(self, frame: CanFrame) -> None:
+        if len(frame.data) != 1:
+            self._refuse(frame, 1)
+            return
+        self.heartbeat_timestamp_ns = frame.timestamp_ns
+        self.nmt_state = nmt.NMT_STATES.get(frame.data[0] & 0x7F)  # bit 7 is the toggle bit of node guarding
+        if self.nmt_state is NmtState.BOOT_UP and self.statusword is not None:
+            self.restarted = True
+            self.statusword = None
+            self.state = State.UNKNOWN
+            if self._target is State.OPERATION_ENABLED:
+                self._trip("restarted")
+
+    def _refuse(self, frame: CanFrame, size: int) -> None:
+        self.wrong_length += 1
+        self.last_wrong_length = (
+            f"{self.config.name} (node {self.config.node}): frame {frame.can_id:03X}h has {len(frame.data)} bytes, "
+            f"not {size}; the mapping or the format of the node is not the configured one"
+        )
