@@ -1,0 +1,188 @@
+"""The LPMS-IG1 on the bus: frame sets assembled whole, and how far its readings can be trusted.
+
+The device sends no counter, no timestamp and no checksum, so the host's receive times are all there is: the first id
+opens a set, and the last publishes it if every frame came once, in order and within three quarters of a period (frames
+of two sets, joined by a loss, lie a whole period apart). Everything else is dropped and counted. Nothing here reads a
+clock. Output is in vehicle axes and SI units (`telemetry.samples.ImuSample`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.imu_layout import ImuConfig, layout_of
+from telemetry.samples import CanFrame, ImuSample
+
+LONGEST_SET = 0.75
+"""Periods from the first to the last frame of a set."""
+
+LONGEST_INTERVAL = 1.5
+"""Periods between two sets; a longer interval is a gap."""
+
+STUCK_SETS = {"float32": 5, "int16": 25}
+"""Identical sets in a row that mean a stuck sensor. The 24-bit gyro's noise shows in every float; in 16 bits
+(0.1 deg/s, 1 mg) a vehicle at rest may well repeat itself for a few sets."""
+
+_WAITING = -1
+"""Instead of the next frame's place: nothing counts until a first frame opens a set."""
+
+
+class ImuHealth(Enum):
+    """Whether the latest reading may be used."""
+
+    OK = "ok"
+    SILENT = "silent"
+    STUCK = "stuck"
+    OUT_OF_RANGE = "out of range"
+    WRONG_LENGTH = "another format"
+
+
+@dataclass(slots=True)
+class ImuStatistics:
+    """Counts since the driver was made.
+
+    `sets` were published. Dropped were: `incomplete` (a frame missing or out of order), `duplicates` (a frame twice),
+    `late` (frames too far apart to be of one set), `wrong_length`, `out_of_range` (or not a finite number). `gaps` are
+    intervals above 1.5 periods or backwards in time, `stuck` the sets that repeated the one before beyond belief.
+    """
+
+    sets: int = 0
+    incomplete: int = 0
+    duplicates: int = 0
+    late: int = 0
+    wrong_length: int = 0
+    out_of_range: int = 0
+    gaps: int = 0
+    stuck: int = 0
+
+
+class Imu:
+    """Turns the IMU's frames into samples and watches over them.
+
+    `fault_text` says what was wrong with the last set that was dropped for its content, with the remedy.
+    """
+
+    def __init__(self, config: ImuConfig) -> None:
+        self.config = config
+        self.can_ids = config.can_ids
+        self.statistics = ImuStatistics()
+        self.fault_text = ""
+        self._layout = layout_of(config)
+        self._places = {can_id: place for place, can_id in enumerate(self.can_ids)}
+        self._latency_ns = round(config.latency * 1e9)
+        self._longest_set_ns = round(LONGEST_SET / config.rate * 1e9)
+        self._longest_interval_ns = round(LONGEST_INTERVAL / config.rate * 1e9)
+        self._stuck_sets = STUCK_SETS[config.precision]
+        self._payloads = [b""] * config.frames
+        self._next = _WAITING
+        self._previous = _WAITING
+        self._first_ns = 0
+        self._start_ns = 0
+        self._sample: ImuSample | None = None
+        self._repeats = 0
+        self._content = ImuHealth.OK
+
+    def handle(self, frame: CanFrame) -> ImuSample | None:
+        """Take one data frame; the sample, if it completed a set. Frames with other ids are ignored."""
+        place = self._places.get(frame.can_id)
+        if place is None or frame.timestamp_ns < self._start_ns:
+            return None
+        previous, self._previous = self._previous, place
+        if place == 0:
+            if self._next > 0:
+                self._count_broken(previous == 0)
+            self._first_ns = frame.timestamp_ns
+        elif place != self._next:
+            if self._next != _WAITING:
+                self._count_broken(place == previous)
+                self._next = _WAITING
+            return None
+        if len(frame.data) not in self._layout.lengths[place]:
+            self._refuse_length(frame, place)
+            return None
+        self._payloads[place] = frame.data
+        if place + 1 < len(self._payloads):
+            self._next = place + 1
+            return None
+        self._next = 0
+        if frame.timestamp_ns - self._first_ns > self._longest_set_ns:
+            self.statistics.late += 1
+            return None
+        return self._publish(frame.timestamp_ns)
+
+    def _publish(self, received_ns: int) -> ImuSample | None:
+        acceleration, angular_rate = self._layout.decode(b"".join(self._payloads))
+        ax, ay, az = acceleration
+        wx, wy, wz = angular_rate
+        a, w = self.config.acceleration_range, self.config.angular_rate_range
+        # Written so that a NaN fails it.
+        if not (
+            -a <= ax <= a and -a <= ay <= a and -a <= az <= a and -w <= wx <= w and -w <= wy <= w and -w <= wz <= w
+        ):
+            self.statistics.out_of_range += 1
+            self._content = ImuHealth.OUT_OF_RANGE
+            self.fault_text = (
+                f"IMU reading beyond its range: acceleration ({ax:.4g}, {ay:.4g}, {az:.4g}) m/s^2, "
+                f"angular rate ({wx:.4g}, {wy:.4g}, {wz:.4g}) rad/s. Remedy: if the vehicle did not move so, check "
+                "imu.precision, imu.slots and imu.angular_rate_unit against the device."
+            )
+            return None
+        sample = ImuSample(received_ns - self._latency_ns, acceleration, angular_rate)
+        last = self._sample
+        self._content = ImuHealth.OK
+        if last is not None:
+            if not 0 < sample.timestamp_ns - last.timestamp_ns <= self._longest_interval_ns:
+                self.statistics.gaps += 1
+            if angular_rate == last.angular_rate and acceleration == last.acceleration:
+                self._repeats += 1
+                if self._repeats >= self._stuck_sets - 1:
+                    self.statistics.stuck += 1
+                    self._content = ImuHealth.STUCK
+            else:
+                self._repeats = 0
+        self.statistics.sets += 1
+        self._sample = sample
+        return sample
+
+    def _count_broken(self, duplicate: bool) -> None:
+        if duplicate:
+            self.statistics.duplicates += 1
+        else:
+            self.statistics.incomplete += 1
+
+    def _refuse_length(self, frame: CanFrame, place: int) -> None:
+        self._next = _WAITING
+        self.statistics.wrong_length += 1
+        self._content = ImuHealth.WRONG_LENGTH
+        expected = " or ".join(str(length) for length in self._layout.lengths[place])
+        self.fault_text = (
+            f"IMU frame {frame.can_id:03X}h has {len(frame.data)} data bytes, not {expected}. Remedy: the IMU streams "
+            f"another format; set imu.precision, imu.slots and imu.base_id to what the device sends."
+        )
+
+    def age_ns(self, now_ns: int) -> int | None:
+        """How old the latest reading is at `now_ns`; None before the first."""
+        return None if self._sample is None else now_ns - self._sample.timestamp_ns
+
+    def health(self, now_ns: int) -> ImuHealth:
+        """Whether the latest reading may be used at `now_ns`. More than 1.5 periods without one is SILENT, unless
+        frames come and were refused for what they hold."""
+        if self._content is not ImuHealth.OK:
+            return self._content
+        if self._sample is None or now_ns - self._sample.timestamp_ns > self._longest_interval_ns + self._latency_ns:
+            return ImuHealth.SILENT
+        return ImuHealth.OK
+
+    def reset(self, start_ns: int = 0) -> None:
+        """Begin anew: sets whose first frame came before `start_ns` do not count. Statistics go on.
+
+        The set being received survives if it began at `start_ns` or later, so that a replay from there is the same.
+        """
+        if self._next != _WAITING and self._first_ns < start_ns:
+            self._next = _WAITING
+        self._start_ns = start_ns
+        self._sample = None
+        self._repeats = 0
+        self._content = ImuHealth.OK
+        self.fault_text = ""
