@@ -12,6 +12,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 
 from drivers.imu import Imu
@@ -63,15 +64,12 @@ def recognise_format(frames: Sequence[CanFrame]) -> ImuFormat | None:
     The first three slots must carry the acceleration, as they do in the device's default mapping.
     """
     streams = _streams(frames)
-    found = []
-    for can_id in streams:
-        if 0x181 <= can_id <= 0x1FF:
-            protocol, run = "canopen", _run(streams, can_id, CANOPEN_SPACING, CANOPEN_FRAMES)
-        else:
-            protocol, run = "sequential", _run(streams, can_id, 1, LONGEST_SEQUENTIAL)
-        for precision in VALUES_PER_FRAME:
-            if _holds_gravity([streams[place] for place in run], precision):
-                found.append(ImuFormat(protocol, run, precision, _rate(streams[can_id])))
+    found = [
+        ImuFormat(protocol, run, precision, _rate(streams[run[0]]))
+        for protocol, run in map(partial(_run, streams), streams)
+        for precision in VALUES_PER_FRAME
+        if _holds_gravity([streams[can_id] for can_id in run], precision)
+    ]
     return max(found, key=lambda candidate: len(candidate.can_ids), default=None)
 
 
@@ -126,12 +124,14 @@ def _as_often(streams: Streams, can_id: int, other: int) -> bool:
     return other in streams and abs(len(streams[other]) - len(streams[can_id])) <= 2
 
 
-def _run(streams: Streams, first: int, spacing: int, longest: int) -> tuple[int, ...]:
-    """The ids from `first` on that came equally often."""
+def _run(streams: Streams, first: int) -> tuple[str, tuple[int, ...]]:
+    """The ids from `first` on that came equally often, and the protocol that spaces them so."""
+    canopen = 0x181 <= first <= 0x1FF
+    spacing, longest = (CANOPEN_SPACING, CANOPEN_FRAMES) if canopen else (1, LONGEST_SEQUENTIAL)
     run = [first]
     while len(run) < longest and _as_often(streams, first, run[-1] + spacing):
         run.append(run[-1] + spacing)
-    return tuple(run)
+    return ("canopen" if canopen else "sequential"), tuple(run)
 
 
 def _neighbours(config: ImuConfig, streams: Streams) -> bool:

@@ -11,6 +11,7 @@ specific forces: at rest +g along the axis that points up, or -g on devices with
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
 from dataclasses import dataclass
@@ -122,6 +123,7 @@ class FrameLayout:
         return acceleration, (values[xi] * xf, values[yi] * yf, values[zi] * zf)
 
 
+@functools.cache
 def layout_of(config: ImuConfig) -> FrameLayout:
     """The layout that `config` describes."""
     size = struct.calcsize(f"<{_VALUE_CODE[config.precision]}")

@@ -121,12 +121,12 @@ def design_lqi(A: Matrix, B: Matrix, C: Matrix, weights: LqiWeights, period: flo
     R = np.array([[weights.effort]])
     try:
         P = solve_discrete_are(F, G, Q, R)
+        K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)[0]
     except (LinAlgError, ValueError) as error:
         raise ControlDesignError(
             f"the Riccati equation has no stabilising solution ({error}).",
             remedy="every weight but the rate's must be positive; check [controller] in the vehicle file.",
         ) from error
-    K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)[0]
     gains = LqiGains(tuple(float(k) for k in K[:n]), float(K[n]), float(K[n + 1]), period)
     if max(abs(np.linalg.eigvals(F - G @ K[None, :]))) >= 1.0:
         raise ControlDesignError(
@@ -147,15 +147,15 @@ def discretise(A: Matrix, B: Matrix, period: float) -> tuple[Matrix, Matrix]:
 
 def closed_loop(model: StateSpace, gains: LqiGains, delay_periods: int = 1) -> Matrix:
     """The transition matrix of plant, delay and controller over one period; any plant, not the designed one only."""
-    return _open_loop(model, gains, delay_periods)[0]
+    return _open_loop(*discretise(model.A, model.B, gains.period), model.C, gains, delay_periods)[0]
 
 
 def margins(model: StateSpace, gains: LqiGains) -> Margins:
     """Margins of the loop broken where the setpoint leaves the controller, from its frequency response to Nyquist."""
-    _, F, g, k = _open_loop(model, gains, 1)
-    omega = np.geomspace(1e-2, np.pi / gains.period, 4000)
+    _, F, g, k = _open_loop(*discretise(model.A, model.B, gains.period), model.C, gains, 1)
+    omega = np.geomspace(1e-2, np.pi / gains.period, 2000)
     z = np.exp(1j * omega * gains.period)
-    loop = np.array([k @ np.linalg.solve(value * np.eye(len(F)) - F, g) for value in z])
+    loop = np.linalg.solve(z[:, None, None] * np.eye(len(F)) - F, g[:, None])[:, :, 0] @ k
     magnitude, imaginary = np.abs(loop), loop.imag
     crossings = np.flatnonzero(np.diff(np.sign(imaginary)) != 0)
     negative = [float(-loop.real[i]) for i in crossings if loop.real[i] < 0.0]
@@ -172,12 +172,13 @@ def margins(model: StateSpace, gains: LqiGains) -> Margins:
 def corners(
     parameters: MonocabParameters, gains: LqiGains, spread: float, uncertain: Sequence[str] = UNCERTAIN
 ) -> Iterator[Corner]:
-    """The closed loop at the nominal value and `spread` (0.2: 20 %) to either side of every uncertain parameter."""
-    for factors in itertools.product((1.0 - spread, 1.0, 1.0 + spread), repeat=len(uncertain)):
+    """The closed loop `spread` (0.2: 20 %) to either side of every uncertain parameter, one and two periods late."""
+    for factors in itertools.product((1.0 - spread, 1.0 + spread), repeat=len(uncertain)):
         values = {name: getattr(parameters, name) * f for name, f in zip(uncertain, factors, strict=True)}
         model = reduced_model(replace(parameters, **values))
+        sampled = discretise(model.A, model.B, gains.period)
         for delay_periods in (1, 2):
-            poles = continuous_poles(closed_loop(model, gains, delay_periods), gains.period)
+            poles = continuous_poles(_open_loop(*sampled, model.C, gains, delay_periods)[0], gains.period)
             damping, slowest = _damping(poles)
             yield Corner(tuple(zip(uncertain, factors, strict=True)), delay_periods * gains.period, damping, slowest)
 
@@ -203,7 +204,7 @@ def design_roll_controller(
 
 
 def continuous_poles(transition: Matrix, period: float) -> list[complex]:
-    """The poles in 1/s, slowest first, of a transition matrix over `period`; those of pure delays (at zero) left out."""
+    """The poles in 1/s, slowest first, of a transition matrix over `period`; those of pure delays are left out."""
     eigenvalues = np.linalg.eigvals(transition)
     poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-6].astype(complex)) / period
     return sorted((complex(pole) for pole in poles), key=lambda pole: (-pole.real, pole.imag))
@@ -214,15 +215,16 @@ def _damping(poles: list[complex]) -> tuple[float, float]:
     return min(-pole.real / abs(pole) if pole else 0.0 for pole in poles), min(-pole.real for pole in poles)
 
 
-def _open_loop(model: StateSpace, gains: LqiGains, delay_periods: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+def _open_loop(
+    Ad: Matrix, Bd: Matrix, C: Matrix, gains: LqiGains, delay_periods: int
+) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """(closed-loop matrix, F, g, k): state [plant, inputs under way, controller's last output, integral], u = -k x."""
-    n, d = len(model.A), delay_periods
-    Ad, Bd = discretise(model.A, model.B, gains.period)
+    n, d = len(Ad), delay_periods
     size = n + d + 2
     last, integral = n + d, n + d + 1
     F, g = np.zeros((size, size)), np.zeros(size)
     F[:n, :n] = Ad
-    F[integral, :n], F[integral, integral] = gains.period * model.C[0], 1.0
+    F[integral, :n], F[integral, integral] = gains.period * C[0], 1.0
     if d == 0:
         g[:n] = Bd[:, 0]
     else:
@@ -241,7 +243,7 @@ def _open_loop(model: StateSpace, gains: LqiGains, delay_periods: int) -> tuple[
 
 def _require_stabilisable(F: Matrix, G: Matrix, period: float) -> None:
     """Popov-Belevitch-Hautus test of every mode on or outside the unit circle."""
-    for eigenvalue in np.linalg.eigvals(F):
+    for eigenvalue in sorted(np.linalg.eigvals(F), key=abs, reverse=True):
         if abs(eigenvalue) < 1.0 - 1e-9:
             continue
         pencil = np.hstack([eigenvalue * np.eye(len(F)) - F, G])

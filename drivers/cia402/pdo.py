@@ -10,22 +10,12 @@ import struct
 from collections.abc import Sequence
 
 from drivers.cia402.objects import CONTROLWORD, MODE_DISPLAY, STATUSWORD, ObjectEntry
-from telemetry.errors import UprightError
 
 MAX_PDOS = 4
 """PDOs of each direction that have a predefined COB-ID."""
 
 FINE_UNITS_PER_RPM = 8192
 """Resolution of `target_velocity_fine`."""
-
-
-class PdoMappingError(UprightError):
-    """A PDO whose mapping is not what the codec packs. `expected` and `found` are mapping entries."""
-
-    def __init__(self, message: str, expected: tuple[int, ...], found: tuple[int, ...], *, remedy: str = "") -> None:
-        super().__init__(message, remedy=remedy)
-        self.expected = expected
-        self.found = found
 
 
 def rpdo_objects(mode: int, fine_index: int) -> dict[str, ObjectEntry]:
@@ -59,7 +49,7 @@ def _by_name(*entries: ObjectEntry) -> dict[str, ObjectEntry]:
 
 
 class PdoCodec:
-    """Packs and unpacks one PDO. `size` is its length in bytes, `names` the objects in order."""
+    """Packs and unpacks one PDO: `size` bytes, `names` in order, `mapping` as it must stand in the drive."""
 
     __slots__ = ("mapping", "names", "pack", "size", "unpack")
 
@@ -70,17 +60,6 @@ class PdoCodec:
         self.size = layout.size
         self.names = tuple(entry.name for entry in mapped)
         self.mapping = tuple(entry.mapping for entry in mapped)
-
-    def check(self, found: Sequence[int]) -> None:
-        """Compare with the mapping entries read back from a drive.
-
-        Raises:
-            PdoMappingError: they differ, so frames would be read or written wrongly.
-        """
-        if tuple(found) != self.mapping:
-            raise PdoMappingError(
-                f"the PDO carries {describe(found)}, not {describe(self.mapping)}", self.mapping, tuple(found)
-            )
 
 
 def describe(mapping: Sequence[int]) -> str:

@@ -1,0 +1,241 @@
+"""Set-up of a drive over SDO before it is run: who it is, what it will send and take, and when it stops by itself.
+
+Blocking: `configure` belongs in a thread, while another hands the bus's frames to the canopen network. It leaves the
+drive in NMT pre-operational, disabled; starting the node and enabling it are the control loop's. CiA 301 and CiA 402.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import canopen
+
+from drivers.cia402 import eds, emergency, nmt, states
+from drivers.cia402 import objects as od
+from drivers.cia402.config import DriveConfig
+from drivers.cia402.nmt import NmtCommand
+from drivers.cia402.pdo_setup import configure_pdos
+from drivers.cia402.sdo import DriveSetupError, MissingNode, SdoDialogue, milliseconds
+from drivers.cia402.states import State
+
+PATIENCE = 1.0
+"""s that a drive has to take over a mode or to switch off."""
+
+STOP_REACTIONS = {"disable_voltage": 2, "quick_stop": 3}
+"""Values of the abort connection option code (6007h)."""
+
+CIA402_PROFILE = 402
+
+
+@dataclass(frozen=True, slots=True)
+class Supervision:
+    """How master and drives watch each other. Times in s; what a drive cannot hold (ms) is rounded up."""
+
+    master_node: int
+    heartbeat_period: float
+    """Of the drive's own heartbeat."""
+    heartbeat_timeout: float
+    """Without the master's heartbeat for so long, the drive stops by itself."""
+    rpdo_timeout: float
+    """Without a setpoint for so long, the drive stops by itself, where it can watch for that."""
+    cycle_period: float
+    """Between two SYNCs."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    """What was found in a drive and what was changed. None where the drive does not have the object."""
+
+    name: str
+    node: int
+    eds: str
+    device_type: int
+    vendor_id: int
+    product_code: int
+    revision: int | None
+    serial_number: int | None
+    state: State
+    """On arrival, before it was switched off."""
+    error_code: int | None
+    supported_modes: tuple[int, ...] | None
+    mode: int
+    quick_stop_option: int | None
+    stop_reaction: int | None
+    watches_heartbeat: bool
+    watches_rpdos: bool
+    changes: tuple[str, ...]
+    """Objects that were written, with the value before and after."""
+    warnings: tuple[str, ...]
+    """What the drive lacks, and what follows from that."""
+
+
+def configure(network: canopen.Network, config: DriveConfig, supervision: Supervision) -> DriveReport:
+    """Make the drive of `config` ready to be started (NMT) and enabled, and read back all that was written.
+
+    Raises:
+        DriveConfigError: the EDS file does not exist.
+        DriveSetupError: with the node, the object and the remedy; `MissingNode` where nothing answers.
+    """
+    file, dictionary = eds.load(config)
+    node = network.add_node(canopen.RemoteNode(config.node, dictionary))
+    sdo = SdoDialogue(node, config)
+    network.send_message(*nmt.command_frame(NmtCommand.PRE_OPERATIONAL, config.node))
+
+    device_type = _check_profile(sdo)
+    vendor_id, product_code = _check_identity(sdo)
+    eds.check_identity(config, file, dictionary, vendor_id, product_code)
+    state, error_code = _switch_off(sdo)
+    eds.check_device(sdo, file)
+    supported = _select_mode(sdo)
+    _set_sync(sdo, supervision)
+    watches_rpdos = configure_pdos(sdo, dictionary, supervision.rpdo_timeout)
+    watches_heartbeat = _set_heartbeats(sdo, supervision)
+    if not (watches_heartbeat or watches_rpdos):
+        raise sdo.refuse(
+            "it can watch neither the master's heartbeat (1016h) nor its setpoints (1400h:5), and would keep the last "
+            "speed when the master is gone",
+            remedy="Use a drive, or a firmware, that has one of them.",
+        )
+    stop_reaction = STOP_REACTIONS[config.stop_reaction]
+    stops_so = sdo.set_where_present(
+        od.ABORT_CONNECTION_OPTION,
+        stop_reaction,
+        without="what the drive does when the master is gone is set in its own parameters; test it by pulling the plug",
+    )
+    return DriveReport(
+        name=config.name,
+        node=config.node,
+        eds=str(file),
+        device_type=device_type,
+        vendor_id=vendor_id,
+        product_code=product_code,
+        revision=sdo.find(od.REVISION),
+        serial_number=sdo.find(od.SERIAL_NUMBER),
+        state=state,
+        error_code=error_code,
+        supported_modes=supported,
+        mode=config.mode,
+        quick_stop_option=_check_quick_stop(sdo),
+        stop_reaction=stop_reaction if stops_so else None,
+        watches_heartbeat=watches_heartbeat,
+        watches_rpdos=watches_rpdos,
+        changes=tuple(sdo.changes),
+        warnings=tuple(sdo.warnings),
+    )
+
+
+def _check_profile(sdo: SdoDialogue) -> int:
+    device_type = sdo.read(od.DEVICE_TYPE)
+    if device_type & 0xFFFF != CIA402_PROFILE:
+        raise sdo.refuse(
+            f"is {device_type:#010x}: device profile {device_type & 0xFFFF}, not {CIA402_PROFILE}; this is not a drive",
+            entry=od.DEVICE_TYPE,
+            remedy="Check the node ids: another device answers under this one.",
+        )
+    return device_type
+
+
+def _check_identity(sdo: SdoDialogue) -> tuple[int, int]:
+    vendor_id, product_code = sdo.read(od.VENDOR_ID), sdo.find(od.PRODUCT_CODE) or 0
+    for entry, key, found, expected in (
+        (od.VENDOR_ID, "vendor_id", vendor_id, sdo.config.vendor_id),
+        (od.PRODUCT_CODE, "product_code", product_code, sdo.config.product_code),
+    ):
+        if expected and found != expected:
+            raise sdo.refuse(
+                f"the drive answers {found:#x}, and {key} in the vehicle file is {expected:#x}",
+                entry=entry,
+                remedy=f"Check that the drives are not mixed up; else write {key} = {found:#x}, or 0 for any.",
+            )
+    return vendor_id, product_code
+
+
+def _switch_off(sdo: SdoDialogue) -> tuple[State, int | None]:
+    """Disable a drive that is still on, say from a run before. Its state on arrival, and its error code in Fault."""
+    arrival = state = states.classify(sdo.read(od.STATUSWORD))
+    off = (State.SWITCH_ON_DISABLED, State.NOT_READY_TO_SWITCH_ON, State.FAULT)
+    if state not in off:
+        sdo.write(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+        deadline = time.monotonic() + PATIENCE
+        while state not in off:
+            if time.monotonic() > deadline:
+                raise sdo.refuse(
+                    f"stays in {state.value} after disable voltage",
+                    entry=od.STATUSWORD,
+                    remedy="Switch the drive off by hand, and see that nothing else on the bus controls it.",
+                )
+            time.sleep(0.005)
+            state = states.classify(sdo.read(od.STATUSWORD))
+    if state is not State.FAULT:
+        return arrival, None
+    error_code = sdo.find(od.ERROR_CODE)
+    what = emergency.describe(error_code) if error_code is not None else "no error code"
+    sdo.warnings.append(f"it is in Fault ({what}): reset it before it can be enabled")
+    return arrival, error_code
+
+
+def _select_mode(sdo: SdoDialogue) -> tuple[int, ...] | None:
+    mode = sdo.config.mode
+    bits = sdo.find(od.SUPPORTED_MODES)
+    supported = None if bits is None else tuple(bit + 1 for bit in range(16) if bits >> bit & 1)
+    if supported is None:
+        sdo.warnings.append(f"no {od.SUPPORTED_MODES}: whether it has mode {mode} shows in 6061h alone")
+    elif mode not in supported:
+        raise sdo.refuse(
+            f"the drive has modes {', '.join(map(str, supported)) or 'none'}, and not mode {mode}",
+            entry=od.SUPPORTED_MODES,
+            remedy="Choose one of them under mode in the vehicle file (2 or 9), or set the drive up for this one.",
+        )
+    sdo.write(od.MODE, mode)
+    deadline = time.monotonic() + PATIENCE
+    while (shown := sdo.read(od.MODE_DISPLAY)) != mode:
+        if time.monotonic() > deadline:
+            raise sdo.refuse(
+                f"is {shown} after mode {mode} was asked for",
+                entry=od.MODE_DISPLAY,
+                remedy="See in the drive's manual what this mode needs (in mode 9 often a synchronous cycle).",
+            )
+        time.sleep(0.005)
+    return supported
+
+
+def _set_sync(sdo: SdoDialogue, supervision: Supervision) -> None:
+    """The drive shall take SYNC from 080h and not make one; in mode 9 it must also know the cycle."""
+    sdo.set_where_present(od.SYNC_COB_ID, 0x80, without="assumed to be 080h")
+    if sdo.config.mode == 9:
+        exponent = -3 if math.isclose(supervision.cycle_period % 1e-3, 0.0, abs_tol=1e-9) else -4
+        value = round(supervision.cycle_period * 10.0**-exponent)
+        without = "the drive must find out the cycle of the setpoints by itself"
+        if sdo.set_where_present(od.INTERPOLATION_TIME, value, without=without):
+            sdo.set_where_present(od.INTERPOLATION_EXPONENT, exponent, without=without)
+
+
+def _set_heartbeats(sdo: SdoDialogue, supervision: Supervision) -> bool:
+    """The drive's own heartbeat, and the one that it watches. False where it cannot watch."""
+    timeout = milliseconds(supervision.heartbeat_timeout)
+    watches = sdo.set_where_present(
+        od.CONSUMER_HEARTBEAT,
+        supervision.master_node << 16 | timeout,
+        without="the drive does not notice a dead master by its heartbeat, only by missing setpoints",
+    )
+    sdo.set(od.PRODUCER_HEARTBEAT, milliseconds(supervision.heartbeat_period))
+    sdo.set_where_present(
+        od.EMERGENCY_COB_ID,
+        nmt.EMERGENCY_COB_ID + sdo.config.node,
+        without="the drive does not say why it has a fault",
+    )
+    return watches
+
+
+def _check_quick_stop(sdo: SdoDialogue) -> int | None:
+    option = sdo.find(od.QUICK_STOP_OPTION)
+    if option is None:
+        sdo.warnings.append(f"no {od.QUICK_STOP_OPTION}: how it stops is set in its own parameters")
+    elif option == 0:
+        sdo.warnings.append(f"{od.QUICK_STOP_OPTION} is 0: a quick stop just switches the torque off, without a ramp")
+    return option
+
+
+__all__ = ["DriveReport", "DriveSetupError", "MissingNode", "Supervision", "configure"]

@@ -1,0 +1,223 @@
+"""From control cycles to rows of the MONOCAB's torque balance, all signals through one state-variable filter.
+
+    angular_momentum * precession' + trim torque = inertia * roll'' - gravity_stiffness * roll - static_torque
+    trim torque = trim_mass * g * trim_position - trim_mass * trim_height * trim_position''
+
+A row holds the filtered left side and the filtered regressors of the right side. roll'' is the filtered derivative of
+the roll rate; the constant is the filter's step response.
+
+Alignment. The drives are sampled before the IMU; `drive_age` says by how much, and the drive signals are brought to the
+IMU's instant. What is left of a misalignment, a fraction of a sample, is for the user of a row to fit along as a
+nuisance: shifting the drive signals by `drive_time_offset` adds angular_momentum * precession'' * offset, linear in it.
+
+Validity. Only a free vehicle obeys the balance: |roll| must be less than the support angle by a margin. The filter
+restarts whenever the vehicle gets free and after every gap, and is exact from that moment on.
+
+Signs as in telemetry.channels, SI units. Source: Griese et al., section III-B, equation (6), with the gravity term's
+sign set right and the static torque added.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import EstimationError
+from estimators.state_variable_filter import StateVariableFilter
+from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.samples import Frame
+
+GRAVITY = 9.81
+REGRESSORS = ("inertia", "gravity_stiffness", "static_torque", "drive_time_offset")
+"""The parameters of a row, in the order of its regressors."""
+
+BALANCE_CHANNELS = ChannelTable(
+    MONOCAB[MONOCAB.index_of(name)]
+    for name in ("roll", "roll_rate", "precession_rate", "trim_position", "trim_rate", "drive_age", "excitation")
+)
+"""What a row is made of."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterConfig:
+    """How the balance's signals are filtered.
+
+    `bandwidth` rad/s and `order` of the state-variable filter: above what the vehicle is excited with, below where the
+    differentiated gyro noise takes over. `support_margin` rad: free is |roll| < support - margin.
+    """
+
+    bandwidth: float = 2.0 * np.pi * 5.0
+    order: int = 4
+    support_margin: float = float(np.radians(0.3))
+
+    @property
+    def stride(self) -> float:
+        """s between rows: ten a period of the bandwidth; in between nothing new happens."""
+        return 0.2 * np.pi / self.bandwidth
+
+    @property
+    def longest_gap(self) -> float:
+        """s over which a straight line between two samples stands for the signal."""
+        return 1.0 / self.bandwidth
+
+
+@dataclass(frozen=True, slots=True)
+class BalanceRow:
+    """One row: `output` (N m) = `regressors` (4,) . parameters, see REGRESSORS; `begins` where it follows no other row.
+
+    `instruments` are what filters make of the injected excitation, and the constant: (8,).
+    """
+
+    timestamp_ns: int
+    output: float
+    regressors: tuple[float, ...]
+    instruments: tuple[float, ...]
+    begins: bool
+
+
+class InstrumentBank:
+    """The excitation through first-order lags: instruments that carry nothing but what was injected.
+
+    Time constants from 1/32 s to 1 s span the closed loop's response to the excitation.
+    """
+
+    RATES = 2.0 ** np.arange(6)
+    COUNT = len(RATES) + 1
+
+    def __init__(self) -> None:
+        self.outputs: NDArray[np.float64] = np.zeros(self.COUNT)
+
+    def update(self, spacing: float, excitation: float) -> None:
+        """The next value, which is held until the one after."""
+        outputs = self.outputs
+        outputs[:-1] += -np.expm1(-self.RATES * spacing) * (outputs[-1] - outputs[:-1])
+        outputs[-1] = excitation
+
+    def reset(self) -> None:
+        self.outputs[:] = 0.0
+
+
+class BalanceRows:
+    """Takes control cycles, gives a row every `stride` seconds of free motion.
+
+    `parameters` needs angular_momentum, trim_mass, trim_height; `support` is the roll angle, rad, at which the supports
+    carry. Raises EstimationError where a parameter is missing or the support angle leaves no free range.
+    """
+
+    INSTRUMENTS = InstrumentBank.COUNT + 1
+
+    def __init__(
+        self,
+        parameters: Mapping[str, float],
+        support: float,
+        channels: ChannelTable = MONOCAB,
+        config: FilterConfig | None = None,
+    ) -> None:
+        self.config = config = config or FilterConfig()
+        for name in ("angular_momentum", "trim_mass", "trim_height"):
+            if name not in parameters:
+                raise EstimationError(
+                    f"parameter {name}", "missing", remedy="set it in [parameters] of the vehicle file."
+                )
+        if not support > config.support_margin:
+            raise EstimationError(
+                "support angle", f"{np.degrees(support):g} deg leaves no free range", remedy="set limits.support_deg."
+            )
+        self._momentum = float(parameters["angular_momentum"])
+        self._trim_weight = GRAVITY * float(parameters["trim_mass"])
+        self._trim_reaction = float(parameters["trim_mass"]) * float(parameters["trim_height"])
+        self._free_angle = support - config.support_margin
+        self._places = tuple(channels.index_of(name) for name in BALANCE_CHANNELS.names)
+        self._imu = StateVariableFilter(2, config.bandwidth, config.order)
+        self._drive = StateVariableFilter(3, config.bandwidth, config.order)
+        self._bank = InstrumentBank()
+        self._recent: deque[tuple[int, float, float]] = deque(maxlen=8)
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to before the first cycle."""
+        self._bank.reset()
+        self._recent.clear()
+        self._running = self._begins = False
+        self._imu_time = self._drive_time = 0
+        self._next = 0.0
+        self.cycles = 0
+        """Cycles seen so far."""
+        self.free_time = 0.0
+        """s of free motion so far."""
+
+    def update(self, frame: Frame) -> BalanceRow | None:
+        """The row that this cycle completes, if any. Cycles on the support, out of order or unknown are passed over."""
+        values = frame.values
+        roll, rate, speed, trim, trim_rate, age, excitation = [values[place] for place in self._places]
+        now = frame.timestamp_ns
+        recent = self._recent
+        spacing = (now - recent[-1][0]) * 1e-9 if recent else 0.0
+        if recent and spacing <= 0.0:
+            return None
+        self.cycles += 1
+        known = roll + rate + speed + trim + trim_rate + age + excitation
+        longest = self.config.longest_gap
+        if known - known != 0.0 or spacing > longest or not 0.0 <= age <= longest:
+            self._running = False
+            recent.clear()
+            self._bank.reset()
+            if known - known != 0.0:  # NaN or infinite
+                return None
+            spacing = 0.0
+        self._bank.update(spacing, excitation)
+        recent.append((now, roll, rate))
+        if abs(roll) >= self._free_angle:
+            self._running = False
+            return None
+        drive = (speed, trim, trim_rate)
+        drive_time = now - round(age * 1e9)
+        if not self._running:
+            self._begin(drive_time, drive)
+            return None
+        self._imu.update((now - self._imu_time) * 1e-9, (roll, rate))
+        self._imu_time = now
+        if drive_time > self._drive_time:
+            self._drive.update((drive_time - self._drive_time) * 1e-9, drive)
+            self._drive_time = drive_time
+        self.free_time += spacing
+        self._next -= spacing
+        if self._next > 0.0:
+            return None
+        self._next += self.config.stride
+        return self._row(now)
+
+    def _begin(self, drive_time: int, drive: Sequence[float]) -> None:
+        """Start both filters at one instant, that of the drive values; roll and roll rate are interpolated there."""
+        samples = list(self._recent)
+        later = next((place for place, sample in enumerate(samples) if sample[0] >= drive_time), 0)
+        if later == 0 or drive_time < samples[later - 1][0]:
+            return  # the drive values are older than any IMU sample there is
+        (early, *before), (late, *after) = samples[later - 1], samples[later]
+        share = (drive_time - early) / (late - early)
+        self._imu.start([a + share * (b - a) for a, b in zip(before, after, strict=True)])
+        self._imu_time = drive_time
+        for time, *sample in samples[later:]:
+            self._imu.update((time - self._imu_time) * 1e-9, sample)
+            self._imu_time = time
+        self._drive.start(drive)
+        self._drive_time = drive_time
+        self._next = self.config.stride
+        self._running = self._begins = True
+
+    def _row(self, now: int) -> BalanceRow:
+        imu = self._imu.outputs()
+        drive = self._drive.outputs((now - self._drive_time) * 1e-9)
+        begins, self._begins = self._begins, False
+        momentum = self._momentum
+        return BalanceRow(
+            timestamp_ns=now,
+            output=float(momentum * drive[0, 0] + self._trim_weight * drive[0, 1] - self._trim_reaction * drive[1, 2]),
+            regressors=(imu[1, 1], -imu[0, 0], -imu[0, 2], -momentum * drive[1, 0]),
+            instruments=(imu[0, 2], *self._bank.outputs),
+            begins=begins,
+        )

@@ -1,0 +1,106 @@
+"""The contract every estimator keeps, live and offline: three verbs and a result a person can read.
+
+`update(frame)` takes one control cycle, `result()` says what is known now, `reset()` forgets everything. An estimator
+does no I/O and asks no clock: live, replayed and simulated frames give the same numbers bit for bit. A value that is
+not known is `None` with a reason in words, never a silent NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Protocol
+
+from telemetry.errors import UprightError
+from telemetry.samples import Frame
+
+
+class EstimationError(UprightError):
+    """An estimator was set up with something it cannot work with. `what` names it."""
+
+    def __init__(self, what: str, message: str, *, remedy: str = "") -> None:
+        super().__init__(f"{what}: {message}.", remedy=remedy)
+        self.what = what
+
+
+class Status(StrEnum):
+    """Whether an estimate can be used, and if not, what it lacks."""
+
+    OK = "ok"
+    TOO_FEW_SAMPLES = "too_few_samples"
+    TOO_LITTLE_EXCITATION = "too_little_excitation"
+    IMPLAUSIBLE = "implausible"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One estimated parameter.
+
+    `value` and its standard deviation `std` are in `unit` and are None unless `status` is OK; `reason` then says why.
+    `coverage_percent` tells how far the excitation has come: 100 where the parameter's own term of the equation has
+    moved, independently of all other terms, as much as the estimator asks for.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+    status: Status
+    coverage_percent: float
+    reason: str = ""
+
+    @property
+    def identifiable(self) -> bool:
+        return self.status is Status.OK
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What one estimator knows: its parameters by name, from `samples` samples that span `span` seconds of valid data.
+
+    `status` is OK when every parameter asked for is; otherwise that of the first one that is not, with its reason.
+    """
+
+    method: str
+    parameters: Mapping[str, ParameterEstimate]
+    status: Status
+    reason: str
+    samples: int
+    span: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON-ready values: what goes over MQTT and into `identify --json`."""
+        return {
+            "parameters": {
+                name: {
+                    "value": parameter.value,
+                    "std": parameter.std,
+                    "unit": parameter.unit,
+                    "identifiable": parameter.identifiable,
+                    "status": parameter.status.value,
+                    "coverage_percent": round(parameter.coverage_percent, 1),
+                    "reason": parameter.reason,
+                }
+                for name, parameter in self.parameters.items()
+            },
+            "status": self.status.value,
+            "reason": self.reason,
+            "samples": self.samples,
+            "span": self.span,
+        }
+
+
+class Estimator(Protocol):
+    """Three verbs. `method` is the name under which the result is reported, such as "recursive_least_squares"."""
+
+    @property
+    def method(self) -> str: ...
+
+    def update(self, frame: Frame) -> None:
+        """Take one control cycle. Cycles that carry no information are passed over, not complained about."""
+
+    def result(self) -> Estimate:
+        """What is known from all cycles so far."""
+
+    def reset(self) -> None:
+        """Back to the state after construction."""

@@ -1,0 +1,255 @@
+"""Roll and pitch of the vehicle from its IMU: a Kalman filter that holds at any angle.
+
+States are the up vector in the body frame u (3, unit length) and the gyro bias b (3, rad/s). With the measured angular
+rate w both are linear and time-varying, so no small-angle or Euler-angle singularity enters:
+
+    u' = -(w - b) x u,   b' = white noise
+    accelerometer = g u + w' x r + w x (w x r) + linear acceleration
+
+r is the lever arm from the roll axis to the accelerometer. Two consecutive accelerometer readings are averaged and the
+two angular rates between them differenced, so that all terms belong to the same instant, the middle of the interval.
+What is left of linear acceleration is zero on average in a frame that does not rotate; it is taken down by a low-pass
+there (as VQF does: Laidig and Seel, Information Fusion 91, 2023), and the measurement's covariance grows with the
+departure of |a| from g.
+
+Axes: ISO 8855, x forward, y left, z up. roll = atan2(u_y, u_z), positive right side down; pitch is positive nose down.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from telemetry.samples import ImuSample, Vector3
+
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+GRAVITY = 9.80665
+"""m/s^2."""
+
+SMOOTHING_TIME = 1.0
+"""s, time constant of the accelerometer's low-pass in the frame that does not rotate."""
+
+DEPARTURE_TIME = 0.25
+"""s over which the departure of |a| from g is averaged."""
+
+INITIAL_TILT_STD = 0.1
+"""rad, of the up vector taken from the first accelerometer reading."""
+
+INITIAL_BIAS_STD = 0.01
+"""rad/s, of the gyro bias before anything is known of it."""
+
+LONGEST_STEP = 1.0
+"""s; after a longer silence the up vector is taken from the accelerometer anew. The bias is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class RollFilterConfig:
+    """What the filter believes of the sensor.
+
+    `rate` (Hz) is the IMU's stream rate, `acceleration_std` (m/s^2, a sample) the accelerometer's noise at rest,
+    `angular_rate_density` (rad/s/sqrt(Hz)) the gyro's with scale and alignment errors included, `bias_random_walk`
+    (rad/s/sqrt(s)) the wandering of its bias, `position` (m) the accelerometer's place from the roll axis.
+    """
+
+    rate: float
+    acceleration_std: float
+    angular_rate_density: float
+    bias_random_walk: float
+    position: Vector3 = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class RollState:
+    """The estimate at one IMU sample: rad and rad/s. `roll_rate` is the gyro about x less its bias."""
+
+    timestamp_ns: int
+    roll: float
+    pitch: float
+    roll_rate: float
+    roll_std: float
+    bias: Vector3
+
+
+class RollFilter:
+    """Feed every IMU sample to `update`; each answer is the state at that sample.
+
+    A pure function of the samples since `reset`: replaying them gives the same numbers bit for bit.
+    """
+
+    def __init__(self, config: RollFilterConfig) -> None:
+        self.config = config
+        self._period = 1.0 / config.rate
+        self._identity = np.eye(3)
+        self._measures_up = np.hstack((np.eye(3), np.zeros((3, 3))))
+        self._noise = np.diag([config.angular_rate_density**2] * 3 + [config.bias_random_walk**2] * 3)
+        self._transition = np.eye(6)
+        self._measured = np.zeros((3, 1))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next sample starts the filter anew."""
+        self._kalman = KalmanFilter(dim_x=6, dim_z=3)
+        self._kalman.P = np.diag([INITIAL_TILT_STD**2] * 3 + [INITIAL_BIAS_STD**2] * 3)
+        self._last: ImuSample | None = None
+        self._up: Vector3 = (0.0, 0.0, 1.0)
+        self._bias: Vector3 = (0.0, 0.0, 0.0)
+        self._start_smoothing((0.0, 0.0, 0.0))
+
+    def update(self, sample: ImuSample) -> RollState:
+        """The state at `sample`. A sample that is not later than the one before adds its reading, but no motion."""
+        last = self._last
+        self._last = sample
+        step = 0.0 if last is None else (sample.timestamp_ns - last.timestamp_ns) * 1e-9
+        if last is None or step > LONGEST_STEP:
+            self._start(sample)
+        else:
+            self._step(last, sample, max(step, 0.0))
+        return self._state(sample)
+
+    def _start(self, sample: ImuSample) -> None:
+        """Up vector and its covariance from one accelerometer reading."""
+        acceleration = _minus(sample.acceleration, self._centripetal(sample.angular_rate))
+        self._start_smoothing(acceleration)
+        norm = math.hypot(*acceleration)
+        if norm > 0.1 * GRAVITY:
+            self._up = (acceleration[0] / norm, acceleration[1] / norm, acceleration[2] / norm)
+        kalman = self._kalman
+        kalman.x[:3, 0] = self._up
+        kalman.P[:3, :] = 0.0
+        kalman.P[:, :3] = 0.0
+        kalman.P[:3, :3] = self._identity * INITIAL_TILT_STD**2
+
+    def _start_smoothing(self, acceleration: Vector3) -> None:
+        self._smoothed = acceleration
+        self._departure = 0.0
+        self._readings = 1
+
+    def _step(self, last: ImuSample, sample: ImuSample, step: float) -> None:
+        """Carry the state over `step` seconds and correct it with the readings at both ends."""
+        vx, vy, vz = last.angular_rate
+        wx, wy, wz = sample.angular_rate
+        rate = (0.5 * (vx + wx), 0.5 * (vy + wy), 0.5 * (vz + wz))
+        turn = _turn(rate, step)
+
+        # IMU samples are a whole number of periods apart, whatever the jitter of their receive times.
+        elapsed = self._period * max(1, round(step / self._period))
+        change = (wx - vx, wy - vy, wz - vz)
+        before = _apply(turn, last.acceleration)
+        lever = self._lever(rate, change, elapsed)
+        now = sample.acceleration
+        reading = (
+            0.5 * (before[0] + now[0]) - lever[0],
+            0.5 * (before[1] + now[1]) - lever[1],
+            0.5 * (before[2] + now[2]) - lever[2],
+        )
+        variance = self._smooth(turn, reading, step)
+
+        self._predict(turn, step, change)
+        self._correct(variance)
+
+    def _lever(self, rate: Vector3, change: Vector3, elapsed: float) -> Vector3:
+        """Acceleration at the lever arm: tangential and centripetal."""
+        rx, ry, rz = self.config.position
+        ax, ay, az = change[0] / elapsed, change[1] / elapsed, change[2] / elapsed
+        cx, cy, cz = self._centripetal(rate)
+        return (ay * rz - az * ry + cx, az * rx - ax * rz + cy, ax * ry - ay * rx + cz)
+
+    def _centripetal(self, rate: Vector3) -> Vector3:
+        """w x (w x r) = w (w . r) - r (w . w)."""
+        rx, ry, rz = self.config.position
+        wx, wy, wz = rate
+        along = wx * rx + wy * ry + wz * rz
+        square = wx * wx + wy * wy + wz * wz
+        return (wx * along - rx * square, wy * along - ry * square, wz * along - rz * square)
+
+    def _smooth(self, turn: Matrix3, reading: Vector3, step: float) -> float:
+        """Low-pass `reading` in the frame that does not rotate; the variance (m^2/s^4) it deserves."""
+        self._readings += 1
+        gain = max(1.0 - math.exp(-step / SMOOTHING_TIME), 1.0 / self._readings)
+        bx, by, bz = self._bias
+        x, y, z = self._smoothed
+        px, py, pz = _apply(turn, self._smoothed)
+        px += step * (by * z - bz * y)
+        py += step * (bz * x - bx * z)
+        pz += step * (bx * y - by * x)
+        self._smoothed = (px + gain * (reading[0] - px), py + gain * (reading[1] - py), pz + gain * (reading[2] - pz))
+
+        gain = max(1.0 - math.exp(-step / DEPARTURE_TIME), 1.0 / self._readings)
+        self._departure += gain * ((math.hypot(*reading) - GRAVITY) ** 2 - self._departure)
+        return self.config.acceleration_std**2 + self._departure
+
+    def _predict(self, turn: Matrix3, step: float, change: Vector3) -> None:
+        (a, b, c), (d, e, f), (g, h, i) = turn
+        px, py, pz = self._up
+        ux, uy, uz = _apply(turn, self._up)
+        # b x u over the step, with u at its middle.
+        x, y, z = 0.5 * step * (px + ux), 0.5 * step * (py + uy), 0.5 * step * (pz + uz)
+        self._transition[:3] = ((a, b, c, 0.0, z, -y), (d, e, f, -z, 0.0, x), (g, h, i, y, -x, 0.0))
+        noise = self._noise * step
+        lost = step - 1.5 * self._period
+        if lost > 0.0:
+            # Between samples that were lost the rate is known no better than it changed.
+            noise[:3, :3] += self._identity * (0.5 * lost * math.hypot(*change)) ** 2
+        self._kalman.predict(F=self._transition, Q=noise)
+
+    def _correct(self, variance: float) -> None:
+        x, y, z = self._smoothed
+        self._measured[:, 0] = (x / GRAVITY, y / GRAVITY, z / GRAVITY)
+        kalman = self._kalman
+        kalman.update(self._measured, R=self._identity * (variance / GRAVITY**2), H=self._measures_up)
+        ux, uy, uz, bx, by, bz = kalman.x[:, 0].tolist()
+        norm = math.sqrt(ux * ux + uy * uy + uz * uz)
+        self._up = (ux / norm, uy / norm, uz / norm)
+        self._bias = (bx, by, bz)
+        kalman.x[:3, 0] = self._up
+
+    def _state(self, sample: ImuSample) -> RollState:
+        ux, uy, uz = self._up
+        covariance = self._kalman.P
+        lateral = uy * uy + uz * uz
+        variance = (
+            uz * uz * float(covariance[1, 1])
+            - 2.0 * uy * uz * float(covariance[1, 2])
+            + uy * uy * float(covariance[2, 2])
+        )
+        # At 90 deg of pitch roll is undefined: any angle is as good as another.
+        std = min(math.sqrt(max(variance, 0.0)) / lateral, math.pi) if lateral > 1e-9 else math.pi
+        return RollState(
+            timestamp_ns=sample.timestamp_ns,
+            roll=math.atan2(uy, uz),
+            pitch=math.atan2(-ux, math.sqrt(lateral)),
+            roll_rate=sample.angular_rate[0] - self._bias[0],
+            roll_std=std,
+            bias=self._bias,
+        )
+
+
+def _turn(rate: Vector3, step: float) -> Matrix3:
+    """exp(-[w dt]x): how a vector at rest turns in the body frame (Rodrigues)."""
+    x, y, z = -rate[0] * step, -rate[1] * step, -rate[2] * step
+    square = x * x + y * y + z * z
+    if square < 1e-8:
+        s, c = 1.0 - square / 6.0, 0.5 - square / 24.0
+    else:
+        angle = math.sqrt(square)
+        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    xy, xz, yz = c * x * y, c * x * z, c * y * z
+    return (
+        (1.0 - c * (y * y + z * z), xy - s * z, xz + s * y),
+        (xy + s * z, 1.0 - c * (x * x + z * z), yz - s * x),
+        (xz - s * y, yz + s * x, 1.0 - c * (x * x + y * y)),
+    )
+
+
+def _apply(matrix: Matrix3, vector: Vector3) -> Vector3:
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    x, y, z = vector
+    return (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+
+
+def _minus(a: Vector3, b: Vector3) -> Vector3:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])

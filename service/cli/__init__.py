@@ -1,0 +1,40 @@
+"""The command `upright`. Each command imports what it needs when it runs, so that `--help` answers at once.
+
+Exit codes: 0 done, 1 failed, 2 usage, 3 refused by a safety interlock, 4 vehicle fault. With `--json` one document goes
+to stdout; everything meant for people goes to stderr then.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from service.cli import batch, live, talk, vehicle
+from telemetry.errors import UprightError
+
+app = typer.Typer(
+    name="upright",
+    help="Commissions vehicles that fall over by themselves: balance over CAN, identify while balancing, "
+    "see which physical effect the model lacks.\n\nStart with `upright demo`; it needs no hardware.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+live.register(app)
+talk.register(app)
+batch.register(app)
+vehicle.register(app)
+
+
+def main() -> None:
+    """Entry point. An UprightError is told in a sentence with its remedy; anything else is a defect and shows its trace."""
+    try:
+        app()
+    except UprightError as error:
+        typer.echo(f"upright: {error}", err=True)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        typer.echo("upright: interrupted", err=True)
+        sys.exit(130)

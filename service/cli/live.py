@@ -1,0 +1,139 @@
+"""Commands that run something on a bus: demo, simulate, serve."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.output import people
+
+if TYPE_CHECKING:
+    from service.vehicle_file import VehicleFile
+
+VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab) or a path to a vehicle file.")]
+BusOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--bus",
+        help="IFACE:CHANNEL for everything, or drives=IFACE:CHANNEL and imu=IFACE:CHANNEL. "
+        "Interfaces: socketcan, udp_multicast, slcan, virtual.",
+        show_default="the vehicle file's",
+    ),
+]
+HideOption = Annotated[
+    list[str] | None,
+    typer.Option("--hide", help="EFFECT or EFFECT=LEVEL: a physical effect that the model lacks.", show_default=False),
+]
+DataOption = Annotated[Path | None, typer.Option("--data", help="Folder of the recordings.", show_default="recordings")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.command(epilog="Example: `upright demo --hide coulomb_friction`")(demo)
+    app.command(epilog="Example: `upright simulate monocab --bus socketcan:vcan0 --fault imu_silent@20`")(simulate)
+    app.command(epilog="Example: `upright serve monocab --bus socketcan:can0`")(serve)
+
+
+def demo(
+    vehicle: Annotated[str, typer.Option("--vehicle", "-v", help="The vehicle.")] = "monocab",
+    hide: HideOption = None,
+    experiment: Annotated[
+        list[str] | None, typer.Option("--experiment", help="Experiments to run.", show_default="step sweep")
+    ] = None,
+    data: DataOption = None,
+    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
+) -> None:
+    """The whole story without hardware: a virtual vehicle on a virtual bus is balanced, excited and identified."""
+    from service.demo import run_demo
+    from service.vehicle_file import load
+
+    run_demo(load(vehicle), hide or [], experiment or ["step", "sweep"], data or Path("recordings"), seed)
+
+
+def simulate(
+    vehicle: VehicleArgument,
+    bus: BusOption = None,
+    hide: HideOption = None,
+    fault: Annotated[
+        list[str] | None, typer.Option("--fault", help="NAME@SECONDS: something that goes wrong.", show_default=False)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
+) -> None:
+    """A virtual vehicle on a CAN bus, in real time: plant, servo inverters and IMU, each speaking its real protocol.
+
+    Ctrl-C ends it. The daemon connects to it as to the real vehicle.
+    """
+    import threading
+
+    from service import assembly
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    drives, imu = buses(file, bus)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    config = assembly.simulation(file, hide or [], fault or [], seed)
+    people.print(
+        f"Virtual {file.vehicle.id} on {drives}" + (f" and {imu}" if imu != drives else "") + ". Ctrl-C ends it."
+    )
+    assembly.run_simulation(config, drives, imu, stop=stop)
+
+
+def serve(
+    vehicle: VehicleArgument,
+    bus: BusOption = None,
+    data: DataOption = None,
+    socket: Annotated[Path | None, typer.Option("--socket", help="Control socket.", show_default=False)] = None,
+    mqtt: Annotated[
+        str | None, typer.Option("--mqtt", help="Broker, HOST:PORT.", show_default="the vehicle file's")
+    ] = None,
+) -> None:
+    """The daemon: balances and identifies the vehicle. Comes up disarmed; `upright experiment NAME` starts a run."""
+    import asyncio
+    import os
+
+    from service.api import default_socket
+    from service.daemon import Daemon, Places
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    if mqtt is not None:
+        file = file.model_copy(update={"mqtt": file.mqtt.model_copy(update={"broker": mqtt})})
+    drives, imu = buses(file, bus)
+    places = Places(
+        drives_bus=drives,
+        imu_bus=imu,
+        data=data or Path(os.environ.get("STATE_DIRECTORY", "recordings")),
+        socket=socket or default_socket(file.vehicle.id),
+    )
+
+    async def run() -> None:
+        daemon = Daemon(file, places)
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, daemon.stop)
+        people.print(
+            f"Serving {file.vehicle.id} on {drives}" + (f" and {imu}" if imu != drives else "") + ", disarmed."
+        )
+        people.print(f"Talk to it with `upright status` or `upright experiment NAME` (socket {places.socket}).")
+        await daemon.run()
+
+    asyncio.run(run())
+
+
+def buses(vehicle: VehicleFile, options: list[str] | None) -> tuple[str, str]:
+    """Addresses of the drives' and the IMU's bus, from --bus or the vehicle file."""
+    drives, imu = vehicle.bus.drives, vehicle.bus.imu
+    for option in options or []:
+        role, _, address = option.rpartition("=") if option.startswith(("drives=", "imu=")) else ("", "", option)
+        if ":" not in address:
+            raise typer.BadParameter(f"{option!r} is not IFACE:CHANNEL, as in socketcan:can0", param_hint="--bus")
+        if role in ("", "drives"):
+            drives = address
+        if role in ("", "imu"):
+            imu = address
+    return drives, imu

@@ -1,0 +1,119 @@
+"""Commands that talk to a running daemon: experiment, stop, reset, status."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.cli.output import page, parameter_table, people, print_json
+
+VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Id of the vehicle whose daemon to talk to.")]
+SocketOption = Annotated[Path | None, typer.Option("--socket", help="The daemon's control socket.", show_default=False)]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.command(epilog="Example: `upright experiment sweep`")(experiment)
+    app.command(epilog="Example: `upright stop`, or in an emergency the e-stop, not this command")(stop)
+    app.command(epilog="Example: `upright reset`")(reset)
+    app.command(epilog="Example: `upright status --json`")(status)
+
+
+def experiment(
+    name: Annotated[str, typer.Argument(help="One of the vehicle file's experiments, as in `upright config show`.")],
+    vehicle: VehicleOption = "monocab",
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Run an experiment on the vehicle: rise, settle, excite, lower; recorded and identified while it runs.
+
+    Ctrl-C ends it in order: the vehicle is lowered onto its support. Exit code 3: refused by an interlock (the reasons
+    are printed), 4: the safety verdict stopped the vehicle.
+    """
+    try:
+        _follow(_call({"verb": "experiment", "name": name}, vehicle, socket), json=json)
+    except KeyboardInterrupt:
+        people.print("Interrupted: lowering the vehicle ...")
+        _finish(list(_call({"verb": "stop"}, vehicle, socket))[-1], json=json)
+
+
+def stop(
+    now: Annotated[
+        bool, typer.Option("--now", help="Quick stop at once: the vehicle falls onto its supports.")
+    ] = False,
+    vehicle: VehicleOption = "monocab",
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """End the running experiment in order: the vehicle is lowered onto its support and the drives are disabled."""
+    _finish(list(_call({"verb": "stop", "now": now}, vehicle, socket))[-1], json=json)
+
+
+def reset(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Acknowledge a fault once its cause is mended. The drives' faults are reset; nothing is enabled."""
+    _finish(list(_call({"verb": "reset"}, vehicle, socket))[-1], json=json)
+
+
+def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json: JsonOption = False) -> None:
+    """What the daemon does, what keeps it from more, and the parameters it has found."""
+    answer = list(_call({"verb": "status"}, vehicle, socket))[-1]["status"]
+    if json:
+        print_json(answer)
+        return
+    page.print(f"[bold]{answer['vehicle']}[/bold]  {answer['mode']}  {answer['experiment'] or ''}")
+    if answer["reason"]:
+        page.print(f"  {answer['reason']}")
+    for interlock in answer["interlocks"]:
+        page.print(f"  not ready: {interlock}")
+    for drive in answer["drive_states"]:
+        page.print(f"  {drive['name']}: {drive['state']}{'  ' + drive['fault'] if drive['fault'] else ''}")
+    if answer["estimates"]:
+        page.print(parameter_table(answer["estimates"]))
+
+
+def _call(request: dict[str, Any], vehicle: str, socket: Path | None) -> Iterator[dict[str, Any]]:
+    from service import api
+
+    timeout = None if request["verb"] == "experiment" else 30.0
+    return api.call([socket] if socket else api.socket_candidates(vehicle), request, timeout=timeout)
+
+
+def _follow(messages: Iterator[dict[str, Any]], *, json: bool) -> None:
+    """Show phases, progress and live estimates until the result."""
+    from rich.console import Group
+    from rich.live import Live
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=people)
+    task = bar.add_task("starting", total=1.0)
+    last: dict[str, Any] = {}
+    with Live(bar, console=people, refresh_per_second=5, transient=True) as live:
+        for message in messages:
+            last = message
+            if message["type"] == "event":
+                live.console.print(f"  {message['text']}")
+                bar.update(task, description=message["text"])
+            elif message["type"] == "progress":
+                bar.update(task, completed=message["fraction"])
+                if message["estimates"]:
+                    live.update(Group(bar, parameter_table(message["estimates"])))
+    if not json and last.get("estimates"):
+        page.print(parameter_table(last["estimates"]))
+    if not json and last.get("recording"):
+        page.print(f"Recording: {last['recording']}")
+    _finish(last, json=json)
+
+
+def _finish(answer: dict[str, Any], *, json: bool) -> None:
+    """Print a result and leave with its exit code."""
+    if json:
+        print_json({key: value for key, value in answer.items() if key != "type"})
+    elif answer["text"]:
+        (people if answer["exit_code"] else page).print(answer["text"])
+    if answer["exit_code"]:
+        sys.exit(answer["exit_code"])

@@ -1,0 +1,75 @@
+"""Commands about vehicle files: config check, config show, config schema."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from service.cli.output import page, print_json
+
+config = typer.Typer(help="Vehicle files: check them, show them, list every key.", no_args_is_help=True)
+
+FileArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab) or a path to a vehicle file.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.add_typer(config, name="config")
+
+
+@config.command(epilog="Example: `upright config check my_vehicle.toml`")
+def check(file: FileArgument, json: JsonOption = False) -> None:
+    """Check a vehicle file: keys, units, node ids, bus load, and a controller that bears the CAD uncertainty.
+
+    Exit code 1 names the first key that is wrong and the remedy.
+    """
+    from service import assembly
+    from service.vehicle_file import load
+
+    vehicle = load(file)
+    design = assembly.design(vehicle)
+    load_percent = assembly.bus_load(vehicle)
+    report = {
+        "file": vehicle.path,
+        "vehicle": vehicle.vehicle.id,
+        "configuration_hash": vehicle.configuration_hash,
+        "bus_load_percent": load_percent,
+        "controller": assembly.design_summary(design),
+        "experiments": {name: experiment.title for name, experiment in vehicle.experiments.items()},
+    }
+    if json:
+        print_json(report)
+        return
+    page.print(f"[green]{vehicle.path} is fine[/green] (vehicle {vehicle.vehicle.id}, {vehicle.configuration_hash})")
+    for bus, percent in load_percent.items():
+        page.print(f"  bus {bus}: {percent:.0f} % load at {vehicle.bus.bitrate / 1e3:.0f} kbit/s")
+    for line in assembly.design_lines(design):
+        page.print(f"  {line}")
+    for name, experiment in vehicle.experiments.items():
+        page.print(f"  experiment {name}: {experiment.title}")
+
+
+@config.command(epilog="Example: `upright config show monocab --json`")
+def show(file: FileArgument, json: JsonOption = False) -> None:
+    """Show a vehicle file as it was understood, defaults filled in."""
+    from service.vehicle_file import load
+
+    vehicle = load(file)
+    if json:
+        print_json(vehicle.model_dump())
+        return
+    for section, content in vehicle.model_dump(exclude={"path", "configuration_hash"}).items():
+        page.print(f"[bold]{section}[/bold]")
+        entries = content.items() if isinstance(content, dict) else enumerate(content)
+        for key, value in entries:
+            page.print(f"  {key}: {value}", soft_wrap=True)
+
+
+@config.command(epilog="Example: `upright config schema > vehicle.schema.json`")
+def schema() -> None:
+    """Print the JSON Schema of vehicle files: every key, its meaning and unit."""
+    from service.vehicle_file import VehicleFile
+
+    print_json(VehicleFile.model_json_schema())

@@ -1,0 +1,197 @@
+"""The roll controller of the MONOCAB: reduced LQI state feedback, and the lean that brings the gimbals back.
+
+Inner loop, one step a control cycle (gains from `models.control_design`):
+
+    setpoint = -(k_roll * (roll - reference) + k_rate * roll_rate + k_precession * precession_rate
+                 + k_previous * setpoint before + k_integral * q) + excitation,        q' = roll - reference
+
+Outer loop: the gyroscopes give torque only while they precess, and the reduced LQI does not see the precession angle,
+so a static torque would turn the gimbals until they end. Leaning by `reference` gives, in the steady state of
+
+    inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession' + static_torque,
+
+precession' = -(gravity_stiffness * reference + static_torque) / angular_momentum. With the lean
+
+    reference = (angular_momentum / gravity_stiffness) * (2 / T * precession + 1 / T^2 * integral of precession)
+
+the precession angle obeys precession'' + (2 / T) * precession' + precession / T^2 = 0: both poles at -1/T, and a
+constant static torque has no part in it. The vehicle ends up leaning against it with the gimbals in the middle. T is
+`precession_return_time`; it must be slow against the inner loop, since a lean is reached by precessing the wrong way
+first.
+
+Signs: see `models.monocab`. Angles in rad, rates in rad/s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+from models.control_design import LqiGains, LqiWeights, RollDesign, design_roll_controller
+from models.monocab import MonocabParameters
+from service.vehicle_file import VehicleFile
+
+WINDUP_TIME = 0.1
+"""s in which back-calculation takes from the integral what the limits keep from the setpoint."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointLimits:
+    """Of the precession rate setpoint: `rate` in rad/s, `acceleration` in rad/s^2."""
+
+    rate: float
+    acceleration: float
+
+
+def design(vehicle: VehicleFile, *, spread: float = 0.2) -> RollDesign:
+    """The roll controller of a vehicle file, designed from its CAD values and checked `spread` (20 %) around them.
+
+    Raises ControlDesignError; see `models.control_design`.
+    """
+    section = vehicle.controller
+    weights = LqiWeights(
+        (section.roll_weight, section.roll_rate_weight, 0.0), section.integral_weight, section.effort_weight
+    )
+    parameters = MonocabParameters.from_values(vehicle.parameters.values)
+    return design_roll_controller(parameters, weights, vehicle.period, spread=spread)
+
+
+class PrecessionReturn:
+    """The outer loop: precession angle in, lean of the vehicle out; the lean is limited in size and in speed."""
+
+    __slots__ = ("_integral", "_integral_gain", "_lean", "_limit", "_proportional", "_slew")
+
+    def __init__(self, parameters: MonocabParameters, time: float, limit: float) -> None:
+        """`time` in s (0: off, as in the paper), `limit` of the lean in rad; it takes a quarter of `time` to reach."""
+        ratio = parameters.angular_momentum / parameters.gravity_stiffness
+        self._proportional = 2.0 * ratio / time if time else 0.0
+        self._integral_gain = ratio / time**2 if time else 0.0
+        self._slew = 4.0 * limit / time if time else 0.0
+        self._limit = limit
+        self.reset()
+
+    def reset(self) -> None:
+        """Stand straight, and assume no static torque."""
+        self._integral = 0.0
+        self._lean = 0.0
+
+    def step(self, precession: float, dt: float) -> float:
+        """The lean in rad. The integral waits while the limit holds and it would grow further."""
+        integral = self._integral + self._integral_gain * precession * dt
+        wanted = self._proportional * precession + integral
+        limit = self._limit
+        if wanted > limit:
+            wanted = limit
+            if precession < 0.0:
+                self._integral = integral
+        elif wanted < -limit:
+            wanted = -limit
+            if precession > 0.0:
+                self._integral = integral
+        else:
+            self._integral = integral
+        change, slew = wanted - self._lean, self._slew * dt
+        self._lean += slew if change > slew else -slew if change < -slew else change
+        return self._lean
+
+
+class RollController:
+    """Holds the vehicle up: the state in, the precession rate setpoint out.
+
+    `reference` is the roll angle aimed at in the last step, lean included; `setpoint` what the last step gave;
+    `limited` whether the limits held it back. `lean_on` switches the outer loop; off, the vehicle is held at the
+    reference that it is given.
+    """
+
+    __slots__ = (
+        "_acceleration",
+        "_integral",
+        "_integral_gain",
+        "_precession_gain",
+        "_previous_gain",
+        "_rate",
+        "_rate_gain",
+        "_return",
+        "_roll_gain",
+        "lean_on",
+        "limited",
+        "reference",
+        "setpoint",
+    )
+
+    def __init__(self, gains: LqiGains, limits: SetpointLimits, precession_return: PrecessionReturn) -> None:
+        self._roll_gain, self._rate_gain, self._precession_gain = gains.states
+        self._previous_gain = gains.previous
+        self._integral_gain = gains.integral
+        self._rate = limits.rate
+        self._acceleration = limits.acceleration
+        self._return = precession_return
+        self.reset(0.0)
+
+    @classmethod
+    def from_design(cls, design: RollDesign, vehicle: VehicleFile) -> RollController:
+        """The controller of a vehicle file, with the gains of its design."""
+        limits, section = vehicle.limits, vehicle.controller
+        return cls(
+            design.gains,
+            SetpointLimits(limits.precession_rate, limits.precession_acceleration),
+            PrecessionReturn(
+                design.parameters, section.precession_return_time, radians(section.precession_return_limit_deg)
+            ),
+        )
+
+    def reset(self, setpoint: float) -> None:
+        """Take over from whoever sent `setpoint` (rad/s) last.
+
+        The setpoint goes on from there, within the acceleration limit. The integral starts empty: matched to the
+        setpoint it would hold on to the torque that lifts the vehicle, and throw it over.
+        """
+        self._integral = 0.0
+        self._return.reset()
+        self.setpoint = setpoint
+        self.reference = 0.0
+        self.limited = False
+        self.lean_on = True
+
+    def step(
+        self,
+        roll: float,
+        roll_rate: float,
+        precession_rate: float,
+        precession: float,
+        reference: float,
+        dt: float,
+        excitation: float = 0.0,
+    ) -> float:
+        """One cycle: the precession rate setpoint, rad/s.
+
+        `precession_rate` and `precession` are the gimbals' as measured; `reference` (rad) comes without the lean;
+        `excitation` (rad/s) is added to the controller's output, before the limits; `dt` s since the last cycle.
+        """
+        if self.lean_on:
+            reference += self._return.step(precession, dt)
+        self.reference = reference
+        error = roll - reference
+        before = self.setpoint
+        wanted = excitation - (
+            self._roll_gain * error
+            + self._rate_gain * roll_rate
+            + self._precession_gain * precession_rate
+            + self._previous_gain * before
+            + self._integral_gain * self._integral
+        )
+        change = self._acceleration * dt
+        setpoint = wanted
+        if setpoint > before + change:
+            setpoint = before + change
+        elif setpoint < before - change:
+            setpoint = before - change
+        if setpoint > self._rate:
+            setpoint = self._rate
+        elif setpoint < -self._rate:
+            setpoint = -self._rate
+        share = dt / WINDUP_TIME
+        self._integral += dt * error + (wanted - setpoint) / self._integral_gain * (share if share < 1.0 else 1.0)
+        self.limited = setpoint != wanted
+        self.setpoint = setpoint
+        return setpoint

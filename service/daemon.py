@@ -1,0 +1,285 @@
+"""The daemon: opens the buses, sets up the drives, runs the control loop, answers the control socket.
+
+It comes up disarmed, and after any fault it stays disarmed until a person says `upright reset`. Everything here is
+slow and may wait; what must not wait is `service.control_loop`, which the buses call.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.bus import Bus, BusDown, BusError, BusGroup
+from drivers.canopen_link import CanopenLink
+from drivers.cia402.nmt import NmtCommand, command_frame
+from drivers.cia402.setup import DriveReport, DriveSetupError, Supervision, configure
+
+from service import assembly
+from service.api import ApiServer, ExitCode, Message, result
+from service.control_loop import ControlLoop, Mode
+from service.notify import Notifier
+from service.observer_client import ObserverClient
+from service.vehicle_file import VehicleFile
+from telemetry.samples import CanFrame
+
+RECONNECT_PERIOD = 0.5
+"""s between attempts to open a bus that went down, and to set up drives that did not answer."""
+
+ORDERLY_END = 20.0
+"""s that an experiment gets to lower the vehicle when the daemon is told to end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where the daemon reads and writes: one or two bus addresses, the recordings' folder and the control socket."""
+
+    drives_bus: str
+    imu_bus: str
+    data: Path
+    socket: Path
+
+
+class Daemon:
+    """One vehicle, served until `stop()`.
+
+    `lock_step` is for a simulated bus whose time is not the wall's: no wall-clock deadline is then held against it.
+    """
+
+    def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False) -> None:
+        self.vehicle = vehicle
+        self.places = places
+        self._notifier = Notifier()
+        self._stopping = asyncio.Event()
+        self._bus_down = asyncio.Event()
+        self._buses: BusGroup | None = None
+        self._link: CanopenLink | None = None
+        self.reports: list[DriveReport] = []
+        self.observer = ObserverClient(hello=assembly.observer_hello(vehicle, places.data, self._raw_log_buses()))
+        self.loop = ControlLoop(
+            vehicle,
+            assembly.vehicle_io(vehicle),
+            send=self._send,
+            observer=self.observer,
+            notifier=self._notifier,
+            unclaimed=self._on_unclaimed_frame,
+            deadline=None if lock_step else vehicle.limits.missed_cycles * vehicle.period,
+        )
+        self._api = ApiServer(places.socket, self._answer)
+
+    def stop(self) -> None:
+        """End in order: a running experiment first lowers the vehicle."""
+        self._stopping.set()
+
+    async def run(self) -> None:
+        """Serve until stopped.
+
+        Raises:
+            BusError: a bus could not be opened at the start.
+            ApiError: the control socket could not be opened.
+        """
+        self._open_buses()
+        self.observer.on_exit = self._on_observer_exit
+        await self.observer.start()
+        try:
+            await self._api.start()
+            gc.collect()
+            gc.freeze()
+            keeper = asyncio.create_task(self._keep_vehicle_ready(), name="keep vehicle ready")
+            self._notifier.ready()
+            stopping = asyncio.create_task(self._stopping.wait(), name="wait for stop")
+            await asyncio.wait({keeper, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            self._notifier.stopping()
+            if keeper.done():
+                keeper.result()
+            await self._end_in_order()
+            keeper.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await keeper
+        finally:
+            await self._api.close()
+            await self.observer.stop()
+            self._close_buses()
+
+    # Buses and drives
+
+    def _open_buses(self) -> None:
+        vehicle, places = self.vehicle, self.places
+        one_bus = places.imu_bus == places.drives_bus
+        drives = Bus.open(places.drives_bus, index=0, bitrate=vehicle.bus.bitrate)
+        try:
+            buses = [drives] if one_bus else [drives, Bus.open(places.imu_bus, index=1, bitrate=vehicle.bus.bitrate)]
+        except BusError:
+            drives.close()
+            raise
+        if not self._raw_log_buses():
+            for bus in buses:
+                bus.tap = self.observer.offer_can
+        self._link = CanopenLink(drives)
+        self._buses = BusGroup(buses)
+        self._buses.start(self.loop.on_frames, self._on_bus_down)
+
+    def _close_buses(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        if self._buses is not None:
+            self._buses.close()
+            self._buses = None
+
+    def _send(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
+        if self._buses is not None:
+            self._buses.send(0, can_id, data, timestamp_ns)
+
+    def _on_unclaimed_frame(self, frame: CanFrame) -> None:
+        if self._link is not None and frame.bus == 0:
+            self._link.handle(frame)
+
+    def _on_bus_down(self, down: BusDown) -> None:
+        self.loop.bus_down(down)
+        self._bus_down.set()
+
+    def _raw_log_buses(self) -> list[str]:
+        """Channels that a process of its own can log through a second socket."""
+        addresses = dict.fromkeys((self.places.drives_bus, self.places.imu_bus))
+        return [address for address in addresses if address.startswith("socketcan:")]
+
+    async def _keep_vehicle_ready(self) -> None:
+        """Set up the drives, and do so again whenever a bus came back or a drive restarted."""
+        while True:
+            if self._bus_down.is_set():
+                await self._reopen_buses()
+            if self.loop.needs_set_up:
+                try:
+                    await self._set_up_drives()
+                except (DriveSetupError, BusError) as error:
+                    self.loop.set_up_failed(str(error))
+                else:
+                    self.loop.set_up_done()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)
+
+    async def _reopen_buses(self) -> None:
+        self._close_buses()
+        while True:
+            self._bus_down.clear()
+            try:
+                self._open_buses()
+            except BusError as error:
+                self.loop.set_up_failed(str(error))
+                await asyncio.sleep(RECONNECT_PERIOD)
+            else:
+                self.loop.bus_back()
+                return
+
+    async def _set_up_drives(self) -> None:
+        link, control = self._link, self.vehicle.control
+        if link is None:
+            raise BusError("the bus is down.")
+        supervision = Supervision(
+            master_node=control.master_node,
+            heartbeat_period=control.heartbeat_period,
+            heartbeat_timeout=control.heartbeat_timeout,
+            rpdo_timeout=control.heartbeat_timeout,
+            cycle_period=self.vehicle.period,
+        )
+        reports = []
+        for drive in self.loop.io.drives:
+            report = await asyncio.to_thread(configure, link.network, drive.config, supervision)
+            self._send(*command_frame(NmtCommand.START, drive.config.node), 0)
+            for warning in report.warnings:
+                self.observer.event("warning", "drive_set_up", f"{report.name}: {warning}")
+            reports.append(report)
+        self.reports = reports
+
+    def _on_observer_exit(self, status: int) -> None:
+        self.loop.observer_gone(status)
+
+    async def _end_in_order(self) -> None:
+        self.loop.end_experiment("the daemon was told to stop")
+        limit = time.monotonic() + ORDERLY_END
+        while self.loop.mode is Mode.RUNNING and time.monotonic() < limit:
+            await asyncio.sleep(0.02)
+        self.loop.disarm()
+
+    # The control socket
+
+    async def _answer(self, request: Message) -> AsyncIterator[Message]:
+        match request["verb"]:
+            case "status":
+                yield result(ExitCode.DONE, status=self.status())
+            case "stop":
+                async for message in self._answer_stop(now=bool(request.get("now"))):
+                    yield message
+            case "reset":
+                refusal = self.loop.reset_fault()
+                yield result(ExitCode.REFUSED, "reset", refusal) if refusal else result(ExitCode.DONE)
+            case "experiment":
+                async for message in self._answer_experiment(str(request.get("name", ""))):
+                    yield message
+            case verb:
+                yield result(ExitCode.USAGE, "unknown_verb", f"The daemon knows no verb {verb!r}.")
+
+    async def _answer_stop(self, *, now: bool) -> AsyncIterator[Message]:
+        if self.loop.mode is not Mode.RUNNING:
+            yield result(ExitCode.DONE, text="Nothing was running.")
+            return
+        if now:
+            self.loop.stop_now("an operator asked for an immediate stop")
+        else:
+            self.loop.end_experiment("an operator asked for the end")
+        while self.loop.mode is Mode.RUNNING:
+            await asyncio.sleep(0.02)
+        yield result(ExitCode.DONE, text=self.loop.reason)
+
+    async def _answer_experiment(self, name: str) -> AsyncIterator[Message]:
+        experiment = self.vehicle.experiments.get(name)
+        if experiment is None:
+            there = ", ".join(self.vehicle.experiments)
+            yield result(ExitCode.USAGE, "unknown_experiment", f"No experiment {name!r}; this vehicle has {there}.")
+            return
+        interlocks = self.loop.interlocks()
+        if interlocks:
+            yield result(ExitCode.REFUSED, "interlock", " ".join(interlocks), interlocks=interlocks)
+            return
+        run = self.loop.start_experiment(name)
+        phase = None
+        while self.loop.mode is Mode.RUNNING:
+            if run.phase is not phase:
+                phase = run.phase
+                yield {"type": "event", "severity": "info", "code": phase.name.lower(), "text": phase.text}
+            yield {
+                "type": "progress",
+                "phase": phase.name.lower(),
+                "fraction": run.fraction,
+                "remaining": run.remaining,
+                "roll": self.loop.roll,
+                "precession": self.loop.precession,
+                "estimates": self.observer.estimates,
+            }
+            await asyncio.sleep(0.2)
+        summary = await self.observer.finished_recording()
+        if self.loop.mode is Mode.FAULT:
+            yield result(ExitCode.VEHICLE_FAULT, self.loop.code, self.loop.reason, **summary)
+        elif run.failure:
+            yield result(ExitCode.FAILED, "experiment", run.failure, **summary)
+        else:
+            yield result(ExitCode.DONE, text=run.end_reason, **summary)
+
+    def status(self) -> dict[str, Any]:
+        """What `upright status --json` prints."""
+        buses = self._buses.statistics() if self._buses is not None else []
+        return {
+            **self.loop.state(),
+            "buses": buses,
+            "drives": [report.summary() for report in self.reports],
+            "observer": self.observer.statistics(),
+            "estimates": self.observer.estimates,
+            "socket": str(self.places.socket),
+            "data": str(self.places.data),
+        }

@@ -1,0 +1,87 @@
+"""What this process tells the service manager: the sd_notify(3) protocol of systemd's Type=notify units.
+
+One datagram of KEY=VALUE lines to the Unix socket named by $NOTIFY_SOCKET (a name that begins with @ is in the abstract
+namespace). Without that variable nobody listens and every call does nothing, so the daemon runs the same from a
+terminal.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping
+
+from telemetry.errors import UprightError
+
+_WATCHDOG = b"WATCHDOG=1"
+
+
+class NotifyError(UprightError):
+    """The service manager asked to be notified, and cannot be reached."""
+
+
+class Notifier:
+    """Readiness, status line and watchdog of this process.
+
+    Nothing here waits: a message that the service manager has no room for is dropped and counted in `unsent`. Where a
+    watchdog ping does not get through, the service manager restarts the process, which is the safe side.
+    """
+
+    __slots__ = ("_socket", "unsent", "watchdog_timeout")
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        """Takes $NOTIFY_SOCKET, and $WATCHDOG_USEC and $WATCHDOG_PID as `watchdog_timeout` (s, None: no watchdog).
+
+        Raises NotifyError where $NOTIFY_SOCKET is set and nobody listens there.
+        """
+        microseconds = environment.get("WATCHDOG_USEC", "")
+        watched = microseconds.isdecimal() and environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        self.watchdog_timeout = int(microseconds) / 1e6 if watched else None
+        self.unsent = 0
+        self._socket: socket.socket | None = None
+        address = environment.get("NOTIFY_SOCKET", "")
+        if not address:
+            return
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.connect("\0" + address[1:] if address.startswith("@") else address)
+        except OSError as error:
+            self._socket.close()
+            raise NotifyError(
+                f"cannot reach the service manager at {address}: {error.strerror}.",
+                remedy="Start the daemon by its unit (systemctl start upright), or unset NOTIFY_SOCKET.",
+            ) from error
+
+    def ready(self, status: str = "") -> None:
+        """Start-up is complete: what waited for this unit may go on. `status` is a line for `systemctl status`."""
+        self._send(b"READY=1" + _status_line(status))
+
+    def status(self, status: str) -> None:
+        """A line for `systemctl status`."""
+        self._send(_status_line(status).lstrip())
+
+    def watchdog(self) -> None:
+        """The control step ran. To be called at least twice in every `watchdog_timeout`."""
+        self._send(_WATCHDOG)
+
+    def stopping(self, status: str = "") -> None:
+        """The process is about to end in order."""
+        self._send(b"STOPPING=1" + _status_line(status))
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _send(self, message: bytes) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.send(message)
+        except OSError:
+            self.unsent += 1
+
+
+def _status_line(status: str) -> bytes:
+    return f"\nSTATUS={status}".encode() if status else b""

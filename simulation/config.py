@@ -1,0 +1,159 @@
+"""What a virtual vehicle is made of: its true physics, its servo inverters, its IMU, and what is hidden in it.
+
+SI units. Axes are those of ISO 8855 (x forward, y left, z up); roll is positive right side down, precession positive
+where its rate gives a positive roll torque, the trim mass positive to the right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from telemetry.samples import Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class PlantTruth:
+    """The MONOCAB as it really is; the vehicle file's CAD values are deliberately off by 10 to 20 %."""
+
+    inertia: float = 1650.0
+    """kg m^2, mechanical, about the rail head, trim mass in the middle included."""
+    gravity_stiffness: float = 14500.0
+    """N m/rad: mass x gravity x height of the centre of gravity."""
+    angular_momentum: float = 3300.0
+    """N m s, both flywheels together."""
+    gimbal_inertia: float = 60.0
+    """kg m^2 about the precession axes, both gimbals with their reflected rotors."""
+    gimbal_time_constant: float = 0.01
+    """s, small time constant of the speed loop (tau_sigma); the closed loop lags by four times this."""
+    gimbal_torque_limit: float = 1500.0
+    """N m at each gimbal."""
+    gimbal_drag: float = 20.0
+    """N m s/rad of each gimbal: bearings, chain and gear."""
+    gimbal_brake_torque: float = 1500.0
+    """N m that the holding brake of each gimbal can carry."""
+    trim_mass: float = 500.0
+    """kg."""
+    trim_height: float = 0.4
+    """m above the rail head."""
+    trim_drive_mass: float = 150.0
+    """kg, ball screw and rotor reflected to the carriage."""
+    trim_time_constant: float = 0.02
+    """s, small time constant of the trim drive's speed loop."""
+    trim_force_limit: float = 6000.0
+    """N."""
+    trim_drag: float = 400.0
+    """N s/m."""
+    support_angle: float = math.radians(4.0)
+    """rad, where the supports touch."""
+    support_stiffness: float = 2.0e6
+    """N m/rad."""
+    support_damping: float = 4.6e4
+    """N m s/rad, while pressed: 0.4 of critical with the inertia above, a restitution of about a quarter."""
+    rail_friction: float = 0.0
+    """N m s/rad of the roll motion."""
+    gravity: float = 9.81
+    """m/s^2."""
+    encoder_increments_per_turn: int = 1 << 20
+    """Of the motor encoders, inside the drives."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveNode:
+    """One servo inverter on the bus. `rpdo` and `tpdo` are its power-on mapping, by object name (see `objects`)."""
+
+    name: str
+    role: Literal["gimbal", "trim"]
+    node: int
+    direction: int
+    """+1 where a positive motor speed gives a positive roll torque."""
+    axis_per_turn: float
+    """rad or m of the axis a motor turn."""
+    increments_per_turn: int
+    """Of 6064h."""
+    velocity_unit_rpm: float
+    """rpm a unit of 606Ch and 60FFh."""
+    rated_torque: float
+    """N m at the motor."""
+    eds: Path | str
+    mode: int = 2
+    vendor_id: int = 0
+    """Reported in 1018h:1; 0 leaves the EDS's value."""
+    product_code: int = 0
+    rpdo: Sequence[Sequence[str]] = (("controlword", "target_velocity", "target_velocity_fine"),)
+    tpdo: Sequence[Sequence[str]] = (("statusword", "velocity_actual", "torque_actual"), ("position_actual",))
+    target_velocity_fine_index: int = 0x2F15
+    """Vendor object of the fine part of the target velocity, 1/8192 rpm."""
+    ramp_bits: bool = True
+    """Honours controlword bits 4 to 6 in velocity mode (2): without them the reference is zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuNode:
+    """The LPMS-IG1 on the bus and its errors (noise of gyro I, data sheet figures)."""
+
+    protocol: Literal["canopen", "sequential"] = "canopen"
+    base_id: int = 0x18A
+    precision: Literal["float32", "int16"] = "float32"
+    slots: Sequence[str] = (
+        "acceleration_x",
+        "acceleration_y",
+        "acceleration_z",
+        "angular_rate_x",
+        "angular_rate_y",
+        "angular_rate_z",
+    )
+    axes: tuple[str, str, str] = ("+x", "+y", "+z")
+    """Sensor axis that points along the vehicle's x, y and z."""
+    acceleration_sign: int = 1
+    angular_rate_unit: Literal["deg/s", "rad/s"] = "deg/s"
+    position: Vector3 = (0.0, 0.0, 0.9)
+    """m, from the rail head."""
+    angular_rate_density: float = 3.5e-5
+    """rad/s/sqrt(Hz), white."""
+    angular_rate_bias: Vector3 = (8.7e-4, -8.7e-4, 8.7e-4)
+    """rad/s at switch-on (0.05 deg/s)."""
+    bias_random_walk: float = 2.0e-6
+    """rad/s/sqrt(s)."""
+    acceleration_std: float = 0.015
+    """m/s^2 a sample."""
+    send_jitter: float = 50e-6
+    """s, standard deviation of how late a set leaves the device; in real time only."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationConfig:
+    """One virtual vehicle. `hidden` maps a hidden effect to its level in multiples of its default size (None: 1)."""
+
+    drives: Sequence[DriveNode] = ()
+    imu: ImuNode = field(default_factory=ImuNode)
+    plant: PlantTruth = field(default_factory=PlantTruth)
+    rate: int = 250
+    """Hz of the IMU's stream: the control cycle."""
+    seed: int = 1
+    hidden: Mapping[str, float | None] = field(default_factory=dict)
+    event_time: float = 10.0
+    """s after the first SYNC at which the hidden torque step arrives."""
+
+    @property
+    def period_ns(self) -> int:
+        """ns between IMU sets."""
+        return 1_000_000_000 // self.rate
+
+    @property
+    def steps_per_ms(self) -> int:
+        """Integration steps a millisecond: at least ten a control period, none longer than half a millisecond."""
+        return max(2, -(-self.rate // 100))
+
+    @property
+    def steps_per_period(self) -> int:
+        """Integration steps from one IMU set to the next."""
+        return self.steps_per_ms * 1000 // self.rate
+
+    @property
+    def step(self) -> float:
+        """s, of the integrator and of the drives' inner loops."""
+        return 1e-3 / self.steps_per_ms

@@ -1,0 +1,89 @@
+"""Friction with memory: bristles that bend before they slide, and yielding material. Torques in N m on the roll axis.
+
+LuGre (Canudas de Wit et al., IEEE TAC 40, 1995):  z' = v - stiffness |v| z / g(v),  torque = -stiffness z - damping z',
+with g the level at which the bristles slide; their equation is integrated implicitly, so it is stable at any speed.
+Bouc-Wen (Wen, J. Eng. Mech. 102, 1976):  z' = (v / yield) (1 - |z|^n (1 + sgn(v z)) / 2),  torque = -size z.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from simulation.plant import Plant
+
+BRISTLE_DEFLECTION = 1.0e-4
+"""rad of roll at which the bristles begin to slide."""
+BRISTLE_DAMPING = 0.03
+"""s, damping over stiffness of the bristles."""
+STRIBECK_RATE = 0.01
+"""rad/s at which most of the breakaway torque is gone."""
+
+
+class LuGreFriction:
+    """Bristle friction that slides at `level(plant)` N m."""
+
+    def __init__(self, size: float) -> None:
+        self._size = size
+        self._stiffness = abs(size) / BRISTLE_DEFLECTION
+        self._deflection = 0.0
+
+    def level(self, plant: Plant) -> float:
+        return self._size
+
+    def torque(self, plant: Plant) -> float:
+        rate = plant.roll_rate
+        level = self.level(plant)
+        if level <= 0.0:
+            self._deflection = 0.0
+            return 0.0
+        slide = 1.0 + plant.step_size * abs(rate) * self._stiffness / level
+        before = self._deflection
+        self._deflection = (before + plant.step_size * rate) / slide
+        bend_rate = (self._deflection - before) / plant.step_size
+        return -self._stiffness * (self._deflection + BRISTLE_DAMPING * bend_rate)
+
+
+class StribeckFriction(LuGreFriction):
+    """Slides at the full size when slow and at half of it when fast."""
+
+    def level(self, plant: Plant) -> float:
+        return self._size * (0.5 + 0.5 * math.exp(-((plant.roll_rate / STRIBECK_RATE) ** 2)))
+
+
+class AsymmetricFriction(LuGreFriction):
+    """Slides at the full size right side down and at a third of it the other way."""
+
+    def level(self, plant: Plant) -> float:
+        return self._size if plant.roll_rate > 0.0 else self._size / 3.0
+
+
+class LoadDependentFriction(LuGreFriction):
+    """Slides at a share of the gyroscopic torque that the bearings carry."""
+
+    def __init__(self, share: float) -> None:
+        super().__init__(share * 300.0)
+        self._share = share
+
+    def level(self, plant: Plant) -> float:
+        return self._share * abs(plant.gyroscopic_torque)
+
+
+class BoucWenHysteresis:
+    """Torque that follows the roll angle elastically, then yields; rate-independent."""
+
+    YIELD = 2.0e-3  # rad
+    SHARPNESS = 1.5
+
+    def __init__(self, size: float) -> None:
+        self._size = size
+        self._state = 0.0
+
+    def torque(self, plant: Plant) -> float:
+        travel = plant.roll_rate * plant.step_size / self.YIELD
+        state = self._state
+        if travel * state > 0.0:
+            travel *= 1.0 - min(1.0, abs(state) ** self.SHARPNESS)
+        self._state = state + travel
+        return -self._size * self._state

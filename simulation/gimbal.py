@@ -1,0 +1,78 @@
+"""One control moment gyroscope: a flywheel in a gimbal that a motor turns about the vehicle's vertical axis.
+
+Turning the gimbal at a rate w gives the vehicle the roll torque  momentum * w * cos(angle); rolling the vehicle at a
+rate p gives the gimbal the reaction  -momentum * p * cos(angle). The two exchange no energy with anything else. The
+cosine counts with the hidden effect `gimbal_angle_coupling` only. With `backlash` the gimbal is a second inertia that
+meets the motor through a play. rad, rad/s, N m.
+"""
+
+from __future__ import annotations
+
+import math
+
+from simulation.servo_axis import AxisMode, ServoAxis
+
+PLAY_STIFFNESS = 2.0e5
+"""N m/rad of the chain drive, beyond its play."""
+PLAY_DAMPING = 400.0
+"""N m s/rad, in contact."""
+LOAD_SHARE = 0.4
+"""Of the inertia, behind the play; the rest is the reflected rotor."""
+
+
+class Gimbal:
+    """`angle` and `rate` are the gimbal's; the drive's encoder sits on the motor side, `axis`."""
+
+    def __init__(
+        self,
+        axis: ServoAxis,
+        *,
+        momentum: float,
+        drag: float,
+        brake_torque: float,
+        step: float,
+        coupling: float = 0.0,
+        play: float = 0.0,
+    ) -> None:
+        self.axis = axis
+        self.angle = 0.0
+        self.rate = 0.0
+        self._momentum = momentum
+        self._drag = drag
+        self._brake_torque = brake_torque
+        self._step = step
+        self._coupling = coupling
+        self._play = play
+
+    def advance(self, roll_rate: float) -> float:
+        """Move on by one step while the vehicle rolls at `roll_rate`; the roll torque this gives, N m."""
+        momentum = self._momentum
+        if self._coupling:
+            momentum *= 1.0 + self._coupling * (math.cos(self.angle) - 1.0)
+        if self._play:
+            self._advance_with_play(-momentum * roll_rate)
+        else:
+            self._move(self.axis.inertia, -momentum * roll_rate)
+            self.angle = self.axis.position
+            self.rate = self.axis.rate
+        self.axis.measure()
+        return momentum * self.rate
+
+    def _move(self, inertia: float, load: float) -> None:
+        axis = self.axis
+        rate = axis.rate
+        torque = axis.drive() + load - self._drag * rate
+        if axis.mode is AxisMode.BRAKED:
+            torque += min(self._brake_torque, max(-self._brake_torque, -inertia * rate / self._step - torque))
+        axis.rate = rate + self._step * torque / inertia
+        axis.position += 0.5 * self._step * (rate + axis.rate)
+
+    def _advance_with_play(self, load: float) -> None:
+        axis = self.axis
+        twist = axis.position - self.angle
+        beyond = twist - min(0.5 * self._play, max(-0.5 * self._play, twist))
+        contact = PLAY_STIFFNESS * beyond + PLAY_DAMPING * (axis.rate - self.rate) if beyond else 0.0
+        self._move((1.0 - LOAD_SHARE) * axis.inertia, -contact)
+        rate = self.rate
+        self.rate = rate + self._step * (contact + load) / (LOAD_SHARE * axis.inertia)
+        self.angle += 0.5 * self._step * (rate + self.rate)

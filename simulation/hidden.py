@@ -1,0 +1,93 @@
+"""The registry of hidden effects: what a virtual vehicle may contain that the nominal model lacks.
+
+Names are the canonical effect names. The size at level 1 is physically plausible for a MONOCAB: a few percent of the
+1000 N m that gravity exerts at the supports, or a few milliseconds. Formulas are in `roll_effects`, `friction`,
+`input_effects`, `gimbal` and `imu_node`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from telemetry.errors import UprightError
+
+
+class UnknownEffectError(UprightError):
+    """No hidden effect has this name, or its level is not a number. `name` is what was asked for."""
+
+    def __init__(self, name: str, message: str, *, remedy: str) -> None:
+        super().__init__(message, remedy=remedy)
+        self.name = name
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenEffect:
+    """One effect: `size` in `unit` at level 1."""
+
+    name: str
+    unit: str
+    size: float
+    meaning: str
+
+
+HIDDEN: dict[str, HiddenEffect] = {
+    effect.name: effect
+    for effect in (
+        HiddenEffect("static_torque", "N m", 120.0, "constant roll torque: the centre of gravity is off the middle"),
+        HiddenEffect("viscous_friction", "N m s/rad", 400.0, "roll torque against the roll rate"),
+        HiddenEffect("coulomb_friction", "N m", 60.0, "dry friction of the safety catch (LuGre bristles)"),
+        HiddenEffect("stribeck_friction", "N m", 80.0, "breakaway torque, half of it lost when sliding (LuGre)"),
+        HiddenEffect("asymmetric_friction", "N m", 60.0, "dry friction right side down, a third of it the other way"),
+        HiddenEffect("load_dependent_friction", "1", 0.2, "dry friction as a share of the gyroscopic torque"),
+        HiddenEffect("quadratic_drag", "N m s^2/rad^2", 5000.0, "roll torque against the rate squared"),
+        HiddenEffect("cubic_stiffness", "N m/rad^3", 1.0e6, "restoring torque of a progressive suspension"),
+        HiddenEffect("end_stop", "N m/rad", 5.0e4, "rubber buffers that touch at +-0.5 deg"),
+        HiddenEffect("hysteresis", "N m", 60.0, "hysteretic torque of flange and cables (Bouc-Wen, yields in 2 mrad)"),
+        HiddenEffect("position_cogging", "N m", 40.0, "torque that repeats every 5 mrad of roll: a worn rail head"),
+        HiddenEffect("periodic_disturbance", "N m", 40.0, "sinusoidal roll torque at 1.3 Hz: machinery on board"),
+        HiddenEffect("torque_step", "N m", 550.0, "a person sits down at `event_time`, a ramp of 0.3 s"),
+        HiddenEffect("torque_drift", "N m", 150.0, "roll torque that creeps up with a time constant of 45 s"),
+        HiddenEffect("flexible_mode", "1", 0.12, "share of the inertia that is sprung at 7 Hz: the cabin on the frame"),
+        HiddenEffect("gimbal_angle_coupling", "1", 1.0, "gyroscopic torque falls with the cosine of precession"),
+        HiddenEffect("gimbal_imbalance", "N m", 80.0, "roll torque with the sine of precession: eccentric gimbals"),
+        HiddenEffect("backlash", "rad", 5.0e-3, "play between gimbal motor and gimbal, as an angle of the gimbal"),
+        HiddenEffect("input_deadband", "rad/s", 6.0e-3, "precession rate setpoints smaller than this do nothing"),
+        HiddenEffect("input_delay", "s", 0.012, "the setpoint acts this much later"),
+        HiddenEffect("actuator_lag", "s", 0.03, "a further first-order lag ahead of the speed loop"),
+        HiddenEffect("input_asymmetry", "1", 0.08, "setpoints up act this much stronger, setpoints down weaker"),
+        HiddenEffect("input_gain", "1", -0.08, "relative error of the setpoint's gain"),
+        HiddenEffect("gyro_bias", "rad/s", 8.7e-3, "further bias of the roll gyro (0.5 deg/s)"),
+        HiddenEffect("sensor_offset", "rad", 8.7e-3, "the IMU is mounted rolled by this much (0.5 deg)"),
+        HiddenEffect("sensor_lag", "s", 0.02, "low pass inside the IMU"),
+        HiddenEffect("sensor_delay", "s", 0.012, "the IMU reports the past"),
+        HiddenEffect("sensor_scale", "1", 0.03, "relative error of the gyro's scale"),
+    )
+}
+"""Every hidden effect by its canonical name."""
+
+
+def parse_hidden(arguments: Iterable[str]) -> dict[str, float | None]:
+    """`["coulomb_friction", "input_delay=2"]` as a `SimulationConfig.hidden`. Raises UnknownEffectError."""
+    hidden: dict[str, float | None] = {}
+    for argument in arguments:
+        name, separator, level = argument.partition("=")
+        try:
+            hidden[name] = float(level) if separator else None
+        except ValueError:
+            raise UnknownEffectError(
+                name, f"the level of {name} is {level!r}.", remedy=f"Give a number, as in {name}=2."
+            ) from None
+    sizes_of(hidden)
+    return hidden
+
+
+def sizes_of(hidden: Mapping[str, float | None]) -> dict[str, float]:
+    """The size of each named effect in its own unit; those at level 0 are left out. Raises UnknownEffectError."""
+    for name in hidden:
+        if name not in HIDDEN:
+            raise UnknownEffectError(
+                name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {', '.join(HIDDEN)}."
+            )
+    levels = {name: 1.0 if level is None else level for name, level in hidden.items()}
+    return {name: HIDDEN[name].size * level for name, level in levels.items() if level != 0.0}

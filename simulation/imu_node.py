@@ -1,0 +1,139 @@
+"""The LPMS-IG1 on the vehicle: what its sensors feel, their errors, and the CAN frames it streams.
+
+With roll angle q about x, at the place (x, y, z) from the roll axis, the specific force in vehicle axes is
+    y:  g sin(q) - q'' z - q'^2 y        z:  g cos(q) + q'' y - q'^2 z        x: 0
+and the angular rate (q', 0, 0). Frames carry g and deg/s or rad/s as 32-bit floats, or g / 1000 and 0.1 deg/s as
+16-bit integers, little-endian.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from simulation.config import ImuNode
+from simulation.plant import Plant
+from telemetry.samples import Vector3
+
+STANDARD_GRAVITY = 9.80665
+NOISE_BLOCK = 512
+VALUES_PER_FRAME = {"float32": 2, "int16": 4}
+KINDS = ("acceleration", "angular_rate")
+State = tuple[float, float, float]
+"""Roll, roll rate and roll acceleration, as the sensor sees them."""
+
+
+class SensorPath:
+    """Hidden lag and delay of everything the IMU reports, on samples `period` apart."""
+
+    def __init__(self, lag: float, delay: float, period: float) -> None:
+        self._gain = -math.expm1(-period / lag) if lag > 0.0 else 1.0
+        self._whole, self._part = divmod(max(0.0, delay) / period, 1.0)
+        self._past: deque[State] = deque(maxlen=int(self._whole) + 2)
+        self._state: State | None = None
+
+    def pass_on(self, state: State) -> State:
+        """The state that the sensor sees now that the vehicle is in `state`."""
+        if self._state is None:
+            self._state = state
+            self._past.extend([state] * (self._past.maxlen or 0))
+        gain = self._gain
+        (a, b, c), (x, y, z) = self._state, state
+        self._state = (a + gain * (x - a), b + gain * (y - b), c + gain * (z - c))
+        self._past.append(self._state)
+        (a, b, c), (x, y, z) = self._past[0], self._past[1]
+        late = self._part
+        return (x + late * (a - x), y + late * (b - y), z + late * (c - z))
+
+
+class VirtualImu:
+    """`measure` makes one noisy sample in vehicle axes; `encode` its frames."""
+
+    def __init__(self, config: ImuNode, *, rate: int, seed: int, gravity: float, sizes: Mapping[str, float]) -> None:
+        self.config = config
+        self._rate = rate
+        self._seed = seed
+        self._gravity = gravity
+        self._offset = sizes.get("sensor_offset", 0.0)
+        self._scale = 1.0 + sizes.get("sensor_scale", 0.0)
+        self._further_bias = sizes.get("gyro_bias", 0.0)
+        self._path = SensorPath(sizes.get("sensor_lag", 0.0), sizes.get("sensor_delay", 0.0), 1.0 / rate)
+        self._rate_std = config.angular_rate_density * math.sqrt(rate / 2.0)
+        self._walk = config.bias_random_walk / math.sqrt(rate)
+        self._mounting = tuple((axis[0] == "-", "xyz".index(axis[1])) for axis in config.axes)
+        self.reseed()
+
+    def reseed(self) -> None:
+        """Begin the noise again, as after the start: what follows depends on the seed alone."""
+        self._random = np.random.default_rng(self._seed)
+        self._noise: list[list[float]] = []
+        self._bias = list(self.config.angular_rate_bias)
+        self._bias[0] += self._further_bias
+
+    def measure(self, plant: Plant) -> tuple[Vector3, Vector3]:
+        """Acceleration (m/s^2) and angular rate (rad/s) in vehicle axes, with noise and quantisation."""
+        roll, rate, angular_acceleration = self._path.pass_on((plant.roll, plant.roll_rate, plant.roll_acceleration))
+        roll += self._offset
+        _, y, z = self.config.position
+        if not self._noise:
+            self._noise = self._random.standard_normal((NOISE_BLOCK, 9)).tolist()
+        ax, ay, az, wx, wy, wz, bx, by, bz = self._noise.pop()
+        std, rate_std, walk, bias, scale = (
+            self.config.acceleration_std,
+            self._rate_std,
+            self._walk,
+            self._bias,
+            self._scale,
+        )
+        bias[0] += walk * bx
+        bias[1] += walk * by
+        bias[2] += walk * bz
+        acceleration = (
+            std * ax,
+            self._gravity * math.sin(roll) - angular_acceleration * z - rate * rate * y + std * ay,
+            self._gravity * math.cos(roll) + angular_acceleration * y - rate * rate * z + std * az,
+        )
+        angular_rate = (scale * rate + bias[0] + rate_std * wx, bias[1] + rate_std * wy, bias[2] + rate_std * wz)
+        if self.config.precision == "int16":
+            return _rounded(acceleration, STANDARD_GRAVITY / 1000.0), _rounded(angular_rate, math.radians(0.1))
+        return acceleration, angular_rate
+
+    def encode(self, acceleration: Vector3, angular_rate: Vector3, precision: str | None = None) -> list[bytes]:
+        """The payloads of a frame set, in order; `precision` overrides the configured one."""
+        config = self.config
+        precision = precision or config.precision
+        integers = precision == "int16"
+        rate_unit = math.radians(1.0) if integers or config.angular_rate_unit == "deg/s" else 1.0
+        values = {}
+        for kind, vector, unit in (
+            ("acceleration", acceleration, STANDARD_GRAVITY * config.acceleration_sign),
+            ("angular_rate", angular_rate, rate_unit),
+        ):
+            for (negative, sensor_axis), value in zip(self._mounting, vector, strict=True):
+                values[f"{kind}_{'xyz'[sensor_axis]}"] = (-value if negative else value) / unit
+        numbers = [values.get(slot, 0.0) for slot in config.slots]
+        if integers:
+            factors = [10.0 if slot.startswith("angular_rate") else 1000.0 for slot in config.slots]
+            counts = [max(-32768, min(32767, round(x * f))) for x, f in zip(numbers, factors, strict=True)]
+            packed = struct.pack(f"<{len(counts)}h", *counts)
+        else:
+            packed = struct.pack(f"<{len(numbers)}f", *numbers)
+        return [packed[start : start + 8] for start in range(0, len(packed), 8)]
+
+    def can_id(self, place: int) -> int:
+        """CAN id of the frame at `place` in its set."""
+        return self.config.base_id + place * (0x100 if self.config.protocol == "canopen" else 1)
+
+    @property
+    def heartbeat_id(self) -> int | None:
+        """CAN id of the device's heartbeat, which it has in CANopen mode only."""
+        return 0x700 + self.config.base_id - 0x180 if self.config.protocol == "canopen" else None
+
+
+def _rounded(vector: Vector3, unit: float) -> Vector3:
+    x, y, z = vector
+    return (round(x / unit) * unit, round(y / unit) * unit, round(z / unit) * unit)

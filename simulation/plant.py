@@ -1,0 +1,158 @@
+"""The MONOCAB's roll motion with its gimbals and trim mass: the truth behind the bus.
+
+    (inertia + m y^2) roll'' + m h y'' + 2 m y y' roll' = gravity_stiffness sin(roll) + m g y cos(roll) + gyroscopic
+                                                          + supports + rail friction + hidden effects
+    (m + drive mass) y'' + m h roll''                   = force + m g sin(roll) + m y roll'^2 - drag y'
+
+m is the trim mass at the height h, y its place to the right (Lagrange; `inertia` and `gravity_stiffness` contain the
+mass in the middle). Roll and trim mass are integrated by velocity Verlet, the gimbals half a step apart from them
+(leapfrog), so that the gyroscopic coupling neither feeds nor drains energy. SI units; plain floats, no arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from simulation.config import DriveNode, SimulationConfig
+from simulation.contact import Supports
+from simulation.gimbal import Gimbal
+from simulation.hidden import sizes_of
+from simulation.input_effects import input_effects
+from simulation.roll_effects import roll_effects
+from simulation.servo_axis import AxisMode, ServoAxis
+
+DEFAULT_GIMBAL_PER_TURN = 2.0 * math.pi / 100.0
+DEFAULT_TRIM_PER_TURN = 0.01
+
+
+class Plant:
+    """The vehicle's mechanics. Starts at rest on the right-hand support with its brakes closed."""
+
+    def __init__(self, config: SimulationConfig) -> None:
+        truth = config.plant
+        step = config.step
+        sizes = sizes_of(config.hidden)
+        self.step_size = step
+        self.steps = 0
+        self.event_origin: float | None = None
+        """Time of the first SYNC, from which events are counted; None before it."""
+        self.gimbals = tuple(
+            Gimbal(
+                ServoAxis(
+                    inertia=0.5 * truth.gimbal_inertia,
+                    time_constant=truth.gimbal_time_constant,
+                    torque_limit=truth.gimbal_torque_limit,
+                    encoder_step=per_turn / truth.encoder_increments_per_turn,
+                    step=step,
+                    effects=input_effects(sizes, step),
+                ),
+                momentum=0.5 * truth.angular_momentum,
+                drag=truth.gimbal_drag,
+                brake_torque=truth.gimbal_brake_torque,
+                step=step,
+                coupling=sizes.get("gimbal_angle_coupling", 0.0),
+                play=sizes.get("backlash", 0.0),
+            )
+            for per_turn in (_per_turn(config.drives, "gimbal", i, DEFAULT_GIMBAL_PER_TURN) for i in range(2))
+        )
+        self.trim = ServoAxis(
+            inertia=truth.trim_mass + truth.trim_drive_mass,
+            time_constant=truth.trim_time_constant,
+            torque_limit=truth.trim_force_limit,
+            encoder_step=_per_turn(config.drives, "trim", 0, DEFAULT_TRIM_PER_TURN) / truth.encoder_increments_per_turn,
+            step=step,
+        )
+        self.supports = Supports(truth.support_angle, truth.support_stiffness, truth.support_damping)
+        self.roll = self.supports.resting_roll(truth.gravity_stiffness)
+        self.roll_rate = 0.0
+        self.roll_acceleration = 0.0
+        self.gyroscopic_torque = 0.0
+        self._effects = roll_effects(sizes, inertia=truth.inertia, event_time=config.event_time)
+        self._inertia = truth.inertia * (1.0 - sizes.get("flexible_mode", 0.0))
+        self._gravity_stiffness = truth.gravity_stiffness
+        self._rail_friction = truth.rail_friction
+        self._trim_mass = truth.trim_mass
+        self._trim_coupling = truth.trim_mass * truth.trim_height
+        self._trim_drag = truth.trim_drag
+        self._gravity = truth.gravity
+        self._trim_acceleration = 0.0
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.steps * self.step_size
+
+    @property
+    def event_clock(self) -> float:
+        """s since the first SYNC, -1 before it."""
+        return self.time - self.event_origin if self.event_origin is not None else -1.0
+
+    @property
+    def precession(self) -> float:
+        """rad, mean of the gimbals."""
+        return 0.5 * (self.gimbals[0].angle + self.gimbals[1].angle)
+
+    @property
+    def precession_rate(self) -> float:
+        """rad/s, mean of the gimbals."""
+        return 0.5 * (self.gimbals[0].rate + self.gimbals[1].rate)
+
+    def axis_of(self, role: str, number: int) -> ServoAxis:
+        """The axis of the n-th drive with this role."""
+        return self.gimbals[number].axis if role == "gimbal" else self.trim
+
+    def place(self, roll: float) -> None:
+        """Let go of the vehicle at this roll angle, at rest."""
+        self.roll = roll
+        self.roll_rate = 0.0
+        self._balance()
+
+    def advance(self, steps: int) -> None:
+        """Integrate `steps` steps."""
+        for _ in range(steps):
+            self.step()
+
+    def step(self) -> None:
+        """Integrate one step."""
+        step = self.step_size
+        trim = self.trim
+        self.roll_rate += 0.5 * step * self.roll_acceleration
+        self.roll += step * self.roll_rate
+        trim.rate += 0.5 * step * self._trim_acceleration
+        trim.position += step * trim.rate
+        self.gyroscopic_torque = sum([gimbal.advance(self.roll_rate) for gimbal in self.gimbals])
+        self._balance()
+        self.roll_rate += 0.5 * step * self.roll_acceleration
+        trim.rate += 0.5 * step * self._trim_acceleration
+        trim.measure()
+        self.steps += 1
+
+    def _balance(self) -> None:
+        """Solve the two equations of motion for the accelerations of roll and trim mass."""
+        roll, rate, trim, mass = self.roll, self.roll_rate, self.trim, self._trim_mass
+        sine = math.sin(roll)
+        torque = (
+            self._gravity_stiffness * sine
+            + mass * self._gravity * trim.position * math.cos(roll)
+            + self.gyroscopic_torque
+            + self.supports.torque(roll, rate)
+            - (self._rail_friction + 2.0 * mass * trim.position * trim.rate) * rate
+        )
+        for effect in self._effects:
+            torque += effect.torque(self)
+        inertia = self._inertia + mass * trim.position * trim.position
+        if trim.mode is AxisMode.BRAKED:
+            trim.rate = self._trim_acceleration = 0.0
+            self.roll_acceleration = torque / inertia
+            return
+        force = trim.drive() + mass * (self._gravity * sine + trim.position * rate * rate) - self._trim_drag * trim.rate
+        coupling = self._trim_coupling
+        determinant = inertia * trim.inertia - coupling * coupling
+        self.roll_acceleration = (torque * trim.inertia - coupling * force) / determinant
+        self._trim_acceleration = (inertia * force - coupling * torque) / determinant
+
+
+def _per_turn(drives: Sequence[DriveNode], role: str, number: int, default: float) -> float:
+    nodes = [node for node in drives if node.role == role]
+    return nodes[number].axis_per_turn if number < len(nodes) else default

@@ -1,0 +1,197 @@
+"""Runs a virtual vehicle on a bus: one thread, in real time or in lock-step with its master.
+
+Real time: IMU sets leave on an absolute schedule of the monotonic clock; a vehicle that falls behind catches up set by
+set, and beyond `MOST_BEHIND` cycles it leaves some out. Both are counted and said, never hidden.
+Lock-step: the set of simulated time t_k leaves with that time in its messages; the vehicle then waits for the SYNC,
+which it takes to come at t_k + 1 ms, and moves on by exactly one period. As long as no SYNC comes (set-up, or a master
+that went away) simulated time passes at real-time pace.
+"""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import monotonic
+
+import can
+
+from simulation.bus_port import BusPort, PortStatistics, Received
+from simulation.config import SimulationConfig
+from simulation.faults import Fault
+from simulation.vehicle import SYNC_ID, VirtualVehicle
+
+MOST_BEHIND = 10
+"""Cycles that are made up for; further ones are left out."""
+QUIET = 0.03
+"""s without a SYNC after which every answer of a master that has just become cyclic has come."""
+MASTER_TIMEOUT = 2.0
+"""s of waiting for a SYNC after which a lock-step master counts as gone."""
+STOP_INTERVAL = 0.1
+"""s, longest wait between two looks at the stop event."""
+DRAIN_INTERVAL = 250
+"""Cycles between two emptyings of an IMU bus of its own, from which nothing is expected."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class RunStatistics:
+    """How a run went. A cycle is late when it began more than half a period after its time."""
+
+    cycles: int = 0
+    late_cycles: int = 0
+    skipped_cycles: int = 0
+    syncs: int = 0
+    drives: PortStatistics | None = None
+    imu: PortStatistics | None = None
+
+
+def run(
+    config: SimulationConfig,
+    bus: can.BusABC,
+    *,
+    imu_bus: can.BusABC | None = None,
+    lock_step: bool = False,
+    stop: threading.Event | None = None,
+    faults: Sequence[Fault] = (),
+) -> RunStatistics:
+    """Run the vehicle until `stop` is set (for ever without one). `imu_bus` None: the IMU is on `bus` too.
+
+    For lock-step the bus must keep the time of messages (python-can's virtual bus with preserve_timestamps=True).
+
+    Raises:
+        UnknownEffectError, SimulationError: `config` cannot be simulated.
+    """
+    return Runner(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults).run()
+
+
+class Runner:
+    """One run; `vehicle` and `statistics` may be looked at while it goes on."""
+
+    def __init__(
+        self,
+        config: SimulationConfig,
+        bus: can.BusABC,
+        *,
+        imu_bus: can.BusABC | None = None,
+        lock_step: bool = False,
+        stop: threading.Event | None = None,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        self.vehicle = VirtualVehicle(config, self._send, faults)
+        self.statistics = RunStatistics()
+        self._port = BusPort(bus)
+        self._imu_port = BusPort(imu_bus) if imu_bus is not None else self._port
+        self.statistics.drives = self._port.statistics
+        self.statistics.imu = self._imu_port.statistics
+        self._stop = stop or threading.Event()
+        self._period = 1.0 / config.rate
+        self._step = config.step
+        self._steps = config.steps_per_period
+        self._lock_step = lock_step
+        self._jitter = 0.0 if lock_step else config.imu.send_jitter
+        self._random = random.Random(config.seed)
+        self._master_is_cyclic = False
+        self._began = 0.0
+        self._done = 0
+
+    def run(self) -> RunStatistics:
+        """Run until stopped."""
+        self.vehicle.boot()
+        self._began = monotonic()
+        self.vehicle.begin_cycle()
+        while not self._stop.is_set():
+            if self._lock_step and self._master_is_cyclic:
+                self._wait_for_sync()
+            else:
+                self._wait_for_time()
+            if self._imu_port is not self._port and self.statistics.cycles % DRAIN_INTERVAL == 0:
+                self._imu_port.receive(0.0)
+        return self.statistics
+
+    def _send(self, can_id: int, data: bytes, timestamp_ns: int, *, of_imu: bool) -> None:
+        (self._imu_port if of_imu else self._port).send(can_id, data, timestamp_ns)
+
+    def _wait_for_time(self) -> None:
+        """One control cycle in real time: serve the bus until the next IMU instant."""
+        due = self._began + self._period
+        late_by = abs(self._random.gauss(0.0, self._jitter)) if self._jitter else 0.0
+        now = monotonic()
+        while now < due + late_by:
+            frames = self._port.receive(due + late_by - now)
+            if frames:
+                self._serve(frames)
+                if self._lock_step and self._master_is_cyclic:
+                    self._settle()
+                    self._finish_cycle()
+                    return
+            now = monotonic()
+        behind = now - due
+        if behind > 0.5 * self._period:
+            self.statistics.late_cycles += 1
+        if behind > MOST_BEHIND * self._period:
+            skipped = int(behind / self._period)
+            self.statistics.skipped_cycles += skipped
+            log.warning("the virtual vehicle is %.0f ms behind: its time stands still for that long", behind * 1e3)
+            due += skipped * self._period
+        self._began = due
+        self._finish_cycle()
+
+    def _serve(self, frames: Received) -> None:
+        for can_id, data in frames:
+            if can_id == SYNC_ID:
+                elapsed = int((monotonic() - self._began) / self._step)
+                self._advance_to(min(self._steps, elapsed))
+                self._note_sync()
+            self.vehicle.receive(can_id, data)
+
+    def _settle(self) -> None:
+        """Let a lock-step master that lags behind answer every set it has got, so that set and answer pair up."""
+        quiet_since = monotonic()
+        while monotonic() - quiet_since < QUIET and not self._stop.is_set():
+            frames = self._port.receive(QUIET)
+            if any(can_id == SYNC_ID for can_id, _ in frames):
+                quiet_since = monotonic()
+            for can_id, data in frames:
+                self.vehicle.receive(can_id, data)
+
+    def _wait_for_sync(self) -> None:
+        """One control cycle in lock-step."""
+        sync_step = self.vehicle.config.steps_per_ms
+        waited = 0.0
+        synced = False
+        while not synced:
+            frames = self._port.receive(STOP_INTERVAL)
+            for can_id, data in frames:
+                if can_id == SYNC_ID:
+                    synced = True
+                    self._advance_to(sync_step)
+                    self._note_sync()
+                self.vehicle.receive(can_id, data)
+            if self._stop.is_set():
+                return
+            waited = 0.0 if frames else waited + STOP_INTERVAL
+            if waited >= MASTER_TIMEOUT:
+                self._master_is_cyclic = False
+                self._began = monotonic()
+                return
+        self._finish_cycle()
+
+    def _note_sync(self) -> None:
+        self.statistics.syncs += 1
+        self._master_is_cyclic = True
+
+    def _advance_to(self, step: int) -> None:
+        """Move the mechanics on to this step of the cycle, if they are not there yet."""
+        if step > self._done:
+            self.vehicle.advance_steps(step - self._done)
+            self._done = step
+
+    def _finish_cycle(self) -> None:
+        self._advance_to(self._steps)
+        self._done = 0
+        self.statistics.cycles += 1
+        self.vehicle.begin_cycle()

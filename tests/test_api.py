@@ -1,0 +1,92 @@
+"""The control socket: answers arrive line by line, and everything that can go wrong is said."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import stat
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from service.api import ApiError, ApiServer, ExitCode, Message, call, result
+
+
+async def answer(request: Message) -> AsyncIterator[Message]:
+    if request["verb"] == "vanish":
+        raise ConnectionResetError
+    for number in range(3):
+        yield {"type": "progress", "fraction": number / 3}
+    yield result(ExitCode.DONE, text=request["verb"])
+
+
+@pytest.fixture
+async def path(tmp_path: Path) -> AsyncIterator[Path]:
+    server = ApiServer(tmp_path / "run" / "x.sock", answer)
+    await server.start()
+    yield tmp_path / "run" / "x.sock"
+    await server.close()
+
+
+async def ask(path: Path, request: Message) -> list[Message]:
+    return await asyncio.to_thread(lambda: list(call([path], request)))
+
+
+async def test_an_answer_ends_with_its_result(path: Path) -> None:
+    messages = await ask(path, {"verb": "status"})
+    assert [message["type"] for message in messages] == ["progress"] * 3 + ["result"]
+    assert messages[-1] == {"type": "result", "exit_code": 0, "code": "", "text": "status"}
+
+
+async def test_only_owner_and_group_may_use_it(path: Path) -> None:
+    assert stat.S_IMODE(path.stat().st_mode) == 0o660
+    assert stat.S_IMODE(path.parent.stat().st_mode) & 0o007 == 0
+
+
+@pytest.mark.parametrize("line", [b"not json\n", b"[]\n", b'{"verb": 3}\n'])
+async def test_what_is_not_a_request_is_refused(path: Path, line: bytes) -> None:
+    reader, writer = await asyncio.open_unix_connection(str(path))
+    writer.write(line)
+    assert b'"exit_code": 2' in await reader.readline()
+    writer.close()
+
+
+async def test_a_client_that_sends_nonsense_for_ever_does_not_disturb_others(path: Path) -> None:
+    _, writer = await asyncio.open_unix_connection(str(path))
+    writer.write(b"x" * 1_000_000)
+    await asyncio.sleep(0.05)
+    assert (await ask(path, {"verb": "status"}))[-1]["exit_code"] == 0
+    writer.close()
+
+
+async def test_a_daemon_that_ends_in_between_is_told(path: Path) -> None:
+    with pytest.raises(ApiError, match="ended before it answered"):
+        await ask(path, {"verb": "vanish"})
+
+
+async def test_two_daemons_do_not_share_a_socket(path: Path) -> None:
+    with pytest.raises(ApiError, match=r"another daemon serves this vehicle.*--socket"):
+        await ApiServer(path, answer).start()
+    assert (await ask(path, {"verb": "status"}))[-1]["exit_code"] == 0
+
+
+async def test_a_socket_left_by_a_killed_daemon_is_taken_over(tmp_path: Path) -> None:
+    left = tmp_path / "x.sock"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(left))
+    server = ApiServer(left, answer)
+    await server.start()
+    assert (await ask(left, {"verb": "status"}))[-1]["text"] == "status"
+    await server.close()
+    assert not left.exists()
+
+
+async def test_no_daemon_names_where_it_looked(tmp_path: Path) -> None:
+    with pytest.raises(ApiError, match=r"no daemon answers.*nothing\.sock.*upright serve"):
+        await ask(tmp_path / "nothing.sock", {"verb": "status"})
+
+
+async def test_a_place_that_cannot_be_written_is_named() -> None:
+    with pytest.raises(ApiError, match=r"cannot listen at /proc/upright/x\.sock.*--socket"):
+        await ApiServer(Path("/proc/upright/x.sock"), answer).start()

@@ -1,0 +1,139 @@
+"""The CiA 402 driver against drives nobody here wrote: a logged boot of an Elmo drive, and four makers' EDS files."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+
+from drivers.cia402 import objects, pdo, states
+from drivers.cia402.config import DriveConfig
+from drivers.cia402.drive import Drive
+from drivers.cia402.eds import EdsError, load
+from drivers.cia402.nmt import NmtState
+from drivers.cia402.objects import ObjectEntry
+from drivers.cia402.sdo import SdoDialogue
+from drivers.cia402.states import State
+from telemetry.samples import CanFrame
+
+pytestmark = pytest.mark.measured
+
+LOGGED = DriveConfig(
+    name="elmo",
+    role="gimbal",
+    node=3,
+    direction=1,
+    axis_per_turn=2 * math.pi,
+    mode=9,
+    increments_per_turn=65536,
+    velocity_unit_rpm=1.0,
+    rated_torque=1.0,
+    rpdo=(("controlword", "target_velocity"),),
+    tpdo=(("statusword",), ("position_actual", "velocity_actual")),
+)
+LINE = re.compile(r"\((?P<seconds>\d+)\.(?P<micros>\d{6})\) can0 (?P<id>[0-9A-F]+)#(?P<data>[0-9A-F]*)")
+
+
+@pytest.fixture(scope="module")
+def log(measured_data: Path) -> list[CanFrame]:
+    lines = (measured_data / "can_logs" / "ros2_canopen_issue331_node3.log").read_text().splitlines()
+    matches = [match for match in map(LINE.match, lines) if match]
+    assert len(matches) == len(lines) == 27
+    return [
+        CanFrame(
+            int(match["seconds"]) * 10**9 + int(match["micros"]) * 1000,
+            int(match["id"], 16),
+            bytes.fromhex(match["data"]),
+        )
+        for match in matches
+    ]
+
+
+class LoggedBus:
+    """In place of a network: answers each SDO request as the drive in the log did."""
+
+    def __init__(self, frames: list[CanFrame]) -> None:
+        requests = [frame.data for frame in frames if frame.can_id == 0x603]
+        answers = [frame.data for frame in frames if frame.can_id == 0x583]
+        self.answers = dict(zip(requests, answers, strict=True))
+        self.client: Any = None
+
+    def send_message(self, can_id: int, data: bytes) -> None:
+        self.client.on_response(0x583, self.answers[bytes(data)], 0.0)
+
+
+def test_the_logged_drive_boots_and_enables_as_our_state_machine_would_have_it(log: list[CanFrame]) -> None:
+    drive = Drive(LOGGED)
+    seen: list[tuple[NmtState | None, State]] = []
+    for frame in log:
+        drive.handle(frame)
+        if not seen or seen[-1] != (drive.nmt_state, drive.state):
+            seen.append((drive.nmt_state, drive.state))
+    assert seen == [
+        (None, State.UNKNOWN),
+        (NmtState.BOOT_UP, State.UNKNOWN),
+        (NmtState.BOOT_UP, State.OPERATION_ENABLED),
+    ]
+    assert drive.statusword == 0x0237
+    assert states.flags(drive.statusword) == ("voltage enabled", "remote")
+    assert not drive.restarted
+    assert drive.wrong_length == 0
+    assert drive.statusword_timestamp_ns == 1730301035_299369000
+    # The master in the log led the drive up by SDO: the very words that our state machine sends on the way.
+    words = [int.from_bytes(frame.data[4:6], "little") for frame in log if frame.data[:4] == b"\x2b\x40\x60\x00"]
+    way = [State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON]
+    assert words == [states.controlword_towards(state, State.OPERATION_ENABLED) for state in way]
+
+
+def test_the_logged_drive_answers_our_reads(log: list[CanFrame]) -> None:
+    """Its expedited answers carry four bytes and no size, whatever the object's length is."""
+    node = canopen.RemoteNode(3, canopen.import_od(None))
+    bus = LoggedBus(log)
+    bus.client = node.sdo
+    node.sdo.network = bus
+    dialogue = SdoDialogue(node, LOGGED)
+    assert dialogue.read(objects.DEVICE_TYPE) & 0xFFFF == 402
+    assert dialogue.read(objects.VENDOR_ID) == 0x9A
+    assert dialogue.read(objects.PRODUCT_CODE) == 0x30135
+    assert dialogue.read(objects.MODE_DISPLAY) == 3
+
+
+EDS_FILES = [
+    ("C5-E-2-09.eds", 0x26C, 19),
+    ("Elmo.dcf", 0x9A, 19),
+    ("cia402_slave.eds", 0x1A3, 17),
+    ("epos4_50_15_can_ec90flat_gp52c_mile800_node1.dcf", 0xFB, 20),
+]
+
+
+@pytest.mark.parametrize(("name", "vendor", "at_least"), EDS_FILES)
+def test_our_object_types_are_those_of_real_drives(measured_data: Path, name: str, vendor: int, at_least: int) -> None:
+    path = measured_data / "eds_cia402" / name
+    config = replace(LOGGED, eds=str(path))
+    _, dictionary = load(config)
+    assert dictionary.device_information.vendor_number == vendor
+    entries = {entry for entry in vars(objects).values() if isinstance(entry, ObjectEntry)}
+    entries |= {*pdo.tpdo_objects().values(), *pdo.rpdo_objects(9, 0).values(), *pdo.rpdo_objects(2, 0).values()}
+    there = {entry: dictionary.get_variable(entry.index, entry.subindex) for entry in entries}
+    wrong = [str(entry) for entry, found in there.items() if found is not None and found.data_type != entry.data_type]
+    assert wrong == []
+    assert sum(found is not None for found in there.values()) >= at_least
+    mapped = [there[entry] for entry in config.mapped_objects]
+    assert all(found is not None and found.pdo_mappable for found in mapped)
+
+
+def test_a_mapping_that_a_real_drive_cannot_carry_is_refused(measured_data: Path) -> None:
+    """Elmo's drive has no velocity mode (2), Nanotec's has: its EDS takes 6042h, and not another maker's fine part."""
+    folder = measured_data / "eds_cia402"
+    plain = replace(LOGGED, mode=2)
+    with pytest.raises(EdsError, match=r"Elmo\.dcf.*does not have this object"):
+        load(replace(plain, eds=str(folder / "Elmo.dcf")))
+    load(replace(plain, eds=str(folder / "C5-E-2-09.eds")))
+    fine = replace(plain, rpdo=(("controlword", "target_velocity", "target_velocity_fine"),))
+    with pytest.raises(EdsError, match="target_velocity_fine"):
+        load(replace(fine, eds=str(folder / "C5-E-2-09.eds")))

@@ -1,0 +1,166 @@
+"""LQI design: against the plant's own simulation, and everything it must refuse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.control_design import (
+    ControlDesignError,
+    LqiGains,
+    LqiWeights,
+    closed_loop,
+    continuous_poles,
+    corners,
+    design_lqi,
+    design_roll_controller,
+    discretise,
+    margins,
+)
+from models.monocab import MonocabParameters, full_model, reduced_model
+
+CAD = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
+TRUTH = replace(CAD, inertia=1795.0, gravity_stiffness=14500.0)
+WEIGHTS = LqiWeights((4.0e3, 1.0e2, 0.0), 4.0e4, 1.0)
+RATES = (100, 250, 500)
+
+
+def simulate(parameters: MonocabParameters, gains: LqiGains, seconds: float, delay: int) -> list[float]:
+    """Roll over time after a start at 0.01 rad, by plain recursion: written apart from the design's matrices."""
+    model = reduced_model(parameters)
+    A, B = discretise(model.A, model.B, gains.period)
+    x, q, previous, under_way = np.array([0.01, 0.0, 0.0]), 0.0, 0.0, [0.0] * delay
+    rolls = []
+    for _ in range(round(seconds / gains.period)):
+        u = -(float(np.dot(gains.states, x)) + gains.previous * previous + gains.integral * q)
+        q += gains.period * x[0]
+        previous = u
+        under_way.append(u)
+        x = A @ x + B[:, 0] * under_way.pop(0)
+        rolls.append(float(x[0]))
+    return rolls
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("delay", [0, 1, 2])
+@pytest.mark.parametrize("parameters", [CAD, TRUTH], ids=["cad", "truth"])
+def test_designed_from_cad_it_balances_the_truth_with_delay(
+    parameters: MonocabParameters, rate: int, delay: int
+) -> None:
+    gains = design_lqi(*_matrices(CAD), WEIGHTS, 1.0 / rate)
+    rolls = simulate(parameters, gains, 4.0, delay)
+    assert max(abs(roll) for roll in rolls) < 0.015
+    # The slowest pole of both is faster than 3 1/s.
+    assert abs(rolls[-1]) < 1e-5
+    slowest = continuous_poles(closed_loop(reduced_model(parameters), gains, delay), gains.period)[0]
+    assert slowest.real < -3.0
+
+
+def test_closed_loop_matrix_says_what_the_recursion_does() -> None:
+    gains = design_lqi(*_matrices(CAD), WEIGHTS, 0.004)
+    for delay in (0, 1, 3):
+        matrix = closed_loop(reduced_model(TRUTH), gains, delay)
+        state = np.zeros(len(matrix))
+        state[0] = 0.01
+        rolls = []
+        for _ in range(50):
+            state = matrix @ state
+            rolls.append(state[0])
+        assert np.allclose(rolls, simulate(TRUTH, gains, 0.2, delay), rtol=1e-9, atol=1e-15)
+
+
+def test_a_constant_torque_leaves_no_roll_error() -> None:
+    gains = design_lqi(*_matrices(CAD), WEIGHTS, 0.004)
+    matrix = closed_loop(reduced_model(TRUTH), gains)
+    model = reduced_model(TRUTH)
+    torque = np.zeros(len(matrix))
+    torque[:3] = discretise(model.A, np.array([[0.0], [550.0 / TRUTH.inertia], [0.0]]), 0.004)[1][:, 0]
+    steady = np.linalg.solve(np.eye(len(matrix)) - matrix, torque)
+    assert steady[0] == pytest.approx(0.0, abs=1e-12)
+    assert steady[2] == pytest.approx(-550.0 / 3300.0)
+
+
+def test_gains_hardly_depend_on_the_rate_because_weights_do_not() -> None:
+    gains = [design_lqi(*_matrices(CAD), WEIGHTS, 1.0 / rate) for rate in RATES]
+    assert gains[0].states[0] == pytest.approx(gains[2].states[0], rel=0.1)
+    assert gains[0].integral == pytest.approx(gains[2].integral, rel=0.12)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_margins_are_where_the_loop_really_becomes_unstable(rate: int) -> None:
+    gains = design_lqi(*_matrices(CAD), WEIGHTS, 1.0 / rate)
+    found = margins(reduced_model(CAD), gains)
+    assert found.gain_decrease < 0.5
+    assert found.gain_increase > 2.0
+    assert np.degrees(found.phase) > 45.0
+    assert found.delay > 0.03
+
+    def stable(factor: float, extra_delay: int = 0) -> bool:
+        # A factor on the loop gain is one on the torque of a setpoint and nothing else: on the plant's B.
+        model = reduced_model(CAD)
+        scaled = replace(model, B=model.B * factor)
+        return bool(np.max(np.abs(np.linalg.eigvals(closed_loop(scaled, gains, 1 + extra_delay)))) < 1.0)
+
+    # The margins are read off a grid of 2,000 frequencies: 2 %.
+    assert stable(found.gain_increase * 0.98)
+    assert not stable(found.gain_increase * 1.02)
+    assert stable(found.gain_decrease * 1.02)
+    assert not stable(found.gain_decrease * 0.98)
+    cycles = found.delay * rate
+    assert stable(1.0, int(cycles))
+    assert not stable(1.0, int(cycles) + 1)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) -> None:
+    design = design_roll_controller(CAD, WEIGHTS, 1.0 / rate)
+    every = list(corners(CAD, design.gains, 0.2))
+    assert len(every) == 2 * 2**3
+    assert design.worst.damping == min(corner.damping for corner in every)
+    assert design.worst.damping > 0.1
+    assert min(corner.slowest for corner in every) > 1.0
+    assert "inertia x" in str(design.worst)
+    assert all(pole.real < 0.0 for pole in design.poles)
+
+
+def test_a_controller_that_cannot_stand_the_uncertainty_is_refused_with_the_corner() -> None:
+    hard = LqiWeights((4.0e8, 1.0e6, 0.0), 4.0e8, 1.0)
+    with pytest.raises(
+        ControlDesignError, match=r"inertia x 0[.]8, gravity_stiffness x 0[.]8, speed_loop_lag x 0[.]8"
+    ) as caught:
+        design_roll_controller(CAD, hard, 0.02, spread=0.2)
+    assert "effort_weight" in caught.value.remedy
+
+
+def test_a_mode_out_of_reach_of_the_input_is_named() -> None:
+    """The full model's trim mass, with the gyroscopes as the only input: its position just stays."""
+    model = full_model(CAD)
+    with pytest.raises(ControlDesignError, match="not stabilisable"):
+        design_lqi(model.A, model.B[:, 1:], model.C[:1], LqiWeights((1.0,) * 6, 1.0, 1.0), 0.004)
+
+
+def test_gyroscopes_without_angular_momentum_cannot_hold_the_vehicle() -> None:
+    A, B, C = _matrices(CAD)
+    A = A.copy()
+    A[1, 2] = 0.0
+    with pytest.raises(ControlDesignError, match=r"\+2\.95 1/s"):
+        design_lqi(A, B, C, WEIGHTS, 0.004)
+
+
+def test_weights_of_zero_are_refused_with_a_remedy() -> None:
+    with pytest.raises(ControlDesignError) as caught:
+        design_lqi(*_matrices(CAD), LqiWeights((0.0, 0.0, 0.0), 0.0, 0.0), 0.004)
+    assert "[controller]" in caught.value.remedy
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    A, B, C = _matrices(CAD)
+    with pytest.raises(ValueError, match="2 weights"):
+        design_lqi(A, B, C, LqiWeights((1.0, 1.0), 1.0, 1.0), 0.004)
+
+
+def _matrices(parameters: MonocabParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    model = reduced_model(parameters)
+    return model.A, model.B, model.C

@@ -1,0 +1,205 @@
+"""The control loop against the virtual vehicle, in simulated time: every experiment, every way it can end."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from closed_loop import ClosedLoop
+from drivers.cia402.states import State
+from service import assembly
+from service.control_loop import Mode
+from service.rows import rows_from_frames
+from service.sequence import Phase
+from service.vehicle_file import VehicleFile, load
+from telemetry.channels import MONOCAB
+
+ROLL = MONOCAB.index_of("roll")
+PRECESSION = MONOCAB.index_of("precession")
+PHASE = MONOCAB.index_of("phase")
+
+
+def at_rate(rate: int) -> VehicleFile:
+    vehicle = load("monocab")
+    return vehicle.model_copy(update={"control": vehicle.control.model_copy(update={"rate": rate})})
+
+
+def assert_rests_disarmed(closed: ClosedLoop) -> None:
+    closed.advance(1.0)
+    assert closed.loop.io.state is State.SWITCH_ON_DISABLED
+    assert closed.loop.roll is not None
+    assert abs(closed.loop.roll.roll) == pytest.approx(closed.vehicle.support, abs=math.radians(0.3))
+    assert abs(closed.loop.roll.roll_rate) < 0.005
+
+
+@pytest.mark.parametrize("name", list(load("monocab").experiments))
+def test_every_experiment_goes_from_rest_to_rest(name: str) -> None:
+    closed = ClosedLoop()
+    closed.run(name)
+    assert closed.loop.mode is Mode.DISARMED
+    assert closed.loop.reason == ""
+    assert_rests_disarmed(closed)
+    phases = {Phase(int(frame.values[PHASE])) for frame in closed.witness.frames}
+    assert phases >= set(Phase) - {Phase.CENTRE}
+    upright = [frame.values for frame in closed.witness.frames if frame.values[PHASE] == Phase.EXCITE]
+    assert max(abs(values[ROLL]) for values in upright) < math.radians(3.0)
+    assert max(abs(values[PRECESSION]) for values in upright) < math.radians(closed.vehicle.limits.precession_budget_deg)
+
+
+@pytest.mark.parametrize("rate", [100, 500])
+def test_the_other_imu_rates_balance_too(rate: int) -> None:
+    closed = ClosedLoop(at_rate(rate))
+    closed.run("doublet")
+    assert closed.loop.reason == ""
+    assert_rests_disarmed(closed)
+
+
+def test_a_second_experiment_follows_the_first() -> None:
+    closed = ClosedLoop()
+    closed.run("step")
+    closed.advance(1.0)
+    closed.run("step")
+    assert closed.loop.reason == ""
+    assert len(closed.witness.recordings) == len(closed.witness.ended) == 2
+
+
+def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
+    closed = ClosedLoop()
+    closed.run("doublet")
+    (_, start_ns), (_, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
+    live = [frame for frame in closed.witness.frames if start_ns <= frame.timestamp_ns <= end_ns]
+    raw = [frame for frame in closed.raw if start_ns <= frame.timestamp_ns]
+    io, roll_filter = assembly.vehicle_io(closed.vehicle), assembly.roll_filter(closed.vehicle)
+    rebuilt = [row for row in rows_from_frames(raw, io, roll_filter, start_ns) if row.timestamp_ns <= end_ns]
+    measured = MONOCAB.index_of("drive_age") + 1
+    assert len(live) > 4000
+    assert [(f.timestamp_ns, f.values[:measured]) for f in rebuilt] == [
+        (f.timestamp_ns, f.values[:measured]) for f in live
+    ]
+
+
+def test_an_operator_ends_it_in_order() -> None:
+    closed = ClosedLoop()
+    closed.loop.start_experiment("hold")
+    closed.advance(10.0)
+    closed.loop.end_experiment("an operator asked for the end")
+    closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+    assert closed.loop.mode is Mode.DISARMED
+    assert closed.loop.reason == "an operator asked for the end"
+    assert_rests_disarmed(closed)
+
+
+@pytest.mark.parametrize("after", [0.5, 2.02, 2.6, 2.9])
+def test_it_ends_in_order_from_every_phase_on_the_way_up(after: float) -> None:
+    closed = ClosedLoop()
+    closed.loop.start_experiment("hold")
+    closed.advance(0.2 + after)
+    closed.loop.end_experiment("changed my mind")
+    closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+    assert closed.loop.mode is Mode.DISARMED
+    assert_rests_disarmed(closed)
+
+
+def test_an_immediate_stop_brakes_the_drives_and_is_latched() -> None:
+    closed = ClosedLoop()
+    closed.loop.start_experiment("hold")
+    closed.advance(10.0)
+    closed.loop.stop_now("an operator asked for an immediate stop")
+    assert closed.loop.mode is Mode.FAULT
+    closed.advance(3.0)
+    assert closed.loop.io.state is State.SWITCH_ON_DISABLED
+    assert abs(closed.loop.drives.precession_rate) < 1e-3
+    assert "A fault is latched: an operator" in closed.loop.interlocks()[0]
+    assert closed.loop.reset_fault() == ""
+    closed.loop.set_up_done()
+    closed.advance(1.0)
+    assert closed.loop.mode is Mode.DISARMED
+    assert len(closed.witness.ended) == 1
+
+
+FAULTS = [
+    ("imu_stuck@12", "imu_stuck"),
+    ("imu_gap@12", "imu_silent"),
+    ("drive_fault:gimbal_left@12", "drive_emergency"),
+    ("drive_silent:trim@12", "drive_silent"),
+    ("drive_restart:gimbal_right@12", "drive_silent"),
+]
+
+
+@pytest.mark.parametrize(("fault", "code"), FAULTS)
+def test_a_fault_ends_in_a_stop_with_its_reason(fault: str, code: str) -> None:
+    closed = ClosedLoop(faults=[fault])
+    closed.loop.start_experiment("hold")
+    closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 40.0)
+    assert closed.loop.mode is Mode.FAULT
+    assert closed.loop.code == code
+    assert len(closed.loop.reason) > 20
+    for drive in closed.loop.io.drives:
+        assert drive.controlword & 0x0F != 0x0F
+    closed.advance(4.0)
+    assert closed.loop.io.state is not State.OPERATION_ENABLED
+    assert closed.witness.ended, "the recording goes on for a moment, then ends"
+
+
+def test_nobody_listening_means_a_quick_stop_by_the_drives_themselves() -> None:
+    closed = ClosedLoop()
+    closed.loop.start_experiment("hold")
+    closed.advance(10.0)
+    closed.late = True
+    closed.advance(1.0)
+    assert closed.loop.mode is Mode.FAULT
+
+
+def test_late_cycles_are_not_answered_and_stop_the_run_when_they_pile_up() -> None:
+    closed = ClosedLoop()
+    closed.loop.start_experiment("hold")
+    closed.advance(10.0)
+    sent = len(closed.raw)
+    held_up = [frame for frame in closed.raw[-400:] if frame.can_id in closed.loop.io.imu.can_ids][-9:]
+    moved = [
+        type(frame)(frame.timestamp_ns + 3 * 4_000_000, frame.can_id, frame.data) for frame in held_up
+    ]
+    closed.loop.on_frames(moved)
+    setpoints = [frame for frame in closed.raw[sent:] if frame.can_id == 0x201]
+    assert len(setpoints) == 1
+
+
+def test_the_observer_going_away_ends_it_in_order() -> None:
+    closed = ClosedLoop()
+    closed.loop.start_experiment("hold")
+    closed.advance(10.0)
+    closed.loop.observer_gone()
+    closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
+    assert closed.loop.mode is Mode.DISARMED
+    assert "observer" in closed.loop.reason
+    assert_rests_disarmed(closed)
+
+
+def test_a_bus_that_goes_down_is_a_fault_while_running_and_a_reason_while_not() -> None:
+    closed = ClosedLoop()
+    closed.lose_bus()
+    assert closed.loop.mode is Mode.STARTING
+    assert "interface went down" in closed.loop.interlocks()[0]
+    closed.loop.set_up_done()
+    closed.loop.start_experiment("hold")
+    closed.advance(10.0)
+    closed.lose_bus()
+    assert closed.loop.mode is Mode.FAULT
+    assert closed.loop.code == "bus_down"
+
+
+def test_a_vehicle_that_is_not_on_its_support_is_refused() -> None:
+    closed = ClosedLoop()
+    closed.vehicle = closed.loop.vehicle = closed.vehicle.model_copy(
+        update={"limits": closed.vehicle.limits.model_copy(update={"support_deg": 2.0})}
+    )
+    assert "does not rest on a support" in closed.loop.interlocks()[0]
+    assert "imu.axes" in closed.loop.interlocks()[0]
+
+
+def test_a_static_torque_within_reach_is_balanced_and_one_beyond_is_ended() -> None:
+    closed = ClosedLoop(hide=["static_torque"])
+    closed.run("hold")
+    assert closed.loop.reason == ""
+    assert_rests_disarmed(closed)

@@ -1,0 +1,139 @@
+"""The roll controller by itself: limits, anti-windup, takeover, lean."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.control_design import LqiGains
+from models.monocab import MonocabParameters
+from service.controller import PrecessionReturn, RollController, SetpointLimits, design
+from service.vehicle_file import load
+
+GAINS = LqiGains((100.0, 16.0, 1.0), 0.1, 180.0, 0.004)
+LIMITS = SetpointLimits(rate=1.0, acceleration=40.0)
+PARAMETERS = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
+DT = 0.004
+
+finite = st.floats(-10.0, 10.0)
+
+
+def controller(return_time: float = 0.0, limits: SetpointLimits = LIMITS) -> RollController:
+    return RollController(GAINS, limits, PrecessionReturn(PARAMETERS, return_time, math.radians(2.5)))
+
+
+def test_a_roll_to_the_right_is_met_with_precession_that_turns_it_back() -> None:
+    assert controller().step(0.001, 0.0, 0.0, 0.0, 0.0, DT) < 0.0
+    assert controller().step(0.0, 0.005, 0.0, 0.0, 0.0, DT) < 0.0
+    assert controller().step(0.0, 0.0, 0.0, 0.0, 0.001, DT) > 0.0
+    assert controller().step(0.0, 0.0, 0.0, 0.0, 0.0, DT, 0.05) == pytest.approx(0.05)
+
+
+@given(st.lists(st.tuples(finite, finite, finite, finite, finite, finite), min_size=1, max_size=50))
+def test_the_setpoint_never_passes_its_limits_whatever_comes_in(rows: list[tuple[float, ...]]) -> None:
+    subject, before = controller(6.0), 0.0
+    for roll, roll_rate, precession_rate, precession, reference, excitation in rows:
+        setpoint = subject.step(roll, roll_rate, precession_rate, precession, reference, DT, excitation)
+        assert abs(setpoint) <= LIMITS.rate
+        assert abs(setpoint - before) <= LIMITS.acceleration * DT + 1e-12
+        before = setpoint
+
+
+def test_it_takes_over_from_the_last_setpoint_without_a_jump() -> None:
+    subject = controller()
+    subject.reset(-0.42)
+    setpoint = subject.step(0.0, -0.2, -0.42, -0.3, 0.0, DT)
+    assert setpoint == pytest.approx(-0.42 + 40.0 * DT)
+    assert subject.limited
+
+
+def test_reset_forgets_what_the_last_run_learnt() -> None:
+    used, fresh = controller(6.0), controller(6.0)
+    for _ in range(500):
+        used.step(0.01, 0.0, 0.0, 0.2, 0.0, DT)
+    used.lean_on = False
+    used.reset(0.0)
+    for cycle in range(100):
+        row = (0.001 * math.sin(cycle), 0.0, 0.0, 0.1, 0.0, DT)
+        assert used.step(*row) == fresh.step(*row)
+
+
+def test_anti_windup_a_long_saturation_does_not_delay_the_way_back() -> None:
+    """5 s against the limit: without back-calculation the integral would hold the setpoint there for seconds."""
+    subject = controller()
+    for _ in range(1250):
+        assert subject.step(0.05, 0.0, 0.0, 0.0, 0.0, DT) >= -1.0
+    assert subject.setpoint == -1.0
+    cycles = 0
+    while subject.setpoint < 0.0:
+        subject.step(-0.01, 0.0, 0.0, 0.0, 0.0, DT)
+        cycles += 1
+    assert cycles * DT < 0.2
+
+
+def test_within_its_limits_the_integral_is_that_of_the_error() -> None:
+    """With no other gain at work the setpoint after n cycles of a constant error e is -k_i e dt (n - 1)."""
+    gains = LqiGains((0.0, 0.0, 0.0), 0.0, 180.0, DT)
+    subject = RollController(gains, LIMITS, PrecessionReturn(PARAMETERS, 0.0, 0.04))
+    for _ in range(100):
+        subject.step(0.0005, 0.0, 0.0, 0.0, 0.0, DT)
+    assert not subject.limited
+    assert subject.setpoint == pytest.approx(-180.0 * 0.0005 * DT * 99)
+
+
+def test_the_reference_it_shows_has_the_lean_in_it_and_lean_off_has_not() -> None:
+    subject = controller(6.0)
+    for _ in range(500):
+        subject.step(0.0, 0.0, 0.0, 0.1, 0.002, DT)
+    assert subject.reference > 0.002
+    subject.lean_on = False
+    subject.step(0.0, 0.0, 0.0, 0.1, 0.002, DT)
+    assert subject.reference == 0.002
+
+
+def lean_loop(static_torque: float, seconds: float, limit: float = math.radians(2.5)) -> list[float]:
+    """The precession angle when roll follows the lean at once: precession' = -(T_V roll + static_torque) / L."""
+    outer = PrecessionReturn(PARAMETERS, 6.0, limit)
+    precession, angles = 0.3, []
+    for _ in range(round(seconds / DT)):
+        lean = outer.step(precession, DT)
+        precession -= (12600.0 * lean + static_torque) / 3300.0 * DT
+        angles.append(precession)
+    return angles
+
+
+def test_the_gimbals_come_back_with_the_configured_time_constant() -> None:
+    """Double pole at -1/T from rest at 0.3 rad: precession = 0.3 (1 - t/T) exp(-t/T); the slew blunts the start."""
+    angles = lean_loop(0.0, 36.0, limit=1.0)
+    for t in (3.0, 6.0, 12.0, 18.0):
+        assert angles[round(t / DT)] == pytest.approx(0.3 * (1.0 - t / 6.0) * math.exp(-t / 6.0), abs=0.02)
+    assert abs(angles[-1]) < 0.005
+
+
+@pytest.mark.parametrize("static_torque", [50.0, -300.0, 520.0])
+def test_a_static_torque_ends_with_the_gimbals_in_the_middle(static_torque: float) -> None:
+    angles = lean_loop(static_torque, 120.0)
+    assert abs(angles[-1]) < 0.002
+
+
+def test_more_torque_than_the_lean_can_hold_does_not_wind_the_integral_up() -> None:
+    outer = PrecessionReturn(PARAMETERS, 6.0, 0.02)
+    for _ in range(5000):
+        lean = outer.step(1.0, DT)
+        assert lean <= 0.02
+    seconds = 0.0
+    while lean > 0.0:
+        lean = outer.step(-0.1, DT)
+        seconds += DT
+    assert seconds < 6.0
+
+
+def test_the_shipped_file_gives_a_controller_within_its_own_limits() -> None:
+    vehicle = load("monocab")
+    subject = RollController.from_design(design(vehicle), vehicle)
+    for _ in range(200):
+        subject.step(1.0, 0.0, 0.0, 0.0, 0.0, vehicle.period)
+    assert subject.setpoint == -vehicle.limits.precession_rate

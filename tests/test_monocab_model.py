@@ -1,0 +1,95 @@
+"""The linear model of the MONOCAB: signs, physics, refusals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from models.monocab import (
+    GRAVITY,
+    MonocabParameters,
+    ParameterError,
+    apparent_inertia,
+    full_model,
+    reduced_model,
+)
+
+VALUES = {
+    "inertia": 1650.0,
+    "gravity_stiffness": 14500.0,
+    "angular_momentum": 3300.0,
+    "speed_loop_lag": 0.04,
+    "trim_mass": 500.0,
+    "trim_height": 0.4,
+}
+PARAMETERS = MonocabParameters.from_values(VALUES)
+
+
+def test_upright_is_unstable_with_the_pole_of_the_pendulum() -> None:
+    poles = np.linalg.eigvals(reduced_model(PARAMETERS).A)
+    assert max(poles.real) == pytest.approx(math.sqrt(14500.0 / 1650.0))
+    assert PARAMETERS.unstable_pole == pytest.approx(max(poles.real))
+
+
+def test_a_steady_precession_rate_holds_the_vehicle_at_the_roll_angle_of_the_torque_balance() -> None:
+    model = reduced_model(PARAMETERS)
+    rate = 0.1
+    roll = -3300.0 * rate / 14500.0
+    derivative = model.A @ np.array([roll, 0.0, rate]) + model.B[:, 0] * rate
+    assert np.allclose(derivative, 0.0)
+
+
+def test_the_trim_mass_weighs_towards_positive_roll_and_kicks_the_other_way_when_it_starts() -> None:
+    model = full_model(PARAMETERS)
+    displaced = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    roll_acceleration = (model.A @ displaced)[1]
+    assert roll_acceleration == pytest.approx(500.0 * GRAVITY * 0.1 / 1650.0)
+    kick = model.B[1, 0]
+    trim_acceleration = model.B[3, 0]
+    assert kick == pytest.approx(-500.0 * 0.4 * trim_acceleration / 1650.0)
+
+
+def test_without_the_trim_mass_the_full_model_moves_like_the_reduced_one() -> None:
+    full, reduced = full_model(PARAMETERS), reduced_model(PARAMETERS)
+    start = np.array([0.01, -0.02, 0.0, 0.0, 0.3, 0.05])
+    roll, _, _, _, precession, _ = expm(full.A * 0.3) @ start
+    reduced_roll, _, _ = expm(reduced.A * 0.3) @ start[[0, 1, 5]]
+    assert roll == pytest.approx(reduced_roll)
+    assert precession == pytest.approx(0.3 + 0.05 * 0.04 * (1.0 - math.exp(-0.3 / 0.04)))
+    assert full.outputs == ("roll", "precession")
+
+
+def test_with_roll_at_rest_the_precession_angle_cannot_be_held_against_a_static_torque() -> None:
+    """Why the reduced model leaves the angle out, and why only a lean brings the gimbals back."""
+    model = reduced_model(PARAMETERS)
+    static_torque = np.array([0.0, 50.0 / 1650.0, 0.0])
+    _, _, precession_rate, setpoint = np.linalg.solve(
+        np.block([[model.A, model.B], [model.C, np.zeros((1, 1))]]), -np.append(static_torque, 0.0)
+    )
+    assert precession_rate == setpoint == pytest.approx(-50.0 / 3300.0)
+
+
+def test_apparent_inertia_is_the_papers_formula() -> None:
+    # 4 tau = 40 ms: 8 * 0.01^2 * 3300^2 / 60 = 145.2 kg m^2.
+    assert apparent_inertia(1650.0, 3300.0, 0.04, 60.0) == pytest.approx(1650.0 + 145.2)
+    assert apparent_inertia(1650.0, 3300.0, 0.0, 60.0) == 1650.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("inertia", 0.0), ("gravity_stiffness", -14500.0), ("angular_momentum", math.nan), ("speed_loop_lag", math.inf)],
+)
+def test_impossible_values_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(ParameterError, match=name) as caught:
+        MonocabParameters.from_values({**VALUES, name: value})
+    assert caught.value.name == name
+    assert "vehicle file" in caught.value.remedy
+
+
+def test_a_missing_parameter_is_named_and_others_are_left_alone() -> None:
+    with pytest.raises(ParameterError, match="trim_mass"):
+        MonocabParameters.from_values({name: value for name, value in VALUES.items() if name != "trim_mass"})
+    assert MonocabParameters.from_values({**VALUES, "coulomb_friction.torque": 3.0}) == PARAMETERS

@@ -1,0 +1,159 @@
+"""The safety verdict: every reason, its reaction, its words, and when it does not apply."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from drivers.imu import ImuHealth
+from service.safety import OK, Code, DriveObservation, Observation, Reaction, Safety, SafetyLimits
+from service.vehicle_file import load
+
+SAFETY = Safety(SafetyLimits.of(load("monocab")))
+
+
+def balancing() -> Observation:
+    """All is well in the middle of an experiment."""
+    drives = tuple(
+        DriveObservation(name, age=0.004, enabled=True, state="Operation enabled")
+        for name in ("gimbal_left", "gimbal_right", "trim")
+    )
+    return Observation(drives=drives, armed=True, should_run=True, balancing=True, imu_age=0.004, roll=0.01)
+
+
+def drive(**changes: object) -> Callable[[Observation], None]:
+    def spoil(seen: Observation) -> None:
+        left, right, trim = seen.drives
+        seen.drives = (left, replace(right, **changes), trim)  # type: ignore[arg-type]
+
+    return spoil
+
+
+def field(**changes: object) -> Callable[[Observation], None]:
+    def spoil(seen: Observation) -> None:
+        for name, value in changes.items():
+            setattr(seen, name, value)
+
+    return spoil
+
+
+NAN = math.nan
+ALWAYS = [
+    (field(imu_age=0.020), Code.IMU_SILENT, ("20.0 ms", "3 cycles")),
+    (field(imu_age=NAN), Code.IMU_SILENT, ()),
+    (field(imu_health=ImuHealth.SILENT), Code.IMU_SILENT, ()),
+    (field(imu_health=ImuHealth.STUCK, imu_text="IMU repeats itself"), Code.IMU_STUCK, ("IMU repeats itself",)),
+    (field(imu_health=ImuHealth.OUT_OF_RANGE), Code.IMU_OUT_OF_RANGE, ("out of range",)),
+    (field(imu_health=ImuHealth.WRONG_LENGTH), Code.IMU_FORMAT, ("another format",)),
+    (field(roll=0.1), Code.ROLL, ("5.73 deg", "5.00 deg")),
+    (field(roll=-0.1), Code.ROLL, ("-5.73 deg",)),
+    (field(roll=NAN), Code.NOT_FINITE, ("roll", "not a number")),
+    (field(roll_rate=0.8), Code.ROLL_RATE, ("45.84 deg/s", "40.00 deg/s")),
+    (field(roll_rate=math.inf), Code.NOT_FINITE, ("roll rate",)),
+]
+ARMED = [
+    (drive(age=0.020), Code.DRIVE_SILENT, ("gimbal_right", "20.0 ms")),
+    (drive(age=NAN), Code.DRIVE_SILENT, ("gimbal_right",)),
+    (drive(emergency="8130h heartbeat lost"), Code.DRIVE_EMERGENCY, ("gimbal_right", "8130h")),
+    (drive(restarted=True), Code.DRIVE_RESTARTED, ("gimbal_right",)),
+    (field(precession=1.1), Code.PRECESSION, ("63.03 deg", "60.00 deg")),
+    (field(precession=NAN), Code.NOT_FINITE, ("precession",)),
+    (field(precession_rate=-1.6), Code.PRECESSION_RATE, ("-91.67 deg/s",)),
+    (field(gimbal_mismatch=0.1), Code.GIMBAL_MISMATCH, ("5.73 deg",)),
+    (field(trim_position=-0.31), Code.TRIM_POSITION, ("-0.310 m", "0.3 m")),
+    (field(trim_position=NAN), Code.NOT_FINITE, ("trim",)),
+    (field(late_cycles=3), Code.DEADLINE, ("3 control cycles", "4 ms")),
+]
+SHOULD_RUN = [(drive(enabled=False, state="Quick stop active"), Code.DRIVE_NOT_ENABLED, ("Quick stop active",))]
+BALANCING = [
+    (field(precession=0.8), Code.PRECESSION_BUDGET, ("45.8 of 45 deg",)),
+    (field(precession=-0.8), Code.PRECESSION_BUDGET, ("-45.8",)),
+    (field(observer_alive=False), Code.OBSERVER_GONE, ("observer",)),
+]
+
+
+def test_when_all_is_well_the_verdict_is_the_constant_one() -> None:
+    assert SAFETY.judge(balancing()) is OK
+    assert OK.reaction is Reaction.CONTINUE
+
+
+@pytest.mark.parametrize(("spoil", "code", "words"), ALWAYS + ARMED + SHOULD_RUN)
+def test_what_cannot_be_controlled_stops_now(
+    spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
+) -> None:
+    seen = balancing()
+    spoil(seen)
+    verdict = SAFETY.judge(seen)
+    assert (verdict.code, verdict.reaction) == (code, Reaction.STOP_NOW)
+    assert all(word in verdict.text for word in words), verdict.text
+
+
+@pytest.mark.parametrize(("spoil", "code", "words"), BALANCING)
+def test_what_can_still_be_controlled_ends_in_order(
+    spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
+) -> None:
+    seen = balancing()
+    spoil(seen)
+    verdict = SAFETY.judge(seen)
+    assert (verdict.code, verdict.reaction) == (code, Reaction.END_EXPERIMENT)
+    assert all(word in verdict.text for word in words), verdict.text
+
+
+@pytest.mark.parametrize(
+    ("flag", "cases"),
+    [("armed", ARMED + SHOULD_RUN + BALANCING), ("should_run", SHOULD_RUN), ("balancing", BALANCING)],
+)
+def test_checks_of_a_phase_are_silent_outside_it(
+    flag: str, cases: list[tuple[Callable[[Observation], None], Code]]
+) -> None:
+    for spoil, *_ in cases:
+        seen = balancing()
+        setattr(seen, flag, False)
+        spoil(seen)
+        assert SAFETY.judge(seen) is OK
+
+
+def test_the_imu_and_the_roll_angle_are_watched_in_every_phase() -> None:
+    for spoil, code, _ in ALWAYS:
+        seen = balancing()
+        seen.armed = seen.should_run = seen.balancing = False
+        spoil(seen)
+        assert SAFETY.judge(seen).code is code
+
+
+def test_resting_on_a_support_is_no_fault() -> None:
+    seen = balancing()
+    seen.roll = math.radians(4.1)
+    assert SAFETY.judge(seen) is OK
+
+
+def test_three_cycles_without_an_answer_are_borne_and_the_fourth_is_not() -> None:
+    """`missed_cycles = 3` at 4 ms, with half a cycle of jitter."""
+    for age, code in ((0.0125, Code.OK), (0.0139, Code.OK), (0.0141, Code.DRIVE_SILENT)):
+        seen = balancing()
+        drive(age=age)(seen)
+        assert SAFETY.judge(seen).code is code
+
+
+def test_the_cause_is_named_before_its_consequence() -> None:
+    """A drive with an emergency also leaves Operation enabled; a dead IMU also leaves roll undefined."""
+    seen = balancing()
+    drive(emergency="2310h overcurrent", enabled=False, state="Fault")(seen)
+    assert SAFETY.judge(seen).code is Code.DRIVE_EMERGENCY
+    seen.imu_age, seen.roll = 0.1, NAN
+    assert SAFETY.judge(seen).code is Code.IMU_SILENT
+
+
+def test_the_hard_limit_comes_before_the_budget() -> None:
+    seen = balancing()
+    seen.precession = 1.2
+    assert SAFETY.judge(seen).reaction is Reaction.STOP_NOW
+
+
+def test_budget_used_is_the_share_of_the_angle_at_which_the_experiment_ends() -> None:
+    assert SAFETY.budget_used(0.0) == 0.0
+    assert SAFETY.budget_used(math.radians(-22.5)) == pytest.approx(0.5)
+    assert SAFETY.budget_used(math.radians(45.0)) == pytest.approx(1.0)

@@ -1,0 +1,167 @@
+"""The unit file under a real systemd: readiness, watchdog, restart, stop, with the daemon on real SocketCAN.
+
+Runs in the throw-away guest, where the unit is installed as the manual says. A drop-in sets what differs there: the
+checkout instead of /opt/upright, vcan0 instead of can0, and no private /home and /tmp, since the checkout and its
+Python may lie in either. All other hardening, and the user upright, are as shipped.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service import api
+from service.control_loop import Mode
+
+pytestmark = [pytest.mark.systemd, pytest.mark.timeout(90)]
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+UPRIGHT = Path(sys.executable).parent / "upright"
+SOCKET = Path("/run/upright/monocab.sock")
+DROP_IN = f"""
+[Service]
+ExecStart=
+ExecStart={UPRIGHT} serve ${{VEHICLE}} --bus socketcan:vcan0
+ProtectHome=no
+PrivateTmp=no
+"""
+
+
+def _run(*command: str | Path) -> str:
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}{_journal()}"
+    return done.stdout.strip()
+
+
+def _journal() -> str:
+    return subprocess.run(
+        ["journalctl", "--unit=upright", "--no-pager", "--lines=60"], capture_output=True, text=True, timeout=60
+    ).stdout
+
+
+def _show(name: str) -> str:
+    return _run("systemctl", "show", "--value", "--property", name, "upright")
+
+
+def _status() -> dict[str, Any] | None:
+    """What the daemon says of itself; None while it cannot be reached."""
+    try:
+        return list(api.call([SOCKET], {"verb": "status"}))[-1]["status"]  # type: ignore[no-any-return]
+    except api.ApiError:
+        return None
+
+
+def _wait(what: str, met: Callable[[], bool], seconds: float) -> None:
+    limit = time.monotonic() + seconds
+    while not met():
+        assert time.monotonic() < limit, f"not within {seconds} s: {what}; {_status()}\n{_journal()}"
+        time.sleep(0.1)
+
+
+def _wait_for_mode(mode: Mode, seconds: float = 15.0) -> dict[str, Any]:
+    _wait(f"mode {mode}", lambda: (_status() or {}).get("mode") == mode, seconds)
+    status = _status()
+    assert status is not None
+    return status
+
+
+@pytest.fixture(scope="module", autouse=True)
+def installed() -> None:
+    """Installs user, environment file and unit."""
+    for place in (Path(sys.base_prefix), REPOSITORY):  # The user upright must reach the interpreter and the checkout.
+        for folder in place.parents:
+            if not folder.stat().st_mode & 0o001:
+                folder.chmod(folder.stat().st_mode | 0o011)
+    units, systemd = Path("/etc/systemd/system"), REPOSITORY / "systemd"
+    _run("install", "-D", "-m", "644", systemd / "upright.sysusers", "/etc/sysusers.d/upright.conf")
+    _run("systemd-sysusers")
+    _run("install", "-D", "-m", "644", systemd / "upright.env", "/etc/upright/upright.env")
+    Path("/etc/upright/upright.env").write_text("VEHICLE=monocab\n")
+    _run("install", "-m", "644", systemd / "upright.service", units)
+    (units / "upright.service.d").mkdir(exist_ok=True)
+    (units / "upright.service.d" / "guest.conf").write_text(DROP_IN)
+    _run("systemctl", "daemon-reload")
+
+
+@pytest.fixture
+def silent_service() -> Iterator[None]:
+    """The service, started, on a bus where nothing else is."""
+    _run("systemctl", "reset-failed")
+    _run("systemctl", "start", "upright")
+    yield
+    _run("systemctl", "stop", "upright")
+
+
+@pytest.fixture
+def service(silent_service: None) -> Iterator[dict[str, Any]]:
+    """The status of the service once it has set up the drives of a virtual vehicle."""
+    _run("systemd-run", "--unit=vehicle", "--quiet", UPRIGHT, "simulate", "monocab", "--bus", "socketcan:vcan0")
+    yield _wait_for_mode(Mode.DISARMED)
+    _run("systemctl", "stop", "vehicle")
+
+
+def _start_experiment() -> subprocess.Popen[bytes]:
+    """An experiment that has the drives enabled."""
+    command = [UPRIGHT, "experiment", "hold", "--socket", SOCKET]
+    client = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _wait("the drives are enabled", lambda: _drive_states(_status()) == {"OPERATION ENABLED"}, 20.0)
+    return client
+
+
+def _drive_states(status: dict[str, Any] | None) -> set[str]:
+    return {drive["state"].upper().replace("_", " ") for drive in (status or {}).get("drive_states", [])}
+
+
+def test_the_unit_file_is_sound() -> None:
+    assert _run("systemd-analyze", "verify", "upright.service") == ""
+
+
+def test_ready_disarmed_and_not_root(service: dict[str, Any]) -> None:
+    assert _show("ActiveState") == "active"
+    assert "OPERATION ENABLED" not in _drive_states(service)
+    user = Path(f"/proc/{_show('MainPID')}").stat().st_uid
+    assert user == int(_run("id", "--user", "upright")) != 0
+    answer = json.loads(_run(UPRIGHT, "status", "--json", "--socket", SOCKET))
+    assert answer["mode"] == "disarmed"
+
+
+def test_killed_while_it_balances_it_comes_back_disarmed(service: dict[str, Any]) -> None:
+    client = _start_experiment()
+    killed = _show("MainPID")
+    _run("systemctl", "kill", "--signal=KILL", "--kill-whom=main", "upright")
+    assert client.wait(timeout=20) != 0
+    _wait("systemd restarts it", lambda: _show("NRestarts") == "1" and _show("MainPID") not in ("0", killed), 10.0)
+    status = _wait_for_mode(Mode.DISARMED)
+    assert "OPERATION ENABLED" not in _drive_states(status)
+    assert status["experiment"] is None
+
+
+def test_hung_it_is_restarted_by_the_watchdog(service: dict[str, Any]) -> None:
+    _run("systemctl", "kill", "--signal=STOP", "--kill-whom=main", "upright")
+    _wait("the watchdog restarts it", lambda: _show("NRestarts") == "1", 10.0)
+    assert "Watchdog timeout" in _journal()
+    _wait_for_mode(Mode.DISARMED)
+
+
+def test_a_vehicle_that_is_switched_off_is_no_reason_to_restart(silent_service: None) -> None:
+    watchdog_periods = 2.5
+    time.sleep(watchdog_periods * 2.0)
+    assert (_show("NRestarts"), _show("ActiveState")) == ("0", "active")
+    assert (_status() or {})["mode"] != Mode.RUNNING
+
+
+def test_stopped_while_it_balances_it_ends_in_order(service: dict[str, Any]) -> None:
+    client = _start_experiment()
+    _run("systemctl", "stop", "upright")
+    client.wait(timeout=20)
+    assert (_show("Result"), _show("ExecMainStatus"), _show("ActiveState")) == ("success", "0", "inactive")
+    assert not SOCKET.exists()
+    recordings = list(Path("/var/lib/upright").rglob("*.arrow"))
+    assert recordings, "the recording of the interrupted experiment is kept"
