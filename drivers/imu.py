@@ -77,6 +77,7 @@ class Imu:
         self._payloads = [b""] * config.frames
         self._next = _WAITING
         self._previous = _WAITING
+        self._previous_ns = 0
         self._first_ns = 0
         self._start_ns = 0
         self._sample: ImuSample | None = None
@@ -88,14 +89,15 @@ class Imu:
         place = self._places.get(frame.can_id)
         if place is None or frame.timestamp_ns < self._start_ns:
             return None
-        previous, self._previous = self._previous, place
+        again = place == self._previous and frame.timestamp_ns - self._previous_ns <= self._longest_set_ns
+        self._previous, self._previous_ns = place, frame.timestamp_ns
         if place == 0:
             if self._next > 0:
-                self._count_broken(previous == 0)
+                self._count_broken(again)
             self._first_ns = frame.timestamp_ns
         elif place != self._next:
             if self._next != _WAITING:
-                self._count_broken(place == previous)
+                self._count_broken(again)
                 self._next = _WAITING
             return None
         if len(frame.data) not in self._layout.lengths[place]:

@@ -58,7 +58,7 @@ def identified(parameters: Mapping[str, float], estimate: Estimate) -> dict[str,
 
 
 def fit_percent(recordings: Sequence[Recording], parameters: Mapping[str, float], support: float) -> dict[str, float]:
-    """How much of roll and roll rate the model predicts FIT_HORIZON ahead, percent; empty where nothing is that long."""
+    """Percent of roll and roll rate that the model predicts FIT_HORIZON ahead; empty where nothing is that long."""
     stretches = [stretch for recording in recordings for stretch in free_motion(recording, support)]
     if not stretches:
         return {}

@@ -71,7 +71,7 @@ class StateVariableFilter:
             return
         if spacing != self._spacing:
             exponent = self._poles * spacing
-            growth = np.expm1(exponent)
+            growth: ComplexArray = np.expm1(exponent)
             self._coefficients = (
                 growth + 1.0,
                 growth / self._poles,

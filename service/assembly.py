@@ -12,13 +12,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from estimators.roll_filter import RollFilter, RollFilterConfig
-
 from drivers.cia402.config import DriveConfig, find_eds
 from drivers.cia402.drive import Drive
 from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
 from drivers.vehicle_io import VehicleIo
+from estimators.roll_filter import RollFilter, RollFilterConfig
 from service.vehicle_file import DriveSection, VehicleFile
 from telemetry.channels import TABLES, ChannelTable
 

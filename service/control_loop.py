@@ -14,9 +14,8 @@ from enum import StrEnum
 from typing import Any, Protocol
 
 from drivers.bus import BusDown
-from estimators.roll_filter import RollState
-
 from drivers.vehicle_io import Measurement, VehicleIo
+from estimators.roll_filter import RollState
 from service import assembly
 from service.controller import design
 from service.notify import Notifier

@@ -11,7 +11,7 @@ import contextlib
 import gc
 import time
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,17 @@ from drivers.bus import Bus, BusDown, BusError, BusGroup
 from drivers.canopen_link import CanopenLink
 from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.cia402.setup import DriveReport, DriveSetupError, Supervision, configure
-
 from service import assembly
 from service.api import ApiServer, ExitCode, Message, result
-from service.control_loop import ControlLoop, Mode
+from service.control_loop import QUICK_STOP_TIME, ControlLoop, Mode
 from service.notify import Notifier
 from service.observer_client import ObserverClient
+from service.readiness import drive_states
 from service.vehicle_file import VehicleFile
 from telemetry.samples import CanFrame
+
+PROGRESS_PERIOD = 0.2
+"""s between two lines of progress."""
 
 RECONNECT_PERIOD = 0.5
 """s between attempts to open a bus that went down, and to set up drives that did not answer."""
@@ -54,16 +57,17 @@ class Daemon:
     def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False) -> None:
         self.vehicle = vehicle
         self.places = places
-        self._notifier = Notifier()
+        self._notifier = Notifier.from_environment()
         self._stopping = asyncio.Event()
         self._bus_down = asyncio.Event()
         self._buses: BusGroup | None = None
         self._link: CanopenLink | None = None
         self.reports: list[DriveReport] = []
-        self.observer = ObserverClient(hello=assembly.observer_hello(vehicle, places.data, self._raw_log_buses()))
+        self._published: dict[str, Any] = {}
+        hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses())
+        self.observer = ObserverClient(hello, lossless=lock_step)
         self.loop = ControlLoop(
             vehicle,
-            assembly.vehicle_io(vehicle),
             send=self._send,
             observer=self.observer,
             notifier=self._notifier,
@@ -85,16 +89,19 @@ class Daemon:
         """
         self._open_buses()
         self.observer.on_exit = self._on_observer_exit
-        await self.observer.start()
+        self.loop.on_change = self._publish_state
         try:
+            await self.observer.start()
+            self._publish_state()
             await self._api.start()
+            self.loop.start()
             gc.collect()
             gc.freeze()
             keeper = asyncio.create_task(self._keep_vehicle_ready(), name="keep vehicle ready")
-            self._notifier.ready()
+            self._notifier.ready(f"serving {self.vehicle.vehicle.id} on {self.places.drives_bus}, disarmed")
             stopping = asyncio.create_task(self._stopping.wait(), name="wait for stop")
             await asyncio.wait({keeper, stopping}, return_when=asyncio.FIRST_COMPLETED)
-            self._notifier.stopping()
+            self._notifier.stopping("ending in order")
             if keeper.done():
                 keeper.result()
             await self._end_in_order()
@@ -154,6 +161,9 @@ class Daemon:
         while True:
             if self._bus_down.is_set():
                 await self._reopen_buses()
+            if not self.observer.alive:
+                await self.observer.restart()
+            self.loop.look_after_drives()
             if self.loop.needs_set_up:
                 try:
                     await self._set_up_drives()
@@ -161,6 +171,7 @@ class Daemon:
                     self.loop.set_up_failed(str(error))
                 else:
                     self.loop.set_up_done()
+            self._publish_state()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)
 
@@ -174,13 +185,12 @@ class Daemon:
                 self.loop.set_up_failed(str(error))
                 await asyncio.sleep(RECONNECT_PERIOD)
             else:
-                self.loop.bus_back()
                 return
 
     async def _set_up_drives(self) -> None:
         link, control = self._link, self.vehicle.control
         if link is None:
-            raise BusError("the bus is down.")
+            raise BusError("the bus is down.", bus=self.places.drives_bus)
         supervision = Supervision(
             master_node=control.master_node,
             heartbeat_period=control.heartbeat_period,
@@ -198,14 +208,23 @@ class Daemon:
         self.reports = reports
 
     def _on_observer_exit(self, status: int) -> None:
-        self.loop.observer_gone(status)
+        self.loop.observer_gone()
+
+    def _publish_state(self) -> None:
+        """Tell the observer, and so MQTT, what changed."""
+        state = self.loop.state()
+        if state != self._published:
+            self._published = state
+            self.observer.publish_state(state)
 
     async def _end_in_order(self) -> None:
         self.loop.end_experiment("the daemon was told to stop")
         limit = time.monotonic() + ORDERLY_END
         while self.loop.mode is Mode.RUNNING and time.monotonic() < limit:
             await asyncio.sleep(0.02)
-        self.loop.disarm()
+        if self.loop.mode is Mode.RUNNING:
+            self.loop.stop_now("the daemon was told to stop, and the vehicle was not down in time")
+            await asyncio.sleep(QUICK_STOP_TIME)
 
     # The control socket
 
@@ -249,20 +268,19 @@ class Daemon:
             return
         run = self.loop.start_experiment(name)
         phase = None
-        while self.loop.mode is Mode.RUNNING:
+        while self.loop.run is run:
             if run.phase is not phase:
                 phase = run.phase
                 yield {"type": "event", "severity": "info", "code": phase.name.lower(), "text": phase.text}
+            self.observer.progress(name, run.fraction, run.remaining)
             yield {
                 "type": "progress",
                 "phase": phase.name.lower(),
                 "fraction": run.fraction,
                 "remaining": run.remaining,
-                "roll": self.loop.roll,
-                "precession": self.loop.precession,
                 "estimates": self.observer.estimates,
             }
-            await asyncio.sleep(0.2)
+            await asyncio.sleep(PROGRESS_PERIOD)
         summary = await self.observer.finished_recording()
         if self.loop.mode is Mode.FAULT:
             yield result(ExitCode.VEHICLE_FAULT, self.loop.code, self.loop.reason, **summary)
@@ -277,7 +295,10 @@ class Daemon:
         return {
             **self.loop.state(),
             "buses": buses,
-            "drives": [report.summary() for report in self.reports],
+            "drives": drive_states(self.loop.io),
+            "drive_reports": [asdict(report) for report in self.reports],
+            "cycles": self.loop.cycles,
+            "missed_cycles": self.loop.missed_cycles,
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
             "socket": str(self.places.socket),

@@ -1,4 +1,4 @@
-"""The whole story without hardware: a virtual vehicle on a lock-step bus, the real daemon, a broker, and a person's view.
+"""The whole story without hardware: a virtual vehicle on a lock-step bus, the real daemon, and a broker.
 
 The simulation runs in a thread of this process and hands over its time with every frame, so the story runs as fast as
 the machine allows. All else is what runs on a vehicle: the same control loop, observer process, recorder and MQTT.

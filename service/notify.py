@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
+from typing import Self
 
 from telemetry.errors import UprightError
 
@@ -29,17 +30,14 @@ class Notifier:
 
     __slots__ = ("_socket", "unsent", "watchdog_timeout")
 
-    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
-        """Takes $NOTIFY_SOCKET, and $WATCHDOG_USEC and $WATCHDOG_PID as `watchdog_timeout` (s, None: no watchdog).
+    def __init__(self, address: str = "", *, watchdog_timeout: float | None = None) -> None:
+        """`address` is a path, `@name`, or empty for nobody; `watchdog_timeout` is in s, None where none is set.
 
-        Raises NotifyError where $NOTIFY_SOCKET is set and nobody listens there.
+        Raises NotifyError where nobody listens at `address`.
         """
-        microseconds = environment.get("WATCHDOG_USEC", "")
-        watched = microseconds.isdecimal() and environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-        self.watchdog_timeout = int(microseconds) / 1e6 if watched else None
+        self.watchdog_timeout = watchdog_timeout
         self.unsent = 0
         self._socket: socket.socket | None = None
-        address = environment.get("NOTIFY_SOCKET", "")
         if not address:
             return
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -52,6 +50,16 @@ class Notifier:
                 f"cannot reach the service manager at {address}: {error.strerror}.",
                 remedy="Start the daemon by its unit (systemctl start upright), or unset NOTIFY_SOCKET.",
             ) from error
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Self:
+        """As $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID say (sd_watchdog_enabled(3)).
+
+        Raises NotifyError as the constructor does.
+        """
+        microseconds = environment.get("WATCHDOG_USEC", "")
+        watched = microseconds.isdecimal() and environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        return cls(environment.get("NOTIFY_SOCKET", ""), watchdog_timeout=int(microseconds) / 1e6 if watched else None)
 
     def ready(self, status: str = "") -> None:
         """Start-up is complete: what waited for this unit may go on. `status` is a line for `systemctl status`."""

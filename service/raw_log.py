@@ -18,7 +18,8 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -54,6 +55,7 @@ class CanTap:
     def __init__(self, channel: str, bus: int) -> None:
         self.lost = 0
         self._bus = bus
+        self._channel = channel
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             self._socket.setblocking(False)
@@ -67,12 +69,15 @@ class CanTap:
             raise
 
     def read(self, into: list[CanFrame]) -> None:
-        """Take all that has gathered. Raises OSError when the interface went down."""
+        """Take all that has gathered. An interface that went down is told, and listened to until it is back."""
         receive, unpack, bus = self._socket.recvmsg, _CAN_FRAME.unpack_from, self._bus
         while True:
             try:
                 content, ancillary, _, _ = receive(16, 64)
             except BlockingIOError:
+                return
+            except OSError as error:
+                say(error=f"{self._channel}: {error.strerror}")
                 return
             timestamp_ns = 0
             for _, kind, value in ancillary:
@@ -85,7 +90,9 @@ class CanTap:
             error, extended = bool(flagged & _ERROR), bool(flagged & _EXTENDED)
             can_id = flagged & 0x1FFFFFFF if extended or error else flagged & 0x7FF
             into.append(
-                CanFrame(timestamp_ns, can_id, data[:length], bus, extended and not error, bool(flagged & _REMOTE), error)
+                CanFrame(
+                    timestamp_ns, can_id, data[:length], bus, extended and not error, bool(flagged & _REMOTE), error
+                )
             )
 
     def close(self) -> None:
@@ -136,17 +143,20 @@ class RawLog:
             self.close()
 
     def close(self) -> None:
-        """Close the file, if one is open, and account for it on stdout."""
-        file, self._file = self._file, None
-        for tap in self._taps:
+        """Close the file, if one is open, and account for it on stdout. Raises OSError where the disk is full."""
+        file, taps, waiting = self._file, self._taps, self._waiting
+        self._file, self._taps, self._waiting = None, [], []
+        for tap in taps:
             tap.close()
-        if file is not None:
+        if file is None:
+            return
+        try:
             with file:
-                self._write_to(file, self._waiting)
+                self._write_to(file, waiting)
                 file.flush()
                 os.fsync(file.fileno())
-            say(path=file.name, frames=self._frames, lost=sum(tap.lost for tap in self._taps))
-        self._taps, self._waiting = [], []
+        finally:
+            say(path=file.name, frames=self._frames, lost=sum(tap.lost for tap in taps))
 
     def _write(self, horizon_ns: int) -> None:
         self._waiting.sort(key=lambda frame: frame.timestamp_ns)
@@ -189,7 +199,7 @@ def main(channels: Sequence[str]) -> None:
         while log.is_open and time.monotonic() < limit:
             time.sleep(READ_PERIOD)
             follow(log)
-    log.close()
+    attempt(log.close)
 
 
 class Orders:
@@ -210,25 +220,27 @@ class Orders:
 
 def obey(log: RawLog, order: str) -> None:
     verb, _, arguments = order.partition(" ")
-    try:
-        if verb == "open":
-            start_ns, _, path = arguments.partition(" ")
-            log.open(Path(path), int(start_ns))
-        elif verb == "close":
-            log.end_ns = int(arguments)
-    except OSError as error:
-        say(error=f"the raw log could not be opened: {error}")
+    if verb == "open":
+        start_ns, _, path = arguments.partition(" ")
+        attempt(partial(log.open, Path(path), int(start_ns)))
+    elif verb == "close":
+        log.end_ns = int(arguments)
 
 
 def follow(log: RawLog) -> None:
-    """Log what has come in; an interface that went down, or a full disk, ends the file."""
-    if not log.is_open:
-        return
+    """Log what has come in; a disk that is full ends the file."""
+    if log.is_open and not attempt(log.step):
+        attempt(log.close)
+
+
+def attempt(action: Callable[[], None]) -> bool:
+    """Whether `action` went well; told on stdout where it did not."""
     try:
-        log.step()
+        action()
     except OSError as error:
-        say(error=f"the raw log ended: {error}")
-        log.close()
+        say(error=f"raw log: {error}")
+        return False
+    return True
 
 
 if __name__ == "__main__":

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from math import degrees
 
-from estimators.roll_filter import RollState
-
 from drivers.cia402.states import State
 from drivers.imu import ImuHealth
 from drivers.vehicle_io import Measurement, VehicleIo
+from estimators.roll_filter import RollState
 from service.safety import DriveObservation, Observation
 from service.sequence import AT_REST_RATE, AT_REST_ROLL
 from service.vehicle_file import VehicleFile

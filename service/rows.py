@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from estimators.roll_filter import RollFilter, RollState
-
 from drivers.vehicle_io import Measurement, VehicleIo
+from estimators.roll_filter import RollFilter, RollState
 from telemetry.samples import CanFrame, Frame
 
 NAN = float("nan")

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from math import copysign, degrees, radians
 
-from estimators.roll_filter import RollState
-
 from drivers.cia402.states import State
 from drivers.vehicle_io import Measurement
+from estimators.roll_filter import RollState
 from models.control_design import RollDesign
 from models.monocab import MonocabParameters
 from service.controller import RollController
@@ -228,8 +227,8 @@ class ExperimentRun:
             if off > AT_REST_ROLL or abs(roll.roll_rate) > AT_REST_RATE:
                 self._fail(
                     f"the vehicle does not rest on a support: roll is {degrees(roll.roll):.2f} deg at "
-                    f"{degrees(roll.roll_rate):.2f} deg/s, the supports are at +-{degrees(self._plan.support):.2f} deg. "
-                    "Check the supports, imu.axes and limits.support_deg",
+                    f"{degrees(roll.roll_rate):.2f} deg/s, the supports are at +-{degrees(self._plan.support):.2f} "
+                    "deg. Check the supports, imu.axes and limits.support_deg",
                     go_on=Phase.DISABLE,
                 )
             else:

@@ -230,6 +230,11 @@ class ParametersSection(_Section):
         """Name to CAD value, SI."""
         return {name: getattr(self, name).value for name in type(self).model_fields}
 
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Name to the CAD value's standard deviation, SI."""
+        return {name: getattr(self, name).std for name in type(self).model_fields}
+
 
 class ControllerSection(_Section):
     roll_weight: Positive

@@ -5,10 +5,18 @@ The simulation knows no vehicle files and no bus addresses; this is where it get
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from drivers.bus_address import connect
 from drivers.cia402.config import find_eds
 from service.vehicle_file import VehicleFile
+from simulation import runner
 from simulation.config import DriveNode, ImuNode, SimulationConfig
+from simulation.faults import Fault
 from simulation.hidden import parse_hidden
+from simulation.runner import RunStatistics
 
 
 def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> SimulationConfig:
@@ -47,3 +55,23 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         position=imu.position,
     )
     return SimulationConfig(drives=drives, imu=node, rate=vehicle.control.rate, seed=seed, hidden=parse_hidden(hide))
+
+
+def run(
+    config: SimulationConfig,
+    drives: str,
+    imu: str,
+    *,
+    stop: threading.Event,
+    lock_step: bool = False,
+    faults: Sequence[Fault] = (),
+) -> RunStatistics:
+    """Run a virtual vehicle on the buses at the addresses `drives` and `imu` (IFACE:CHANNEL) until `stop` is set.
+
+    Raises:
+        BusError: an address is wrong, or its interface is not there.
+    """
+    with ExitStack() as open_buses:
+        bus = open_buses.enter_context(connect(drives, None, None))
+        imu_bus = open_buses.enter_context(connect(imu, None, None)) if imu != drives else None
+        return runner.run(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults)

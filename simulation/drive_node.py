@@ -37,6 +37,8 @@ HEARTBEAT_LOST, RPDO_LATE, PDO_TOO_SHORT, LEFT_OPERATIONAL = 0x8130, 0x8250, 0x8
 RESET_NODE, RESET_COMMUNICATION = 129, 130
 COMMUNICATION_AREA = range(0x1000, 0x2000)
 ERROR_HISTORY = 0x1003
+UNKNOWN_COMMAND = 0x0504_0001
+"""SDO abort code: client or server command specifier not valid."""
 SYNC_LOST = 1.0
 """s without a SYNC after which the drive is no longer synchronous."""
 
@@ -180,8 +182,12 @@ class VirtualDrive:
                 self._connection_lost(LEFT_OPERATIONAL)
 
     def _on_sdo(self, data: bytes) -> None:
-        if len(data) == 8 and self.nmt_state != "STOPPED":
+        if len(data) != 8 or self.nmt_state == "STOPPED":
+            return
+        try:
             self._network.notify(0x600 + self.config.node, bytearray(data), self._clock())
+        except struct.error:  # canopen's server cannot abort a segment that belongs to no transfer
+            self._send(0x580 + self.config.node, struct.pack("<BHBI", 0x80, 0, 0, UNKNOWN_COMMAND))
 
     def _on_read(self, index: int, subindex: int, od: ODVariable) -> int | None:
         self.servo.sample()

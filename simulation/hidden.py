@@ -7,6 +7,7 @@ Names are the canonical effect names. The size at level 1 is physically plausibl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from telemetry.errors import UprightError
 
 
 class UnknownEffectError(UprightError):
-    """No hidden effect has this name, or its level is not a number. `name` is what was asked for."""
+    """No hidden effect has this name, or it cannot have this level. `name` is what was asked for."""
 
     def __init__(self, name: str, message: str, *, remedy: str) -> None:
         super().__init__(message, remedy=remedy)
@@ -23,18 +24,22 @@ class UnknownEffectError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class HiddenEffect:
-    """One effect: `size` in `unit` at level 1."""
+    """One effect: `size` in `unit` at level 1. `signed`: a negative level makes sense; `most`: largest size."""
 
     name: str
     unit: str
     size: float
     meaning: str
+    signed: bool = False
+    most: float = math.inf
 
 
 HIDDEN: dict[str, HiddenEffect] = {
     effect.name: effect
     for effect in (
-        HiddenEffect("static_torque", "N m", 120.0, "constant roll torque: the centre of gravity is off the middle"),
+        HiddenEffect(
+            "static_torque", "N m", 120.0, "constant roll torque: the centre of gravity is off the middle", signed=True
+        ),
         HiddenEffect("viscous_friction", "N m s/rad", 400.0, "roll torque against the roll rate"),
         HiddenEffect("coulomb_friction", "N m", 60.0, "dry friction of the safety catch (LuGre bristles)"),
         HiddenEffect("stribeck_friction", "N m", 80.0, "breakaway torque, half of it lost when sliding (LuGre)"),
@@ -44,24 +49,36 @@ HIDDEN: dict[str, HiddenEffect] = {
         HiddenEffect("cubic_stiffness", "N m/rad^3", 1.0e6, "restoring torque of a progressive suspension"),
         HiddenEffect("end_stop", "N m/rad", 5.0e4, "rubber buffers that touch at +-0.5 deg"),
         HiddenEffect("hysteresis", "N m", 60.0, "hysteretic torque of flange and cables (Bouc-Wen, yields in 2 mrad)"),
-        HiddenEffect("position_cogging", "N m", 40.0, "torque that repeats every 5 mrad of roll: a worn rail head"),
-        HiddenEffect("periodic_disturbance", "N m", 40.0, "sinusoidal roll torque at 1.3 Hz: machinery on board"),
-        HiddenEffect("torque_step", "N m", 550.0, "a person sits down at `event_time`, a ramp of 0.3 s"),
-        HiddenEffect("torque_drift", "N m", 150.0, "roll torque that creeps up with a time constant of 45 s"),
-        HiddenEffect("flexible_mode", "1", 0.12, "share of the inertia that is sprung at 7 Hz: the cabin on the frame"),
+        HiddenEffect(
+            "position_cogging", "N m", 40.0, "torque that repeats every 5 mrad of roll: a worn rail head", signed=True
+        ),
+        HiddenEffect(
+            "periodic_disturbance", "N m", 40.0, "sinusoidal roll torque at 1.3 Hz: machinery on board", signed=True
+        ),
+        HiddenEffect("torque_step", "N m", 550.0, "a person sits down at `event_time`, a ramp of 0.3 s", signed=True),
+        HiddenEffect(
+            "torque_drift", "N m", 150.0, "roll torque that creeps up with a time constant of 45 s", signed=True
+        ),
+        HiddenEffect(
+            "flexible_mode", "1", 0.12, "share of the inertia that is sprung at 7 Hz: the cabin on the frame", most=0.9
+        ),
         HiddenEffect("gimbal_angle_coupling", "1", 1.0, "gyroscopic torque falls with the cosine of precession"),
-        HiddenEffect("gimbal_imbalance", "N m", 80.0, "roll torque with the sine of precession: eccentric gimbals"),
+        HiddenEffect(
+            "gimbal_imbalance", "N m", 80.0, "roll torque with the sine of precession: eccentric gimbals", signed=True
+        ),
         HiddenEffect("backlash", "rad", 5.0e-3, "play between gimbal motor and gimbal, as an angle of the gimbal"),
         HiddenEffect("input_deadband", "rad/s", 6.0e-3, "precession rate setpoints smaller than this do nothing"),
         HiddenEffect("input_delay", "s", 0.012, "the setpoint acts this much later"),
         HiddenEffect("actuator_lag", "s", 0.03, "a further first-order lag ahead of the speed loop"),
-        HiddenEffect("input_asymmetry", "1", 0.08, "setpoints up act this much stronger, setpoints down weaker"),
-        HiddenEffect("input_gain", "1", -0.08, "relative error of the setpoint's gain"),
-        HiddenEffect("gyro_bias", "rad/s", 8.7e-3, "further bias of the roll gyro (0.5 deg/s)"),
-        HiddenEffect("sensor_offset", "rad", 8.7e-3, "the IMU is mounted rolled by this much (0.5 deg)"),
+        HiddenEffect(
+            "input_asymmetry", "1", 0.08, "setpoints up act this much stronger, setpoints down weaker", signed=True
+        ),
+        HiddenEffect("input_gain", "1", -0.08, "relative error of the setpoint's gain", signed=True),
+        HiddenEffect("gyro_bias", "rad/s", 8.7e-3, "further bias of the roll gyro (0.5 deg/s)", signed=True),
+        HiddenEffect("sensor_offset", "rad", 8.7e-3, "the IMU is mounted rolled by this much (0.5 deg)", signed=True),
         HiddenEffect("sensor_lag", "s", 0.02, "low pass inside the IMU"),
         HiddenEffect("sensor_delay", "s", 0.012, "the IMU reports the past"),
-        HiddenEffect("sensor_scale", "1", 0.03, "relative error of the gyro's scale"),
+        HiddenEffect("sensor_scale", "1", 0.03, "relative error of the gyro's scale", signed=True),
     )
 }
 """Every hidden effect by its canonical name."""
@@ -89,5 +106,18 @@ def sizes_of(hidden: Mapping[str, float | None]) -> dict[str, float]:
             raise UnknownEffectError(
                 name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {', '.join(HIDDEN)}."
             )
-    levels = {name: 1.0 if level is None else level for name, level in hidden.items()}
-    return {name: HIDDEN[name].size * level for name, level in levels.items() if level != 0.0}
+    sizes = {}
+    for name, given in hidden.items():
+        effect, level = HIDDEN[name], 1.0 if given is None else given
+        size = effect.size * level
+        least = -math.inf if effect.signed else 0.0
+        if not (math.isfinite(level) and least <= size <= effect.most):
+            raise UnknownEffectError(
+                name,
+                f"{name} cannot have the level {level:g}.",
+                remedy=f"Use a level from {least / effect.size:g} to {effect.most / effect.size:g}; "
+                f"1 is {effect.size:g} {effect.unit}.",
+            )
+        if level != 0.0:
+            sizes[name] = size
+    return sizes

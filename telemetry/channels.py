@@ -36,22 +36,34 @@ class ChannelTable(tuple[Channel, ...]):
         return tuple(channel.name for channel in self)
 
 
-MONOCAB = ChannelTable((
-    Channel("roll", "rad", "roll angle of the cabin from the roll filter, 0 upright, positive right side down"),
-    Channel("roll_rate", "rad/s", "roll rate: gyro about x less its estimated bias"),
-    Channel("roll_std", "rad", "standard deviation of roll as the roll filter sees it"),
-    Channel("pitch", "rad", "pitch angle from the roll filter, positive nose down"),
-    Channel("precession", "rad", "mean angle of the gimbals, 0 in the middle"),
-    Channel("precession_rate", "rad/s", "mean rate of the gimbals as the drives measure it"),
-    Channel("precession_rate_setpoint", "rad/s", "rate sent to the gimbal drives in this cycle, as quantised in the PDO"),
-    Channel("trim_position", "m", "trim mass, 0 in the middle, positive to the right, where its weight gives a positive roll torque"),
-    Channel("trim_rate", "m/s", "trim mass rate as the drive measures it"),
-    Channel("trim_rate_setpoint", "m/s", "rate sent to the trim drive in this cycle, as quantised in the PDO"),
-    Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are"),
-    Channel("roll_reference", "rad", "reference of the roll controller, with the excitation where it is injected there"),
-    Channel("excitation", "1", "value of the excitation: rad on the roll reference, rad/s on the controller output"),
-    Channel("phase", "1", "phase of the experiment, see service.sequence.Phase"),
-))
+MONOCAB = ChannelTable(
+    (
+        Channel("roll", "rad", "roll angle of the cabin from the roll filter, 0 upright, positive right side down"),
+        Channel("roll_rate", "rad/s", "roll rate: gyro about x less its estimated bias"),
+        Channel("roll_std", "rad", "standard deviation of roll as the roll filter sees it"),
+        Channel("pitch", "rad", "pitch angle from the roll filter, positive nose down"),
+        Channel("precession", "rad", "mean angle of the gimbals, 0 in the middle"),
+        Channel("precession_rate", "rad/s", "mean rate of the gimbals as the drives measure it"),
+        Channel(
+            "precession_rate_setpoint", "rad/s", "rate sent to the gimbal drives in this cycle, as quantised in the PDO"
+        ),
+        Channel(
+            "trim_position",
+            "m",
+            "trim mass, 0 in the middle, positive to the right, where its weight gives a positive roll torque",
+        ),
+        Channel("trim_rate", "m/s", "trim mass rate as the drive measures it"),
+        Channel("trim_rate_setpoint", "m/s", "rate sent to the trim drive in this cycle, as quantised in the PDO"),
+        Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are"),
+        Channel(
+            "roll_reference", "rad", "reference of the roll controller, with the excitation where it is injected there"
+        ),
+        Channel(
+            "excitation", "1", "value of the excitation: rad on the roll reference, rad/s on the controller output"
+        ),
+        Channel("phase", "1", "phase of the experiment, see service.sequence.Phase"),
+    )
+)
 """Channels of the gyro-stabilised monorail vehicle."""
 
 TABLES: dict[str, ChannelTable] = {"monocab": MONOCAB}

@@ -16,3 +16,12 @@ class UprightError(Exception):
     def __str__(self) -> str:
         message = super().__str__()
         return f"{message} Remedy: {self.remedy}" if self.remedy else message
+
+
+class RecordingError(UprightError):
+    """A recording cannot be read, written or used. `file` and `key` (a channel, a line) say where."""
+
+    def __init__(self, file: str, key: str, message: str, *, remedy: str = "") -> None:
+        super().__init__(f"{file}: {key + ': ' if key else ''}{message}.", remedy=remedy)
+        self.file = file
+        self.key = key

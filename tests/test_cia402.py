@@ -198,7 +198,7 @@ cycles = st.lists(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(cycles=cycles, quick_stop_option=st.sampled_from([2, 6]), latency=st.integers(0, 3))
 def test_a_drive_is_never_enabled_again_by_itself(cycles: list[Cycle], quick_stop_option: int, latency: int) -> None:
     """After a mishap, or a target below Operation enabled, the drive runs again only after target down, then up."""
@@ -221,7 +221,8 @@ def test_a_drive_is_never_enabled_again_by_itself(cycles: list[Cycle], quick_sto
                 plant.at = "fault reaction"
             lowered = False
         elif cycle.mishap == "torque off" and plant.at in ("enabled", "quick stop", "switched on", "ready"):
-            lowered = lowered and plant.at != "enabled"
+            if plant.at == "enabled":
+                lowered = False
             plant.at = "switch on disabled"
         under_way.append(plant.statusword())
         arrived = under_way.popleft()
@@ -321,6 +322,33 @@ def test_a_drive_that_drops_out_by_itself_is_held_in_quick_stop() -> None:
     assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
     assert drive.tripped
     assert "Switch on disabled" in drive.condition
+
+
+def test_a_drive_that_drops_out_before_it_was_seen_enabled_is_not_enabled_again() -> None:
+    drive = drive_in(State.SWITCHED_ON)
+    assert controlword(drive, State.OPERATION_ENABLED) == 0x7F
+    report(drive, State.SWITCHED_ON)
+    assert not drive.tripped, "the answer of the cycle before: on its way"
+    controlword(drive, State.OPERATION_ENABLED)
+    report(drive, State.SWITCH_ON_DISABLED)
+    assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
+
+
+def test_a_drop_to_switched_on_is_a_trip_too() -> None:
+    drive = drive_in(State.OPERATION_ENABLED)
+    controlword(drive, State.OPERATION_ENABLED)
+    report(drive, State.SWITCHED_ON)
+    assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
+
+
+def test_a_fault_on_the_way_up_that_clears_itself_is_held() -> None:
+    drive = drive_in(State.READY_TO_SWITCH_ON)
+    controlword(drive, State.OPERATION_ENABLED)
+    report(drive, State.FAULT)
+    assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP, "no effect in Fault, and bit 7 is low"
+    report(drive, State.SWITCH_ON_DISABLED)
+    assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
+    assert "while it was to be enabled" in drive.trip_reason
 
 
 def test_leaving_operation_enabled_on_command_is_no_trip() -> None:
@@ -518,6 +546,18 @@ def test_an_emergency_is_in_force_until_it_is_cleared() -> None:
     assert drive.emergency_count == 1
 
 
+def test_a_done_fault_reset_ends_the_emergency_of_a_drive_that_does_not_say_so() -> None:
+    drive = drive_in(State.FAULT)
+    drive.handle(CanFrame(3, 0x081, struct.pack("<HB5s", 0x2310, 2, bytes(5))))
+    assert drive.request_fault_reset()
+    for _ in range(3):
+        controlword(drive, State.SWITCH_ON_DISABLED)
+        assert drive.emergency is not None, "the fault is still there"
+    report(drive, State.SWITCH_ON_DISABLED)
+    controlword(drive, State.SWITCH_ON_DISABLED)
+    assert drive.emergency is None
+
+
 def test_heartbeat_tells_the_nmt_state_and_an_unexpected_boot_up() -> None:
     drive = Drive(GIMBAL)
     for number, (byte, state) in enumerate([(b"\x00", NmtState.BOOT_UP), (b"\x85", NmtState.OPERATIONAL)], start=1):
@@ -529,11 +569,18 @@ def test_heartbeat_tells_the_nmt_state_and_an_unexpected_boot_up() -> None:
     controlword(drive, State.OPERATION_ENABLED)
     drive.handle(CanFrame(3, 0x701, b"\x00"))
     assert drive.restarted
-    assert drive.tripped
     assert controlword(drive, State.OPERATION_ENABLED) == 0
     report(drive, State.SWITCH_ON_DISABLED)
-    assert controlword(drive, State.OPERATION_ENABLED) == states.QUICK_STOP
-    assert "to be configured again" in drive.condition
+    for target in (State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED):
+        word = controlword(drive, target)
+    assert word == states.QUICK_STOP
+    assert "to be set up again" in drive.condition
+    drive.configured()
+    assert controlword(drive, State.OPERATION_ENABLED) == states.SHUTDOWN
+    drive = Drive(GIMBAL)
+    drive.configured()
+    drive.handle(CanFrame(1, 0x701, b"\x00"))
+    assert drive.restarted, "though it had not sent anything yet"
 
 
 def test_nmt_frames() -> None:

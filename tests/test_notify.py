@@ -24,7 +24,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
 
 def test_a_life_as_the_service_manager_hears_it(manager: tuple[socket.socket, str]) -> None:
     listener, name = manager
-    notifier = Notifier({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "2000000"})
+    notifier = Notifier.from_environment({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "2000000"})
     assert notifier.watchdog_timeout == 2.0
     notifier.ready("disarmed, bus vcan0")
     notifier.watchdog()
@@ -43,7 +43,7 @@ def test_a_life_as_the_service_manager_hears_it(manager: tuple[socket.socket, st
 
 
 def test_without_a_service_manager_nothing_is_sent() -> None:
-    notifier = Notifier({})
+    notifier = Notifier.from_environment({})
     assert notifier.watchdog_timeout is None
     notifier.ready("disarmed")
     notifier.watchdog()
@@ -52,20 +52,20 @@ def test_without_a_service_manager_nothing_is_sent() -> None:
 
 
 def test_a_watchdog_meant_for_another_process_is_not_ours() -> None:
-    assert Notifier({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_timeout is None
+    assert Notifier.from_environment({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_timeout is None
     ours = {"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid())}
-    assert Notifier(ours).watchdog_timeout == 0.5
+    assert Notifier.from_environment(ours).watchdog_timeout == 0.5
 
 
 def test_an_unreachable_manager_is_named(tmp_path: Path) -> None:
     with pytest.raises(NotifyError, match="cannot reach the service manager") as caught:
-        Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")})
+        Notifier(str(tmp_path / "gone"))
     assert "systemctl start upright" in caught.value.remedy
 
 
 def test_a_full_queue_is_counted_and_never_waited_for(manager: tuple[socket.socket, str]) -> None:
     listener, name = manager
-    notifier = Notifier({"NOTIFY_SOCKET": name})
+    notifier = Notifier(name)
     queue_limit = 5_000  # far beyond net.unix.max_dgram_qlen (10 by default, 512 under systemd)
     for _ in range(queue_limit):
         notifier.watchdog()
@@ -83,7 +83,7 @@ def test_a_manager_that_went_away_stops_no_control_loop(tmp_path: Path) -> None:
     address = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(address)
-        notifier = Notifier({"NOTIFY_SOCKET": address})
+        notifier = Notifier(address)
     notifier.watchdog()
     notifier.status("still balancing")
     assert notifier.unsent == 2

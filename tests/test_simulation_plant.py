@@ -262,6 +262,15 @@ def test_levels_scale_the_default_size() -> None:
         parse_hidden(["static_torque=big"])
 
 
+@pytest.mark.parametrize(
+    "argument", ["input_delay=-1", "actuator_lag=-0.5", "flexible_mode=9", "backlash=nan", "static_torque=inf"]
+)
+def test_a_level_that_cannot_be_is_refused_with_the_range(argument: str) -> None:
+    with pytest.raises(UnknownEffectError, match="Use a level from"):
+        parse_hidden([argument])
+    assert sizes_of({"static_torque": -1.0}) == {"static_torque": -120.0}
+
+
 def resting_samples(imu: ImuNode, rate: int = 250, count: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
     config = SimulationConfig(imu=imu, rate=rate)
     plant = plant_at(0.0, config)

@@ -111,12 +111,12 @@ def _start_experiment() -> subprocess.Popen[bytes]:
     """An experiment that has the drives enabled."""
     command = [UPRIGHT, "experiment", "hold", "--socket", SOCKET]
     client = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _wait("the drives are enabled", lambda: _drive_states(_status()) == {"OPERATION ENABLED"}, 20.0)
+    _wait("the drives are enabled", lambda: _drive_states(_status()) == {"Operation enabled"}, 20.0)
     return client
 
 
 def _drive_states(status: dict[str, Any] | None) -> set[str]:
-    return {drive["state"].upper().replace("_", " ") for drive in (status or {}).get("drive_states", [])}
+    return {drive["state"] for drive in (status or {}).get("drives", [])}
 
 
 def test_the_unit_file_is_sound() -> None:
@@ -125,7 +125,7 @@ def test_the_unit_file_is_sound() -> None:
 
 def test_ready_disarmed_and_not_root(service: dict[str, Any]) -> None:
     assert _show("ActiveState") == "active"
-    assert "OPERATION ENABLED" not in _drive_states(service)
+    assert "Operation enabled" not in _drive_states(service)
     user = Path(f"/proc/{_show('MainPID')}").stat().st_uid
     assert user == int(_run("id", "--user", "upright")) != 0
     answer = json.loads(_run(UPRIGHT, "status", "--json", "--socket", SOCKET))
@@ -139,7 +139,7 @@ def test_killed_while_it_balances_it_comes_back_disarmed(service: dict[str, Any]
     assert client.wait(timeout=20) != 0
     _wait("systemd restarts it", lambda: _show("NRestarts") == "1" and _show("MainPID") not in ("0", killed), 10.0)
     status = _wait_for_mode(Mode.DISARMED)
-    assert "OPERATION ENABLED" not in _drive_states(status)
+    assert "Operation enabled" not in _drive_states(status)
     assert status["experiment"] is None
 
 

@@ -27,9 +27,10 @@ FAULT_RESET_PATIENCE = 250
 class Drive:
     """A drive of CiA 402 in velocity mode 2 or 9.
 
-    It never enables by itself: a drive that leaves Operation enabled uncommanded, has a fault under the target
-    Operation enabled, or restarts, is `tripped`. It is then held in quick stop until the fault is reset
-    (`request_fault_reset`), the target has been lowered, and is raised again.
+    It never enables by itself: a drive that leaves Operation enabled uncommanded, or has a fault under the target
+    Operation enabled, is `tripped`. It is then held in quick stop until the fault is reset (`request_fault_reset`), the
+    target has been lowered, and is raised again. A drive that `restarted` has lost its set-up, and is held likewise
+    until it has been set up anew (`configured`).
 
     Attributes, for others to read:
         state, statusword: as reported last; UNKNOWN and None before.
@@ -40,8 +41,7 @@ class Drive:
         nmt_state: of the last heartbeat, None before.
         mode_display: 6061h where it is mapped, else None.
         emergency: the EMCY in force, None without one or when it was cleared; last_emergency, emergency_count: of all.
-        tripped, trip_reason: see above.
-        restarted: it booted while in operation and has lost its configuration.
+        tripped, trip_reason, restarted: see above.
         wrong_length, last_wrong_length: frames of a wrong length, which are not used: how many, and the last in words.
         clipped: setpoints that did not fit into their object and were limited to it.
     """
@@ -64,8 +64,8 @@ class Drive:
         self.wrong_length = 0
         self.last_wrong_length = ""
         self.clipped = 0
-        self._target = State.SWITCH_ON_DISABLED
         self._reset: FaultReset | None = None
+        self._configured = False
 
         self._position_unit = config.direction * config.axis_per_turn / config.increments_per_turn
         self._velocity_unit = config.velocity_unit
@@ -107,6 +107,11 @@ class Drive:
         self.velocity_setpoint = 0.0
         self._sent = [self.controlword, 0, 0]
 
+    def configured(self) -> None:
+        """The drive has been set up: a boot-up from here on is unexpected, one before is forgiven."""
+        self._configured = True
+        self.restarted = False
+
     @property
     def can_ids(self) -> tuple[int, ...]:
         """CAN ids that `handle` understands: TPDOs, EMCY, heartbeat, and the RPDOs for replay."""
@@ -133,7 +138,7 @@ class Drive:
         if self.tripped:
             words.append(f"tripped: {self.trip_reason}")
         if self.restarted:
-            words.append("restarted, to be configured again")
+            words.append("restarted, to be set up again")
         return f"{self.config.name} (node {self.config.node}): " + ", ".join(words)
 
     # Frames out
@@ -169,7 +174,6 @@ class Drive:
         return True
 
     def _next_controlword(self, target: State) -> int:
-        self._target = target
         state = self.state
         faulty = state is State.FAULT or state is State.FAULT_REACTION_ACTIVE
         if target is State.OPERATION_ENABLED:
@@ -185,7 +189,7 @@ class Drive:
                 self.emergency = None
         if self.statusword is None:
             return states.DISABLE_VOLTAGE
-        if self.tripped and target is State.OPERATION_ENABLED:
+        if target is State.OPERATION_ENABLED and (self.tripped or self.restarted):
             target = State.QUICK_STOP_ACTIVE
         word = states.controlword_towards(state, target)
         if word == states.ENABLE_OPERATION and self.config.mode == 2:
@@ -234,10 +238,11 @@ class Drive:
         self.statusword = raw
         self.statusword_timestamp_ns = timestamp_ns
         self.state = state = states.classify(raw)
+        # Once enable operation has been sent, and so Switched on been seen, there is no way back but by itself.
         if (
-            before is State.OPERATION_ENABLED
+            self.controlword & states.ENABLE_OPERATION == states.ENABLE_OPERATION
             and state is not State.OPERATION_ENABLED
-            and self._target is State.OPERATION_ENABLED
+            and (before is State.OPERATION_ENABLED or state is not State.SWITCHED_ON)
         ):
             self._trip(f"left Operation enabled by itself for {state.value} (statusword {raw:04X}h)")
 
@@ -286,12 +291,11 @@ class Drive:
             return
         self.heartbeat_timestamp_ns = frame.timestamp_ns
         self.nmt_state = nmt.NMT_STATES.get(frame.data[0] & 0x7F)  # bit 7 is the toggle bit of node guarding
-        if self.nmt_state is NmtState.BOOT_UP and self.statusword is not None:
+        if self.nmt_state is NmtState.BOOT_UP and (self._configured or self.statusword is not None):
             self.restarted = True
+            self._configured = False
             self.statusword = None
             self.state = State.UNKNOWN
-            if self._target is State.OPERATION_ENABLED:
-                self._trip("restarted")
 
     def _refuse(self, frame: CanFrame, size: int) -> None:
         self.wrong_length += 1

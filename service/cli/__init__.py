@@ -29,7 +29,7 @@ vehicle.register(app)
 
 
 def main() -> None:
-    """Entry point. An UprightError is told in a sentence with its remedy; anything else is a defect and shows its trace."""
+    """Entry point. An UprightError is told in a sentence with its remedy; anything else shows its trace."""
     try:
         app()
     except UprightError as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.output import people
+from service.cli.output import page, people
 
 if TYPE_CHECKING:
     from service.vehicle_file import VehicleFile
@@ -47,10 +47,13 @@ def demo(
     seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
 ) -> None:
     """The whole story without hardware: a virtual vehicle on a virtual bus is balanced, excited and identified."""
+    from service.cli.talk import follow
     from service.demo import run_demo
     from service.vehicle_file import load
 
-    run_demo(load(vehicle), hide or [], experiment or ["step", "sweep"], data or Path("recordings"), seed)
+    file = load(vehicle)
+    recordings = run_demo(file, hide or [], experiment or ["step", "sweep"], data or Path("recordings"), seed, follow)
+    page.print(f"Recordings: {', '.join(str(path) for path in recordings)}")
 
 
 def simulate(
@@ -68,19 +71,20 @@ def simulate(
     """
     import threading
 
-    from service import assembly
+    from service import virtual_vehicle
     from service.vehicle_file import load
+    from simulation.faults import parse_faults
 
     file = load(vehicle)
     drives, imu = buses(file, bus)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    config = assembly.simulation(file, hide or [], fault or [], seed)
-    people.print(
-        f"Virtual {file.vehicle.id} on {drives}" + (f" and {imu}" if imu != drives else "") + ". Ctrl-C ends it."
-    )
-    assembly.run_simulation(config, drives, imu, stop=stop)
+    configuration = virtual_vehicle.configuration(file, hide or [], seed)
+    faults = parse_faults(fault or [], [drive.name for drive in file.drive])
+    people.print(f"Virtual {file.vehicle.id} on {' and '.join(dict.fromkeys((drives, imu)))}. Ctrl-C ends it.")
+    run = virtual_vehicle.run(configuration, drives, imu, stop=stop, faults=faults)
+    people.print(f"{run.cycles} cycles, {run.late_cycles} late, {run.skipped_cycles} left out, {run.syncs} SYNCs.")
 
 
 def serve(

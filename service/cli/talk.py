@@ -36,10 +36,15 @@ def experiment(
     are printed), 4: the safety verdict stopped the vehicle.
     """
     try:
-        _follow(_call({"verb": "experiment", "name": name}, vehicle, socket), json=json)
+        answer = follow(_call({"verb": "experiment", "name": name}, vehicle, socket))
     except KeyboardInterrupt:
         people.print("Interrupted: lowering the vehicle ...")
-        _finish(list(_call({"verb": "stop"}, vehicle, socket))[-1], json=json)
+        answer = list(_call({"verb": "stop"}, vehicle, socket))[-1]
+    if not json and answer.get("estimates"):
+        page.print(parameter_table(answer["estimates"]))
+    if not json and answer.get("recording"):
+        page.print(f"Recording: {answer['recording']}")
+    _finish(answer, json=json)
 
 
 def stop(
@@ -70,7 +75,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
         page.print(f"  {answer['reason']}")
     for interlock in answer["interlocks"]:
         page.print(f"  not ready: {interlock}")
-    for drive in answer["drive_states"]:
+    for drive in answer["drives"]:
         page.print(f"  {drive['name']}: {drive['state']}{'  ' + drive['fault'] if drive['fault'] else ''}")
     if answer["estimates"]:
         page.print(parameter_table(answer["estimates"]))
@@ -83,8 +88,8 @@ def _call(request: dict[str, Any], vehicle: str, socket: Path | None) -> Iterato
     return api.call([socket] if socket else api.socket_candidates(vehicle), request, timeout=timeout)
 
 
-def _follow(messages: Iterator[dict[str, Any]], *, json: bool) -> None:
-    """Show phases, progress and live estimates until the result."""
+def follow(messages: Iterator[dict[str, Any]]) -> dict[str, Any]:
+    """Show phases, progress and live estimates of an experiment until its result, which is returned."""
     from rich.console import Group
     from rich.live import Live
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -102,11 +107,7 @@ def _follow(messages: Iterator[dict[str, Any]], *, json: bool) -> None:
                 bar.update(task, completed=message["fraction"])
                 if message["estimates"]:
                     live.update(Group(bar, parameter_table(message["estimates"])))
-    if not json and last.get("estimates"):
-        page.print(parameter_table(last["estimates"]))
-    if not json and last.get("recording"):
-        page.print(f"Recording: {last['recording']}")
-    _finish(last, json=json)
+    return last
 
 
 def _finish(answer: dict[str, Any], *, json: bool) -> None:

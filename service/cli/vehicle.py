@@ -25,30 +25,46 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 
     Exit code 1 names the first key that is wrong and the remedy.
     """
+    from math import degrees
+
     from service import assembly
+    from service.controller import design
+    from service.sequence import plan
     from service.vehicle_file import load
 
     vehicle = load(file)
-    design = assembly.design(vehicle)
+    assembly.vehicle_io(vehicle)
+    controller = design(vehicle)
+    plans = {name: plan(vehicle, name, controller) for name in vehicle.experiments}
     load_percent = assembly.bus_load(vehicle)
-    report = {
-        "file": vehicle.path,
-        "vehicle": vehicle.vehicle.id,
-        "configuration_hash": vehicle.configuration_hash,
-        "bus_load_percent": load_percent,
-        "controller": assembly.design_summary(design),
-        "experiments": {name: experiment.title for name, experiment in vehicle.experiments.items()},
-    }
+    margins, worst = controller.margins, controller.worst
     if json:
-        print_json(report)
+        print_json({
+            "file": vehicle.path,
+            "vehicle": vehicle.vehicle.id,
+            "configuration_hash": vehicle.configuration_hash,
+            "bus_load_percent": load_percent,
+            "controller": {
+                "gain_margin": [margins.gain_decrease, margins.gain_increase],
+                "phase_margin": margins.phase,
+                "delay_margin": margins.delay,
+                "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
+            },
+            "experiments": {name: {"title": vehicle.experiments[name].title} for name in plans},
+        })  # fmt: skip
         return
     page.print(f"[green]{vehicle.path} is fine[/green] (vehicle {vehicle.vehicle.id}, {vehicle.configuration_hash})")
     for bus, percent in load_percent.items():
-        page.print(f"  bus {bus}: {percent:.0f} % load at {vehicle.bus.bitrate / 1e3:.0f} kbit/s")
-    for line in assembly.design_lines(design):
-        page.print(f"  {line}")
-    for name, experiment in vehicle.experiments.items():
-        page.print(f"  experiment {name}: {experiment.title}")
+        note = "  [yellow]too much: use a second bus, or fewer IMU slots[/yellow]" if percent > 70 else ""
+        page.print(f"  bus {bus}: {percent:.0f} % of {vehicle.bus.bitrate / 1e3:.0f} kbit/s{note}")
+    page.print(
+        f"  controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
+        f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms"
+    )
+    page.print(f"  worst within 20 % of the CAD values: {worst}")
+    for name, each in plans.items():
+        seconds = each.excitation.duration
+        page.print(f"  experiment {name}: {vehicle.experiments[name].title}, {seconds:.0f} s of excitation")
 
 
 @config.command(epilog="Example: `upright config show monocab --json`")

@@ -1,0 +1,48 @@
+# upright. `make help` lists what there is to make; every target sees to its own set-up.
+
+PYTHON ?= python3
+export PYTHON
+PATH := $(PATH):/usr/sbin:/sbin
+export PATH
+
+BIN := .venv/bin
+READY := .venv/.ready
+GUEST := tests/guest/vcan-guest
+GUEST_NEEDS := linux.uml:user-mode-linux insmod:kmod ip:iproute2 taskset:util-linux /lib/systemd/systemd:systemd
+# Where UPRIGHT_REQUIRE_ALL=1 (as in .ci/run), what cannot run here is a failure; elsewhere it is left out, and said.
+OPTIONAL := [ "$${UPRIGHT_REQUIRE_ALL:-}" != 1 ]
+NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests need SocketCAN or a guest" >&2; }
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test lint native-test vcan-test benchmark clean
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+
+demo: $(READY) ## the whole story on a virtual bus: balance, excite, identify, compare (no hardware needed)
+	$(BIN)/upright demo
+
+test: lint native-test vcan-test ## lint and every test, those on real SocketCAN and under a real systemd included
+
+lint: $(READY) ## ruff, mypy --strict, import contract
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+native-test: $(READY) ## the tests that need neither SocketCAN nor systemd
+	@tests/setup/apt-needs mosquitto:mosquitto || $(OPTIONAL)
+	$(BIN)/pytest -m "not vcan and not systemd"
+
+vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
+	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
+	$(GUEST) $(BIN)/pytest -m vcan || $(NO_GUEST)
+	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
+
+clean: ## remove the environment and everything that was made
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build .guest.*
+
+$(READY): pyproject.toml
+	tests/setup/environment
+	@touch $@

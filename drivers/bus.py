@@ -1,0 +1,305 @@
+"""The CAN bus as the event loop sees it: frames in lists, sends that never wait, and one clear end when it is lost.
+
+python-can opens the interface; the reading is our own. A wake-up takes everything that waits, up to a bound, so that a
+flooded bus cannot stop the rest of the process: what is left comes with the next turn of the loop. A frame that the
+transmit queue does not take is kept and tried again in order, for `TRANSMIT_TIME` at most. An interface that goes down,
+a bus-off and a transmit queue that stays full end in `BusDown`, once, and nothing is read after it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Protocol, cast
+
+from drivers.bus_address import connect, split
+from drivers.bus_errors import BusDown, BusError
+from drivers.error_frames import ErrorClass, ErrorReport, decode
+from drivers.message_port import MessagePort
+from drivers.socketcan import SocketcanPort, SocketHolder
+from telemetry.samples import CanFrame
+
+__all__ = ["Bus", "BusDown", "BusError", "BusGroup", "BusStatistics"]
+
+TRANSMIT_TIME = 0.05
+"""s that a full transmit queue may stay full."""
+
+RETRY_PERIOD = 0.001
+"""s between two tries to send what waits."""
+
+PENDING_LIMIT = 256
+"""Frames that may wait for the transmit queue."""
+
+OnFrames = Callable[[list[CanFrame]], None]
+OnDown = Callable[[BusDown], None]
+
+
+class Port(Protocol):
+    """The way to a bus: a SocketCAN socket or a python-can bus with threads.
+
+    `start` makes `on_readable` be called in the loop as long as frames wait or the bus has failed, `stop` ends that at
+    once. `receive` and `send` never wait and raise OSError when the bus is gone; `send` is False when it takes no more.
+    """
+
+    receive_dropped: int
+
+    def start(self, loop: asyncio.AbstractEventLoop, on_readable: Callable[[], None]) -> None: ...
+    def stop(self) -> None: ...
+    def receive(self) -> list[CanFrame]: ...
+    def send(self, can_id: int, data: bytes, timestamp_ns: int) -> bool: ...
+    def close(self) -> None: ...
+
+
+@dataclass(slots=True)
+class BusStatistics:
+    """Counts since the bus was opened. Dropped frames are lost, in the kernel (receive) or here (transmit)."""
+
+    received: int = 0
+    sent: int = 0
+    transmit_retries: int = 0
+    transmit_dropped: int = 0
+    receive_dropped: int = 0
+    error_frames: int = 0
+    wakeups: int = 0
+    largest_drain: int = 0
+
+
+class Bus:
+    """One CAN bus. `index` is its place among the buses of a vehicle, and is in every frame it delivers.
+
+    `tap` is called with every frame received or sent. A frame that is sent without a time carries that of the latest
+    one received.
+    """
+
+    def __init__(self, port: Port, address: str, index: int = 0) -> None:
+        self.address = address
+        self.index = index
+        self.statistics = BusStatistics()
+        self.down: BusDown | None = None
+        self.tap: Callable[[CanFrame], None] | None = None
+        self._port = port
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._on_frames: OnFrames = lambda frames: None
+        self._on_down: OnDown = lambda down: None
+        self._pending: deque[tuple[int, bytes, int]] = deque()
+        self._pending_since = 0.0
+        self._retry: asyncio.TimerHandle | None = None
+        self._latest_ns = 0
+        self._error_frame: CanFrame | None = None
+
+    @classmethod
+    def open(
+        cls, address: str, *, index: int = 0, bitrate: int | None = None, can_ids: Sequence[int] | None = None
+    ) -> Bus:
+        """Open the bus at IFACE:CHANNEL, delivering `can_ids` only (None: everything); `bitrate` in bit/s.
+
+        Raises BusError, with the remedy. A serial adapter takes 2 s to open.
+        """
+        bus = connect(address, bitrate, can_ids)
+        interface, channel = split(address)
+        if interface == "socketcan":
+            return cls(SocketcanPort(cast(SocketHolder, bus), channel, index), address, index)
+        return cls(MessagePort(bus, interface, index), address, index)
+
+    def start(self, on_frames: OnFrames, on_down: OnDown) -> None:
+        """Deliver frames in the running event loop from now on; `on_down` is called at most once, after them."""
+        self._on_frames, self._on_down = on_frames, on_down
+        self._loop = asyncio.get_running_loop()
+        self._port.start(self._loop, self._on_readable)
+
+    def drain(self) -> list[CanFrame]:
+        """The frames that wait now, the oldest first, up to a bound."""
+        if self.down is not None:
+            return []
+        try:
+            frames = self._port.receive()
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+            return []
+        if frames:
+            self._account(frames)
+        return frames
+
+    def send(self, can_id: int, data: bytes, timestamp_ns: int = 0) -> None:
+        """Send a data frame, after those that still wait. Never blocks, never raises: a loss ends in `on_down`.
+
+        `timestamp_ns` is the time of the data it was computed from.
+        """
+        timestamp_ns = timestamp_ns or self._latest_ns or time.time_ns()
+        if self.down is not None:
+            self.statistics.transmit_dropped += 1
+        elif self._pending:
+            self._keep(can_id, data, timestamp_ns)
+        elif not self._try(can_id, data, timestamp_ns):
+            if self.down is None:
+                self._pending_since = time.monotonic()
+                self._keep(can_id, data, timestamp_ns)
+                self._retry_later()
+            else:
+                self.statistics.transmit_dropped += 1
+
+    def send_threadsafe(self, can_id: int, data: bytes) -> None:
+        """`send` from any thread. Raises BusDown when the bus is known to be lost, BusError when it is closed."""
+        if self.down is not None:
+            raise self.down
+        if self._loop is None:
+            raise BusError(f"{self.address} is not open.", bus=self.address)
+        self._loop.call_soon_threadsafe(self.send, can_id, data)
+
+    def close(self) -> None:
+        """Give the interface back. Nothing is delivered any more, not even `on_down`."""
+        self._end()
+        self._on_down = lambda down: None
+        self._loop = None
+        self._port.close()
+
+    @property
+    def last_error(self) -> ErrorReport | None:
+        """The latest error frame, decoded."""
+        return decode(self._error_frame) if self._error_frame is not None else None
+
+    def summary(self) -> dict[str, int | str]:
+        """The statistics for `upright status`: counts, whether the bus is down and what the last error frame said."""
+        error = self.last_error
+        return {
+            "address": self.address,
+            "down": self.down.reason if self.down is not None else "",
+            "last_error": error.text if error is not None else "",
+            **asdict(self.statistics),
+        }
+
+    # Receiving
+
+    def _on_readable(self) -> None:
+        self.statistics.wakeups += 1
+        frames = self.drain()
+        if frames:
+            self._on_frames(frames)
+
+    def _account(self, frames: list[CanFrame]) -> None:
+        statistics = self.statistics
+        statistics.received += len(frames)
+        statistics.receive_dropped = self._port.receive_dropped
+        if len(frames) > statistics.largest_drain:
+            statistics.largest_drain = len(frames)
+        self._latest_ns = frames[-1].timestamp_ns
+        for frame in frames:
+            if frame.error:
+                statistics.error_frames += 1
+                self._error_frame = frame
+                if frame.can_id & ErrorClass.BUS_OFF:
+                    self._fail(f"the controller went bus-off ({decode(frame).text})")
+        if self.tap is not None:
+            for frame in frames:
+                self.tap(frame)
+
+    # Sending
+
+    def _try(self, can_id: int, data: bytes, timestamp_ns: int) -> bool:
+        try:
+            if not self._port.send(can_id, data, timestamp_ns):
+                return False
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+            return False
+        self.statistics.sent += 1
+        if self.tap is not None:
+            self.tap(CanFrame(timestamp_ns, can_id, data, self.index, extended=can_id > 0x7FF))
+        return True
+
+    def _keep(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
+        self._pending.append((can_id, data, timestamp_ns))
+        if len(self._pending) > PENDING_LIMIT:
+            self._fail(f"transmit queue full, {len(self._pending)} more frames wait{self._transmit_hint()}")
+
+    def _retry_later(self) -> None:
+        if self._loop is not None:
+            self._retry = self._loop.call_later(RETRY_PERIOD, self._send_pending)
+
+    def _send_pending(self) -> None:
+        while self._pending and self.down is None:
+            self.statistics.transmit_retries += 1
+            if not self._try(*self._pending[0]):
+                break
+            self._pending.popleft()
+            self._pending_since = time.monotonic()
+        if self._pending and self.down is None:
+            stuck = time.monotonic() - self._pending_since
+            if stuck >= TRANSMIT_TIME:
+                self._fail(f"transmit queue stayed full for {1e3 * stuck:.0f} ms{self._transmit_hint()}")
+            else:
+                self._retry_later()
+
+    def _transmit_hint(self) -> str:
+        error = self.last_error
+        return f"; the last error frame said: {error.text}" if error is not None else ", does any other node listen?"
+
+    # Ending
+
+    def _fail(self, reason: str) -> None:
+        """Stop everything at once; tell so after the frames that are still on their way to their consumer."""
+        if self.down is None:
+            self.down = BusDown(self.address, reason)
+            self._end()
+            if self._loop is not None:
+                self._loop.call_soon(self._tell_down, self.down)
+
+    def _tell_down(self, down: BusDown) -> None:
+        self._on_down(down)
+
+    def _end(self) -> None:
+        self._port.stop()
+        self.statistics.transmit_dropped += len(self._pending)
+        self._pending.clear()
+        if self._retry is not None:
+            self._retry.cancel()
+
+
+class BusGroup:
+    """The buses of one vehicle, delivered as one stream in the order of the frames' timestamps.
+
+    When one bus wakes the loop the others are drained too: a frame that the kernel received earlier is already there,
+    so a list never misses an older frame of another bus.
+    """
+
+    def __init__(self, buses: Sequence[Bus]) -> None:
+        self._buses = tuple(buses)
+        self._on_frames: OnFrames = lambda frames: None
+
+    def start(self, on_frames: OnFrames, on_down: OnDown) -> None:
+        """Deliver the frames of all buses in the running event loop; `on_down` is called for each that is lost."""
+        self._on_frames = on_frames
+        for bus in self._buses:
+            bus.start(on_frames if len(self._buses) == 1 else self._merger(bus), on_down)
+
+    def send(self, index: int, can_id: int, data: bytes, timestamp_ns: int = 0) -> None:
+        """Send on the bus at place `index`; see `Bus.send`."""
+        self._buses[index].send(can_id, data, timestamp_ns)
+
+    def close(self) -> None:
+        for bus in self._buses:
+            bus.close()
+
+    def statistics(self) -> list[dict[str, int | str]]:
+        """The summary of each bus."""
+        return [bus.summary() for bus in self._buses]
+
+    def _merger(self, woken: Bus) -> OnFrames:
+        others = [bus for bus in self._buses if bus is not woken]
+
+        def merge(frames: list[CanFrame]) -> None:
+            merged = list(frames)
+            for bus in others:
+                merged += bus.drain()
+            if len(merged) > len(frames):
+                merged.sort(key=_timestamp)
+            self._on_frames(merged)
+
+        return merge
+
+
+def _timestamp(frame: CanFrame) -> int:
+    return frame.timestamp_ns

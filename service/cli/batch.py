@@ -1,0 +1,231 @@
+"""Commands that read recordings: identify, compare, replay, convert."""
+
+from __future__ import annotations
+
+import json as json_module
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.output import page, parameter_table, people, print_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from telemetry.recording import Recording
+
+Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
+VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.command(epilog="Example: `upright identify recordings/*sweep.arrow --method recursive_least_squares`")(identify)
+    app.command(epilog="Example: `upright compare recordings/*sweep.arrow --model recordings/*sweep.estimates.json`")(
+        compare
+    )
+    app.command(epilog="Example: `upright replay recordings/*sweep.log --vehicle monocab`")(replay)
+    app.command(epilog="Example: `upright convert recordings/*sweep.log sweep.csv`")(convert)
+
+
+def identify(
+    recordings: Recordings,
+    vehicle: VehicleOption = "monocab",
+    method: Annotated[
+        list[str] | None, typer.Option("--method", "-m", help="Estimator.", show_default="all, side by side")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Estimate the vehicle's parameters from recordings, each with its standard deviation, by several methods."""
+    from estimators.identify import identify as run
+    from estimators.torque_balance import Method
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    loaded = [load_recording(path, vehicle) for path in recordings]
+    values, deviations = file.parameters.values, file.parameters.deviations
+    document: dict[str, Any] = {"methods": {}}
+    with working() as step:
+        for name in method or [entry.value for entry in Method]:
+            step(f"estimating: {name}")
+            document["methods"] |= run(
+                loaded, values, file.support, [name], deviations=deviations, stopwatch=time.perf_counter
+            )["methods"]
+    if json:
+        print_json(document)
+        return
+    page.print(parameter_table({"CAD": cad(vehicle), **document["methods"]}))
+    for name, result in document["methods"].items():
+        fits = ", ".join(f"{channel} {percent:.2f} %" for channel, percent in result["fit_percent"].items())
+        page.print(f"{name}: predicts half a second ahead {fits or '-'}; {result['seconds']:.2f} s")
+
+
+def compare(
+    recordings: Recordings,
+    vehicle: VehicleOption = "monocab",
+    model: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--model", help="JSON of parameters, such as an .estimates.json beside a recording.", show_default="CAD"
+        ),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option("--picture", help="PNG of overlay and missing torque.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Hold models against recordings: how well they predict, what torque they miss, and where."""
+    from diagnosis.compare import compare as run
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    models = {"CAD": file.parameters.values}
+    for path in model or []:
+        models |= read_models(path, file.parameters.values)
+    answers = []
+    with working() as step:
+        for path in recordings:
+            step(f"comparing: {path.name}")
+            recording = load_recording(path, vehicle)
+            comparisons = run(models, recording, file.support)
+            answers.append((path, recording, comparisons))
+            if picture is not None:
+                from diagnosis.figures import save_comparison
+
+                target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
+                save_comparison(comparisons, recording, target)
+    if json:
+        entries = [{**each.to_json(), "recording": str(path)} for path, _, found in answers for each in found]
+        print_json({"models": entries})
+        return
+    for path, _, comparisons in answers:
+        page.print(comparison_table(comparisons, title=path.name))
+        for each in comparisons:
+            for line in where_it_fails(each):
+                page.print(f"  {each.name}: {line}")
+    if picture is not None:
+        page.print(f"Picture: {picture}")
+
+
+def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
+    """Run recordings or raw CAN logs through the live estimators again: the same numbers, bit for bit."""
+    from service.replay import replay as run
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    results = {}
+    with working() as step:
+        for path in recordings:
+            step(f"replaying: {path.name}")
+            results[str(path)] = run(load_recording(path, vehicle), file)
+    if json:
+        print_json({"recordings": results})
+        return
+    for name, estimates in results.items():
+        page.print(parameter_table(estimates, title=Path(name).name))
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(help="A recording, or a raw CAN .log.")],
+    target: Annotated[Path, typer.Argument(help="By its suffix: .arrow, .parquet, .csv or .mat.")],
+    vehicle: VehicleOption = "monocab",
+) -> None:
+    """Write a recording in another format. From a raw CAN log, all measured channels are rebuilt."""
+    from service.replay import convert as run
+
+    with working() as step:
+        step(f"writing {target.name}")
+        run(load_recording(source, vehicle), target)
+    page.print(f"{target}: {target.stat().st_size} bytes")
+
+
+def load_recording(path: Path, vehicle: str) -> Recording:
+    """A recording of any kind; a file that was cut off is read as far as it goes, and said."""
+    from service.replay import load as load_any
+    from service.vehicle_file import load
+
+    recording = load_any(path, load(vehicle))
+    if recording.truncated:
+        people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
+    return recording
+
+
+def cad(vehicle: str) -> dict[str, Any]:
+    """The vehicle file's parameters in the shape of an estimate."""
+    from service.vehicle_file import load
+
+    return {"parameters": {name: entry.model_dump() for name, entry in load(vehicle).parameters}}
+
+
+def read_models(path: Path, base: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Models by name from a JSON file of estimates: the vehicle's parameters with those that the file determines.
+
+    Raises RecordingError where the file holds no estimates.
+    """
+    from telemetry.errors import RecordingError
+
+    try:
+        document = json_module.loads(path.read_text())
+        methods = document.get("methods") or document.get("estimates") or document
+        models = {
+            name: {**base, **{key: entry["value"] for key, entry in method["parameters"].items() if entry["value"]}}
+            for name, method in methods.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RecordingError(
+            str(path),
+            "",
+            f"holds no estimates ({error})",
+            remedy="Write one with `upright identify ... --json > FILE`.",
+        ) from error
+    return models
+
+
+def comparison_table(comparisons: list[Any], title: str = "") -> Table:
+    """Models side by side, figures half a second ahead."""
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    for heading in ("model", "channel", "fit", "error", "noise floor", "missing torque", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("model", "channel", "verdict") else "right")
+    for each in comparisons:
+        missing = each.missing_torque
+        rms = f"{float((missing.torque**2).mean() ** 0.5):.1f} N m" if missing is not None else "-"
+        floor = f" (noise {missing.floor:.1f})" if missing is not None else ""
+        for row, (channel, fit) in enumerate(each.fit_percent.items()):
+            table.add_row(
+                each.name if row == 0 else "",
+                channel,
+                f"{fit:.2f} %",
+                f"{each.rmse[channel]:.2e}",
+                f"{each.noise_floor[channel]:.2e}",
+                rms + floor if row == 0 else "",
+                ("[green]adequate[/green]" if each.adequate else "[red]something is missing[/red]") if row == 0 else "",
+            )
+    return table
+
+
+def where_it_fails(comparison: Any) -> Iterator[str]:
+    """One line for each view in which a model fails, the worst place first."""
+    for view, entries in comparison.fails.items():
+        if entries:
+            worst = ", ".join(
+                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+                for key, value in entries[0].items()
+            )
+            yield f"fails by {view}: {worst}" + (f" (and {len(entries) - 1} more)" if len(entries) > 1 else "")
+
+
+@contextmanager
+def working() -> Iterator[Any]:
+    """A spinner with the present step in words, on stderr."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    with Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=people, transient=True
+    ) as progress:
+        task = progress.add_task("reading")
+        yield lambda text: progress.update(task, description=text)

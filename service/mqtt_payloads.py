@@ -1,0 +1,61 @@
+"""What goes over MQTT: telemetry in batches and parameters, as JSON documents.
+
+telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    row i was measured at t0 + i * dt
+parameters  {NAME: {"value", "std", "unit", "status", "method", "coverage_percent", "reason"}}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+from telemetry.samples import Frame
+
+LONGEST_STEP = 1.5
+"""Periods from one row to the next within a batch; a gap begins a new batch, as its rows share one `dt`."""
+
+
+class TelemetryBatches:
+    """Cuts control cycles at `rate` 1/s of channels `names` into `batch_rate` batches a second of the data's own time."""
+
+    def __init__(self, names: Sequence[str], rate: float, batch_rate: float) -> None:
+        self._names = tuple(names)
+        self._period_ns = 1e9 / rate
+        self._span_ns = round(1e9 / batch_rate)
+        self._gathered: list[Frame] = []
+
+    def add(self, frames: Sequence[Frame]) -> Iterator[bytes]:
+        """The batches that are complete with these cycles, each a JSON document."""
+        for frame in frames:
+            gathered = self._gathered
+            if gathered:
+                step_ns = frame.timestamp_ns - gathered[-1].timestamp_ns
+                full = frame.timestamp_ns - gathered[0].timestamp_ns >= self._span_ns
+                if full or not 0 < step_ns <= LONGEST_STEP * self._period_ns:
+                    yield self._document(gathered)
+                    gathered = self._gathered = []
+            gathered.append(frame)
+
+    def _document(self, frames: list[Frame]) -> bytes:
+        first, last = frames[0].timestamp_ns, frames[-1].timestamp_ns
+        step_ns = (last - first) / (len(frames) - 1) if len(frames) > 1 else self._period_ns
+        columns = zip(*(frame.values for frame in frames), strict=True)
+        arrays = (f'"{name}":[{_numbers(column)}]' for name, column in zip(self._names, columns, strict=True))
+        return f'{{"t0":{first * 1e-9:.6f},"dt":{step_ns * 1e-9:.6g},{",".join(arrays)}}}'.encode()
+
+
+def _numbers(values: Sequence[float]) -> str:
+    """Seven digits, as a float has; what is not known is null."""
+    return ",".join([f"{value:.7g}" if isfinite(value) else "null" for value in values])
+
+
+def parameters(estimates: Mapping[str, Any]) -> dict[str, Any]:
+    """One entry a parameter from the results of several methods: of those that have a value, the last one's."""
+    chosen: dict[str, Any] = {}
+    for method, estimate in estimates.items():
+        for name, entry in estimate["parameters"].items():
+            if name not in chosen or entry["value"] is not None:
+                keys = ("value", "std", "unit", "status", "coverage_percent", "reason")
+                chosen[name] = {**{key: entry[key] for key in keys}, "method": method}
+    return chosen

@@ -1,0 +1,270 @@
+"""The observer process: recorder, online estimators and MQTT, fed through a pipe by the control process.
+
+    python -m service.observer SOCKET_FD
+
+The first message is `hello` (`service.assembly.observer_hello`), the end of the pipe is the order to end: a running
+recording is finished, `offline` is published, and it exits, whether control said goodbye or died. The recorder and the
+estimators take exactly the same cycles, those from a recording's agreed start to its end, so that a replay of the
+recording gives the same numbers. It runs at a lower priority than control and never makes it wait.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from service import link
+from service.mqtt import GOODBYE_TIME, MqttConfig, MqttConfigError, MqttPublisher
+from service.mqtt_payloads import TelemetryBatches, parameters
+from service.online_estimators import EstimatorBank, online_estimators
+from service.recorder import Recorder
+from telemetry.channels import TABLES
+from telemetry.samples import CanFrame, Frame
+
+NICENESS = 5
+
+WRITE_PERIOD = 1.0
+"""s between two batches on the disk."""
+
+ESTIMATE_PERIOD = 0.25
+"""s between two sets of estimates."""
+
+LAST_DATA = 0.5
+"""s that the last rows of a recording may take after the order to stop it."""
+
+PACKETS_A_TURN = 32
+"""Packets that are handled before other tasks get their turn."""
+
+RAW_BUSES = ("can0", "can1")
+"""Names of in-process buses in a raw log."""
+
+
+class Observer:
+    """One observer over the pipe `connection`, with what `hello` says of the vehicle. To be made in a running loop."""
+
+    def __init__(self, connection: socket.socket, hello: Mapping[str, Any]) -> None:
+        self._connection = connection
+        self._channels = TABLES[hello["kind"]]
+        self._codec = link.FrameCodec(len(self._channels))
+        given = hello["parameters"]
+        self._estimators = EstimatorBank(
+            online_estimators(
+                hello["kind"],
+                {name: entry["value"] for name, entry in given.items()},
+                {name: entry["std"] for name, entry in given.items()},
+                hello["support"],
+            )
+        )
+        self._recorder: Recorder | None = None
+        self._end: dict[str, str] = {}
+        self._end_timer: asyncio.TimerHandle | None = None
+        self._writing = asyncio.Lock()
+        self._storing: set[asyncio.Task[None]] = set()
+        self._trouble = ""
+        self._telemetry = TelemetryBatches(self._channels.names, hello["rate"], hello["mqtt"]["telemetry_rate"])
+        self._mqtt: MqttPublisher | None = None
+        try:
+            config = MqttConfig.of(hello["mqtt"], hello["vehicle"])
+            self._mqtt = MqttPublisher(config) if config is not None else None
+        except MqttConfigError as error:
+            self._complain("mqtt", str(error))
+
+    async def run(self) -> None:
+        """Until the pipe ends. An error of its own making ends it too, after the recording is safe."""
+        reading = asyncio.create_task(self._read(), name="read")
+        tasks = [
+            reading,
+            asyncio.create_task(self._write_regularly(), name="write"),
+            asyncio.create_task(self._estimate_regularly(), name="estimate"),
+        ]
+        mqtt = asyncio.create_task(self._mqtt.run(), name="mqtt") if self._mqtt is not None else None
+        await asyncio.wait({*tasks, mqtt} if mqtt is not None else tasks, return_when=asyncio.FIRST_COMPLETED)
+        failures = [task.exception() for task in tasks if task.done()]
+        self._end = self._end or {"end_reason": "the control process ended"}
+        self._close_recording()
+        await asyncio.gather(*self._storing)
+        if self._mqtt is not None and mqtt is not None:
+            self._mqtt.close()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(mqtt, GOODBYE_TIME)
+        for task in tasks:
+            task.cancel()
+        for failure in failures:
+            if failure is not None:
+                raise failure
+
+    # What comes through the pipe
+
+    async def _read(self) -> None:
+        loop = asyncio.get_running_loop()
+        packets = 0
+        with contextlib.suppress(ConnectionResetError):
+            while packet := await loop.sock_recv(self._connection, link.LARGEST):
+                self._handle(packet)
+                packets += 1
+                if packets % PACKETS_A_TURN == 0:
+                    await asyncio.sleep(0)
+
+    def _handle(self, packet: bytes) -> None:
+        match packet[:1]:
+            case link.FRAMES:
+                self._take(self._codec.unpack(packet))
+            case link.CAN_FRAMES:
+                self._take_can(link.unpack_can(packet))
+            case _:
+                self._obey(link.unpack_json(packet))
+
+    def _take(self, frames: list[Frame]) -> None:
+        if self._recorder is not None:
+            self._estimators.update(self._recorder.add(frames))
+            if self._recorder.complete:
+                self._close_recording()
+        if self._mqtt is not None:
+            for batch in self._telemetry.add(frames):
+                self._mqtt.telemetry(batch)
+
+    def _take_can(self, frames: list[CanFrame]) -> None:
+        if self._recorder is not None:
+            self._recorder.add_can(frames)
+            if self._recorder.complete:
+                self._close_recording()
+
+    def _obey(self, message: dict[str, Any]) -> None:
+        match message.pop("type"):
+            case "start_recording":
+                self._start_recording(message)
+            case "stop_recording":
+                self._stop_recording(message)
+            case "state" if self._mqtt is not None:
+                self._mqtt.retain("state", message["state"])
+            case "progress" | "event" as topic if self._mqtt is not None:
+                self._mqtt.tell(topic, message)
+
+    # Recording
+
+    def _start_recording(self, order: dict[str, Any]) -> None:
+        self._end = self._end or {"end_reason": "another recording began"}
+        self._close_recording()
+        self._estimators.reset()
+        raw_buses = RAW_BUSES if order["raw_log"] else ()
+        stem = Path(order["stem"])
+        try:
+            self._recorder = Recorder(stem, self._channels, order["start_ns"], order["metadata"], raw_buses)
+        except OSError as error:
+            self._complain("recorder", f"nothing is recorded: {error}")
+            self._send({"type": "finished", "recording": f"{stem}.arrow", "failure": str(error), "estimates": {}})
+
+    def _stop_recording(self, order: dict[str, Any]) -> None:
+        """The last rows may still be on their way: the recording is closed when they are in, or late."""
+        recorder = self._recorder
+        if recorder is None or self._end:
+            return
+        recorder.end_ns, recorder.raw_end_ns = order["end_ns"], order["raw_end_ns"]
+        self._end = {"end_reason": order["reason"], "dropped_frames": str(order["dropped_frames"])}
+        if recorder.complete:
+            self._close_recording()
+        else:
+            self._end_timer = asyncio.get_running_loop().call_later(LAST_DATA, self._close_recording)
+
+    def _close_recording(self) -> None:
+        """No more rows: final results, and the rest of the file."""
+        recorder, self._recorder = self._recorder, None
+        end, self._end = self._end, {}
+        if self._end_timer is not None:
+            self._end_timer.cancel()
+            self._end_timer = None
+        if recorder is None:
+            return
+        estimates = self._estimators.results()
+        self._publish_parameters(estimates)
+        storing = asyncio.create_task(self._store(recorder, end, estimates), name=f"store {recorder.path.name}")
+        self._storing.add(storing)
+        storing.add_done_callback(self._storing.discard)
+
+    async def _store(self, recorder: Recorder, end: dict[str, str], estimates: dict[str, Any]) -> None:
+        failure = ""
+        async with self._writing:
+            try:
+                await asyncio.to_thread(recorder.finish, end, estimates)
+            except OSError as error:
+                failure = f"the recording could not be completed: {error}"
+                self._complain("recorder", failure)
+        self._send({
+            "type": "finished",
+            "recording": str(recorder.path),
+            "rows": recorder.rows,
+            "failure": failure,
+            "estimates": estimates,
+        })  # fmt: skip
+
+    async def _write_regularly(self) -> None:
+        while True:
+            await asyncio.sleep(WRITE_PERIOD)
+            recorder = self._recorder
+            if recorder is not None:
+                async with self._writing:
+                    try:
+                        await asyncio.to_thread(recorder.write, recorder.take())
+                    except OSError as error:
+                        self._complain("recorder", f"{recorder.path}: {error}")
+            self._send({
+                "type": "report",
+                "mqtt": self._mqtt.summary() if self._mqtt is not None else None,
+                "trouble": self._trouble,
+            })  # fmt: skip
+
+    # Results
+
+    async def _estimate_regularly(self) -> None:
+        while True:
+            await asyncio.sleep(ESTIMATE_PERIOD)
+            if self._recorder is not None:
+                estimates = self._estimators.results()
+                self._send({"type": "estimates", "estimates": estimates})
+                self._publish_parameters(estimates)
+
+    def _publish_parameters(self, estimates: Mapping[str, Any]) -> None:
+        if self._mqtt is not None and estimates:
+            self._mqtt.retain("parameters", parameters(estimates))
+
+    def _complain(self, code: str, text: str) -> None:
+        """To the log, the broker and, with the next report, to control."""
+        logging.getLogger(__name__).error("%s", text)
+        self._trouble = text
+        if self._mqtt is not None:
+            self._mqtt.tell("event", {"severity": "error", "code": code, "text": text})
+
+    def _send(self, message: dict[str, Any]) -> None:
+        """To control, unless it is gone or does not listen: the next message tells it more."""
+        with contextlib.suppress(OSError):
+            self._connection.send(link.pack_json(message))
+
+
+async def observe(connection: socket.socket) -> None:
+    """Serve the control process behind `connection`."""
+    packet = await asyncio.get_running_loop().sock_recv(connection, link.LARGEST)
+    if packet:
+        await Observer(connection, link.unpack_json(packet)).run()
+
+
+def main(descriptor: int) -> None:
+    # Ends by its pipe alone: a stopped service ends its experiment first, and that shall be recorded.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.nice(NICENESS)
+    logging.basicConfig(format="%(name)s: %(message)s")
+    with socket.socket(fileno=descriptor) as connection:
+        connection.setblocking(False)
+        asyncio.run(observe(connection))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,190 @@
+"""A recording: the channels of one experiment over time, in SI units, with where they come from as metadata.
+
+Files: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv` (column names = channel names).
+A raw `.log` needs the vehicle file to become a recording, see `service.replay`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telemetry.channels import TABLES, Channel, ChannelTable
+from telemetry.errors import RecordingError
+from telemetry.samples import Frame
+
+SUFFIXES = (".arrow", ".parquet", ".csv")
+
+_STEEPEST = 1.6
+"""rad: a roll or pitch angle beyond it (92 deg) was recorded in degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Channels over time.
+
+    `timestamp_ns` int64 (n,), strictly rising; `values` float64 (n,) by channel name, NaN where a value was not known.
+    `metadata` is what the writer knew (vehicle, kind, experiment, parameters, ...). `truncated` says in words what a
+    file that was cut off still gave; it is empty for a whole one. `source` names the file in errors.
+
+    Raises RecordingError where columns differ in length, time does not rise, or an angle cannot be in radians.
+    """
+
+    channels: ChannelTable
+    timestamp_ns: NDArray[np.int64]
+    values: Mapping[str, NDArray[np.float64]]
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    truncated: str = ""
+    source: str = "recording"
+
+    def __post_init__(self) -> None:
+        if len(self.timestamp_ns) == 0:
+            raise RecordingError(self.source, "", "holds no rows", remedy="Record again, for longer.")
+        for name in self.channels.names:
+            if self.values[name].shape != self.timestamp_ns.shape:
+                raise RecordingError(
+                    self.source,
+                    name,
+                    f"has {len(self.values[name])} values for {len(self.timestamp_ns)} instants",
+                    remedy="Give every column the same length.",
+                )
+        backwards = np.flatnonzero(np.diff(self.timestamp_ns) <= 0)
+        if len(backwards):
+            raise RecordingError(
+                self.source,
+                "time",
+                f"does not rise at row {backwards[0] + 2}",
+                remedy="Sort the rows by time and leave out repeated ones.",
+            )
+        for name in {"roll", "pitch"}.intersection(self.channels.names):
+            largest = float(np.nanmax(np.abs(self.values[name]), initial=0.0))
+            if largest > _STEEPEST:
+                raise RecordingError(
+                    self.source,
+                    name,
+                    f"reaches {largest:.3g}, which cannot be rad",
+                    remedy="Convert angles to rad and rates to rad/s; recordings are in SI units.",
+                )
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """s since the first row, (n,)."""
+        return np.asarray((self.timestamp_ns - self.timestamp_ns[0]) * 1e-9, dtype=np.float64)
+
+    @property
+    def duration(self) -> float:
+        """s from the first row to the last."""
+        return float(self.timestamp_ns[-1] - self.timestamp_ns[0]) * 1e-9
+
+    @property
+    def rate(self) -> float:
+        """Rows a second, from the median spacing; 0 for a single row."""
+        return float(1e9 / np.median(np.diff(self.timestamp_ns))) if len(self.timestamp_ns) > 1 else 0.0
+
+    def __len__(self) -> int:
+        return len(self.timestamp_ns)
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Channel `name`, (n,). Raises RecordingError that lists the channels there are."""
+        self.require(name)
+        return self.values[name]
+
+    def require(self, *names: str, finite: bool = False) -> None:
+        """Raises RecordingError for the first of `names` that is not here or, with `finite`, has unknown values."""
+        for name in names:
+            if name not in self.values:
+                near = difflib.get_close_matches(name, self.channels.names, n=1)
+                raise RecordingError(
+                    self.source,
+                    name,
+                    f"is missing; there are {', '.join(self.channels.names)}",
+                    remedy=f"Is it {near[0]!r}? Rename the column." if near else "Add the channel, in SI units.",
+                )
+            unknown = np.flatnonzero(~np.isfinite(self.values[name]))
+            if finite and len(unknown):
+                raise RecordingError(
+                    self.source,
+                    name,
+                    f"has {len(unknown)} values that are not numbers, the first in row {unknown[0] + 1}",
+                    remedy="Leave these rows out.",
+                )
+
+    def frames(self, channels: ChannelTable | None = None) -> Iterator[Frame]:
+        """Row by row, as the estimators take it, in the order of `channels` (those of the recording by default).
+
+        Raises RecordingError where one of `channels` is missing.
+        """
+        names = (channels or self.channels).names
+        self.require(*names)
+        columns = [self.values[name].tolist() for name in names]
+        for timestamp_ns, row in zip(self.timestamp_ns.tolist(), zip(*columns, strict=True), strict=True):
+            yield Frame(timestamp_ns, row)
+
+    def save(self, path: Path) -> None:
+        """Write to `path`, by its suffix: .arrow, .parquet or .csv (which keeps no metadata)."""
+        path = Path(path)
+        match path.suffix:
+            case ".arrow":
+                from telemetry.storage import write_arrow
+
+                write_arrow(self, path)
+            case ".parquet":
+                from telemetry.storage import write_parquet
+
+                write_parquet(self, path)
+            case ".csv":
+                from telemetry.csv_file import write_csv
+
+                write_csv(self, path)
+            case suffix:
+                raise _unknown_suffix(path, suffix)
+
+
+def load(path: Path) -> Recording:
+    """Read a recording, by its suffix: .arrow, .parquet or .csv.
+
+    A stream that was cut off (a crash, a full disk) is read up to its last whole batch, and `truncated` says so.
+
+    Raises:
+        RecordingError: the file cannot be read, is of another format, or holds no rows.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise _unknown_suffix(path, path.suffix)
+    try:
+        if path.suffix == ".csv":
+            from telemetry.csv_file import read_csv
+
+            return read_csv(path)
+        from telemetry.storage import read_arrow, read_parquet
+
+        return read_arrow(path) if path.suffix == ".arrow" else read_parquet(path)
+    except OSError as error:
+        raise RecordingError(
+            str(path), "", f"cannot be read: {error.strerror or error}", remedy="Check the path and its permissions."
+        ) from error
+    except UnicodeDecodeError as error:
+        raise RecordingError(str(path), "", "is not text", remedy="Save it as CSV in UTF-8.") from error
+
+
+def describe(names: Mapping[str, str]) -> ChannelTable:
+    """The channel table of columns `names`, name to unit ("" where the file does not say); known ones are explained."""
+    known = {channel.name: channel for table in TABLES.values() for channel in table}
+    return ChannelTable(
+        known[name] if name in known and unit in ("", known[name].unit) else Channel(name, unit, "")
+        for name, unit in names.items()
+    )
+
+
+def _unknown_suffix(path: Path, suffix: str) -> RecordingError:
+    what = f"recordings are not kept as {suffix or 'files without a suffix'}"
+    if suffix == ".log":
+        remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
+    else:
+        remedy = f"Use one of {', '.join(SUFFIXES)}."
+    return RecordingError(str(path), "", what, remedy=remedy)

@@ -1,0 +1,56 @@
+"""What all tests share: the measured data, and where the tests that need SocketCAN or systemd may run.
+
+With UPRIGHT_REQUIRE_ALL=1 a test that would be skipped fails instead, with the reason that it gave.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
+
+REQUIRE_ALL = os.environ.get("UPRIGHT_REQUIRE_ALL") == "1"
+
+
+def _in_throwaway_systemd() -> bool:
+    """Whether this is the guest with a systemd of its own: elsewhere a test must not install units."""
+    return "User Mode Linux" in Path("/proc/cpuinfo").read_text() and Path("/run/systemd/system").is_dir()
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("vcan") and not Path("/sys/class/net/vcan0").exists():
+        pytest.skip("no vcan0 here; `make vcan-test` runs this in a guest that has one")
+    if item.get_closest_marker("systemd") and not _in_throwaway_systemd():
+        pytest.skip("not in the throw-away guest with systemd; `make vcan-test` runs this there")
+
+
+@pytest.fixture(scope="session")
+def measured_data() -> Path:
+    """The folder of measured records (BROAD, EMPS, CAN logs, EDS files) that lies beside the checkout."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"the measured records are not in {folder}")
+    return folder
+
+
+def _required(report: Report) -> Report:
+    if REQUIRE_ALL and report.skipped and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        report.outcome = "failed"
+        report.longrepr = f"Everything is required here (UPRIGHT_REQUIRE_ALL=1), but: {reason}"
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    return _required((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    return _required((yield))
