@@ -12,7 +12,8 @@ Two views of the same recording, of free motion only:
 sensor noise sent through the same filter (by time, over the whole record and in windows; by frequency, in octaves), its
 mean by bins of roll, roll rate, precession and precession rate (against a parametric bootstrap of the noise), and its
 mean overall. What the roll filter still has to learn of the gyro bias when a recording begins is no failure of the
-model: it is allowed for with the part of the filter's own standard deviation that has yet to go. SI units,, signs as in telemetry.channels.
+model: it is allowed for with the part of the filter's own standard deviation that has yet to go.
+SI units, signs as in telemetry.channels.
 """
 
 from __future__ import annotations

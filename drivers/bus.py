@@ -2,8 +2,9 @@
 
 python-can opens the interface; the reading is our own. A wake-up takes everything that waits, up to a bound, so that a
 flooded bus cannot stop the rest of the process: what is left comes with the next turn of the loop. A frame that the
-transmit queue does not take is kept and tried again in order, for `TRANSMIT_TIME` at most. An interface that goes down,
-a bus-off and a transmit queue that stays full end in `BusDown`, once, and nothing is read after it.
+transmit queue does not take is kept and tried again, in order, for `TRANSMIT_TIME` at most: an old setpoint is no good.
+An interface that goes down, a bus-off and a transmit queue that stays full end in `BusDown`, once, and nothing is read
+after it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from operator import attrgetter
 from typing import Protocol, cast
 
 from drivers.bus_address import connect, split
@@ -25,7 +27,7 @@ from telemetry.samples import CanFrame
 __all__ = ["Bus", "BusDown", "BusError", "BusGroup", "BusStatistics"]
 
 TRANSMIT_TIME = 0.05
-"""s that a full transmit queue may stay full."""
+"""s that a frame may wait for a place in the transmit queue."""
 
 RETRY_PERIOD = 0.001
 """s between two tries to send what waits."""
@@ -84,8 +86,7 @@ class Bus:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._on_frames: OnFrames = lambda frames: None
         self._on_down: OnDown = lambda down: None
-        self._pending: deque[tuple[int, bytes, int]] = deque()
-        self._pending_since = 0.0
+        self._pending: deque[tuple[float, int, bytes, int]] = deque()
         self._retry: asyncio.TimerHandle | None = None
         self._latest_ns = 0
         self._error_frame: CanFrame | None = None
@@ -129,31 +130,25 @@ class Bus:
         `timestamp_ns` is the time of the data it was computed from.
         """
         timestamp_ns = timestamp_ns or self._latest_ns or time.time_ns()
-        if self.down is not None:
-            self.statistics.transmit_dropped += 1
-        elif self._pending:
+        if self._pending or self.down is not None:
             self._keep(can_id, data, timestamp_ns)
         elif not self._try(can_id, data, timestamp_ns):
-            if self.down is None:
-                self._pending_since = time.monotonic()
-                self._keep(can_id, data, timestamp_ns)
-                self._retry_later()
-            else:
-                self.statistics.transmit_dropped += 1
+            self._keep(can_id, data, timestamp_ns)
+            self._retry_later()
 
     def send_threadsafe(self, can_id: int, data: bytes) -> None:
-        """`send` from any thread. Raises BusDown when the bus is known to be lost, BusError when it is closed."""
+        """`send` from any thread, once started. Raises BusDown when the bus is lost or closed."""
         if self.down is not None:
             raise self.down
         if self._loop is None:
-            raise BusError(f"{self.address} is not open.", bus=self.address)
+            raise BusError(f"{self.address} has not been started.", bus=self.address)
         self._loop.call_soon_threadsafe(self.send, can_id, data)
 
     def close(self) -> None:
         """Give the interface back. Nothing is delivered any more, not even `on_down`."""
         self._end()
         self._on_down = lambda down: None
-        self._loop = None
+        self.down = self.down or BusDown(self.address, "it was closed")
         self._port.close()
 
     @property
@@ -211,27 +206,28 @@ class Bus:
         return True
 
     def _keep(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
-        self._pending.append((can_id, data, timestamp_ns))
+        if self.down is not None:
+            self.statistics.transmit_dropped += 1
+            return
+        self._pending.append((time.monotonic(), can_id, data, timestamp_ns))
         if len(self._pending) > PENDING_LIMIT:
-            self._fail(f"transmit queue full, {len(self._pending)} more frames wait{self._transmit_hint()}")
+            self._fail(f"the transmit queue is full and {PENDING_LIMIT} more frames wait{self._transmit_hint()}")
 
     def _retry_later(self) -> None:
-        if self._loop is not None:
+        if self._loop is not None and self.down is None:
             self._retry = self._loop.call_later(RETRY_PERIOD, self._send_pending)
 
     def _send_pending(self) -> None:
         while self._pending and self.down is None:
             self.statistics.transmit_retries += 1
-            if not self._try(*self._pending[0]):
+            waiting_since, can_id, data, timestamp_ns = self._pending[0]
+            if not self._try(can_id, data, timestamp_ns):
+                if time.monotonic() - waiting_since >= TRANSMIT_TIME:
+                    self._fail(f"transmit queue stayed full for {1e3 * TRANSMIT_TIME:.0f} ms{self._transmit_hint()}")
                 break
             self._pending.popleft()
-            self._pending_since = time.monotonic()
-        if self._pending and self.down is None:
-            stuck = time.monotonic() - self._pending_since
-            if stuck >= TRANSMIT_TIME:
-                self._fail(f"transmit queue stayed full for {1e3 * stuck:.0f} ms{self._transmit_hint()}")
-            else:
-                self._retry_later()
+        if self._pending:
+            self._retry_later()
 
     def _transmit_hint(self) -> str:
         error = self.last_error
@@ -245,10 +241,7 @@ class Bus:
             self.down = BusDown(self.address, reason)
             self._end()
             if self._loop is not None:
-                self._loop.call_soon(self._tell_down, self.down)
-
-    def _tell_down(self, down: BusDown) -> None:
-        self._on_down(down)
+                self._loop.call_soon(lambda down: self._on_down(down), self.down)
 
     def _end(self) -> None:
         self._port.stop()
@@ -295,11 +288,7 @@ class BusGroup:
             for bus in others:
                 merged += bus.drain()
             if len(merged) > len(frames):
-                merged.sort(key=_timestamp)
+                merged.sort(key=attrgetter("timestamp_ns"))
             self._on_frames(merged)
 
         return merge
-
-
-def _timestamp(frame: CanFrame) -> int:
-    return frame.timestamp_ns

@@ -19,7 +19,7 @@ SERVICES = frozenset((0x080, 0x580, 0x700))
 """Function codes (CiA 301) of EMCY, SDO answer and heartbeat: the nodes that send them become known by that."""
 
 
-class _Network(canopen.Network):  # type: ignore[misc]
+class _Network(canopen.Network):
     def __init__(self, bus: Bus) -> None:
         super().__init__()
         self.sending_bus: Bus | None = bus

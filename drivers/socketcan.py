@@ -69,7 +69,7 @@ class _ReceivedMessage(ctypes.Structure):
     _fields_ = (("header", _MessageHeader), ("length", ctypes.c_uint))
 
 
-# PyDLL keeps the interpreter lock: with MSG_DONTWAIT the call never waits, and giving the lock away could cost a switch.
+# PyDLL keeps the interpreter lock: the call never waits (MSG_DONTWAIT), and giving the lock away could cost a switch.
 _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
 _recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
 _recvmmsg.restype = ctypes.c_int
@@ -132,9 +132,8 @@ class SocketcanPort:
             raise self._failure(code)
         frames = []
         index = self._index
-        for can_id, length, data, _, _, _, seconds, nanoseconds, *_ in SLOT.iter_unpack(
-            self._view[: count * SLOT.size]
-        ):
+        filled = self._view[: count * SLOT.size]
+        for can_id, length, data, _, _, _, seconds, nanoseconds, _, _, _, _ in SLOT.iter_unpack(filled):
             timestamp_ns = seconds * 1_000_000_000 + nanoseconds
             if can_id <= STANDARD_ID:
                 frames.append(CanFrame(timestamp_ns, can_id, data[:length], index))

@@ -17,6 +17,8 @@ for independent, is wrong by an order of magnitude either way. Used instead is
 
 for residuals independent of W. Slow residuals need r_l at lags at which a record says little about it: beyond the first
 `order` lags r_l is that of the autoregressive process which has these, the maximum-entropy continuation.
+Over a record of few times `lags` nobody can tell how large the slow disturbance is: the standard deviation is widened
+as Student's t is, with a degree of freedom for every half of `lags`, so that 1.96 of it cover 95 % there too.
 A prior bounds the covariance where forgetting would let it grow.
 
 Bias: noise on a regressor, or a disturbance that feedback leads back into the regressors, biases the plain form.
@@ -33,7 +35,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_toeplitz
+from scipy.linalg import solve_toeplitz, toeplitz
+from scipy.special import ndtri, stdtrit
 
 from estimators.contract import EstimationError
 
@@ -41,6 +44,10 @@ Array = NDArray[np.float64]
 
 SINGULAR = 1e-9
 """Directions of the scaled regressor moments smaller than this share of the largest count as not excited."""
+ROUNDING = 1e-12
+"""Residual energy, as a share of the output's, that an exact fit leaves."""
+ROUNDS = 3
+"""Of putting back what the fit took from the residual."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,17 +177,25 @@ class RecursiveLeastSquares:
             inverse = np.linalg.inv(information + prior_information)
             values = inverse @ (right + prior_right)
         autocovariance = self._residual_autocovariance(moments, values)
-        meat = self._meat(projection, weights, autocovariance)
+        weights = projection.T @ weights @ projection
+        disturbance, meat = self._disturbance_autocovariance(autocovariance, weights, inverse)
         if prior is not None:
             meat += prior_meat
         units = scale[0] / scale[columns]
         return Solution(
             values=values * units,
-            covariance=(inverse @ meat @ inverse) * np.outer(units, units),
-            residual_std=float(scale[0] * np.sqrt(autocovariance[0])),
+            covariance=(inverse @ meat @ inverse) * np.outer(units, units) * self._widening() ** 2,
+            residual_std=float(scale[0] * np.sqrt(disturbance[0])),
             movement=scale[columns] * np.sqrt(energy / max(self._samples, 1.0)),
             samples=self._samples,
         )
+
+    def _widening(self) -> float:
+        """By how much 95 % intervals are wider because the record shows its slow disturbance only a few times over."""
+        slowest = 0.5 * (len(self._moments) - 1)
+        if slowest == 0.0:
+            return 1.0
+        return float(stdtrit(max(1.0, self._samples / slowest), 0.975) / ndtri(0.975))
 
     def _scaled_prior(self, scale: Array) -> tuple[Array, Array, Array] | None:
         """Information, right-hand side and the part of the covariance's middle that the prior adds, in scaled units."""
@@ -196,24 +211,58 @@ class RecursiveLeastSquares:
         combination = np.concatenate(([1.0], -values))
         used = slice(0, 1 + self.regressors)
         covariance: Array = combination @ moments[:, used, used] @ combination / max(self._samples, 1.0)
-        order = min(self._order, len(covariance) - 1)
-        if covariance[0] <= 1e-12 or order == 0:  # of the squared output: an exact fit leaves rounding alone
+        if covariance[0] <= ROUNDING:
             covariance[0] = max(covariance[0], 0.0)
             covariance[1:] = 0.0
-            return covariance
-        column = covariance[:order].copy()
-        column[0] *= 1.0 + 1e-6  # keeps the process stable where the samples are very finely spaced
-        process = solve_toeplitz(column, covariance[1 : order + 1])
-        for lag in range(order + 1, len(covariance)):
-            covariance[lag] = process @ covariance[lag - order : lag][::-1]
         return covariance
 
-    def _meat(self, projection: Array, weights: Array, autocovariance: Array) -> Array:
-        """The middle of the covariance: residual autocovariance times regressor moments, over both signs of the lag."""
-        half = projection.T @ np.tensordot(autocovariance[1:], weights[1:], axes=1) @ projection
-        meat = autocovariance[0] * (projection.T @ weights[0] @ projection) + half + half.T
-        # The fit has taken one degree of freedom a parameter out of the residual's independent ones.
-        likeness = float(np.sum((autocovariance[1:] / max(autocovariance[0], 1e-300)) ** 2))
-        independent = self._samples / (1.0 + 2.0 * likeness)
-        result: Array = meat * (independent / max(independent - self.regressors, 1.0))
-        return result
+    def _disturbance_autocovariance(self, residual: Array, weights: Array, inverse: Array) -> tuple[Array, Array]:
+        """Autocovariance of the disturbance (lags + 1,) and the middle of the covariance, sum over l of r_l R_l.
+
+        The fit takes from the residual what it can explain of the disturbance, most of all where that is slow and the
+        record is short. How much follows from the moments; it is put back in a few rounds.
+        """
+        order = min(self._order, len(residual) - 1)
+        symmetric = weights + np.swapaxes(weights, 1, 2)
+        symmetric[0] *= 0.5
+        likeness = np.einsum("ij,lji->l", inverse, weights)
+        both = np.concatenate((likeness[:0:-1], likeness))
+        disturbance = continue_autocovariance(residual, order)
+        meat = positive_meat(disturbance, symmetric)
+        for _ in range(ROUNDS if order else 0):
+            covariance = inverse @ meat @ inverse
+            explained = 2.0 * np.convolve(np.concatenate((disturbance[:0:-1], disturbance)), both, mode="same")
+            explained = explained[len(residual) - 1 :] - np.einsum("ij,lji->l", covariance, weights)
+            corrected = residual + explained / max(self._samples, 1.0)
+            if np.linalg.eigvalsh(toeplitz(corrected[: order + 1]))[0] <= 0.0:
+                break  # too short a record to tell
+            disturbance = continue_autocovariance(corrected, order)
+            meat = positive_meat(disturbance, symmetric)
+        return disturbance, meat
+
+
+def positive_meat(autocovariance: Array, symmetric: Array) -> Array:
+    """Sum of autocovariance times regressor moments over the lags, which must not be negative in any direction.
+
+    Cut off where it has not died down, an autocovariance can make it so; then a Parzen window fades it out.
+    """
+    meat: Array = np.tensordot(autocovariance, symmetric, axes=1)
+    if np.linalg.eigvalsh(meat)[0] > 0.0:
+        return meat
+    share = np.arange(len(autocovariance)) / len(autocovariance)
+    window = np.where(share <= 0.5, 1.0 - 6.0 * share**2 * (1.0 - share), 2.0 * (1.0 - share) ** 3)
+    faded: Array = np.tensordot(window * autocovariance, symmetric, axes=1)
+    return faded
+
+
+def continue_autocovariance(autocovariance: Array, order: int) -> Array:
+    """The first `order` lags as they are, the others those of the autoregressive process of that order."""
+    continued = autocovariance.copy()
+    if order == 0 or continued[0] <= ROUNDING:
+        return continued
+    column = continued[:order].copy()
+    column[0] *= 1.0 + 1e-6  # keeps the process stable where the samples are very finely spaced
+    process = solve_toeplitz(column, continued[1 : order + 1])
+    for lag in range(order + 1, len(continued)):
+        continued[lag] = process @ continued[lag - order : lag][::-1]
+    return continued

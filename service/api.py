@@ -107,8 +107,11 @@ class ApiServer:
             except ValueError as error:
                 await _write(writer, result(ExitCode.USAGE, "bad_request", f"Not a request: {error}."))
                 return
-            async for message in self._answer(request):
-                await _write(writer, message)
+            try:
+                async for message in self._answer(request):
+                    await _write(writer, message)
+            except UprightError as error:
+                await _write(writer, result(ExitCode.FAILED, "failed", str(error)))
         except (ConnectionError, asyncio.LimitOverrunError, ValueError):
             pass  # The client went away, or sent a line without an end: nothing to answer.
         finally:

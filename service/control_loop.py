@@ -9,11 +9,12 @@ set comes any more, and stops the vehicle then.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from typing import Any, Protocol
 
 from drivers.bus import BusDown
+from drivers.cia402.drive import Drive
 from drivers.vehicle_io import Measurement, VehicleIo
 from estimators.roll_filter import RollState
 from service import assembly
@@ -29,6 +30,8 @@ from telemetry.samples import CanFrame, Frame, ImuSample
 SYNC = 0x080
 HEARTBEAT = 0x700
 OPERATIONAL = b"\x05"
+COMMUNICATION_ERRORS = (0x8100, 0x8200)
+"""Error codes of a drive that missed its master or its setpoints (CiA 301), high byte."""
 NEVER_NS = 1 << 62
 
 RECORDING_LEAD_NS = 200_000_000
@@ -104,10 +107,12 @@ class ControlLoop:
         self._last_imu_id = self.io.imu.can_ids[-1]
         self._heartbeat_id = HEARTBEAT + vehicle.control.master_node
         self._heartbeat_cycles = max(1, int(vehicle.control.heartbeat_period * vehicle.control.rate))
+        self._heartbeat_due = 0
         self._watchdog_cycles = max(1, int(WATCHDOG_PERIOD * vehicle.control.rate))
         self._deadline = deadline
         self._cycles_at_deadline = -1
         self._silence = 0.0
+        self._to_acknowledge: set[Drive] = set()
         self._reset_at_ns = NEVER_NS
         self._recording = False
         self._aftermath = 0.0
@@ -195,7 +200,8 @@ class ControlLoop:
         for can_id, data in self.io.command(command.target, command.precession_rate, 0.0):
             send(can_id, data, now_ns)
         send(SYNC, b"", now_ns)
-        if self.cycles % self._heartbeat_cycles == 0:
+        if self.cycles >= self._heartbeat_due:
+            self._heartbeat_due = self.cycles + self._heartbeat_cycles
             send(self._heartbeat_id, OPERATIONAL, now_ns)
 
     def _after_run(self, dt: float) -> Command:
@@ -258,15 +264,21 @@ class ControlLoop:
         if self.mode is Mode.RUNNING:
             return f"{self.reason} is running; `upright stop` ends it."
         self._enter(Mode.STARTING, "starting", "setting up the drives")
+        self._to_acknowledge.update(self.io.drives)
         self.needs_set_up = True
         return ""
 
-    def set_up_done(self) -> None:
-        """The drives are configured and in NMT operational."""
+    def set_up_done(self, error_codes: Mapping[str, int | None] | None = None) -> None:
+        """The drives are configured and in NMT operational; `error_codes` (603Fh, by name) is what they had.
+
+        A drive that only missed its master is taken back without asking: that is how every stop of the daemon looks.
+        """
         self.needs_set_up = False
         for drive in self.io.drives:
-            drive.restarted = False
-            drive.request_fault_reset()
+            drive.configured()
+            code = (error_codes or {}).get(drive.config.name) or (drive.emergency.code if drive.emergency else 0)
+            if code & 0xFF00 in COMMUNICATION_ERRORS:
+                self._to_acknowledge.add(drive)
         if self.mode is Mode.STARTING:
             self._enter(Mode.DISARMED, "disarmed", "")
 
@@ -277,9 +289,10 @@ class ControlLoop:
             self._observer.event("error", "set_up", reason)
 
     def look_after_drives(self) -> None:
-        """Once in a while: a drive that restarted needs to be set up again."""
+        """Once in a while: set up a drive that restarted, acknowledge faults once the drives have told their state."""
         if self.mode is not Mode.RUNNING and any(drive.restarted for drive in self.io.drives):
             self.needs_set_up = True
+        self._to_acknowledge = {drive for drive in self._to_acknowledge if not drive.acknowledge()}
 
     def bus_down(self, down: BusDown) -> None:
         """The bus is gone: nothing can be sent, the drives stop by themselves when the heartbeat stays away."""

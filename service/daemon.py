@@ -170,7 +170,7 @@ class Daemon:
                 except (DriveSetupError, BusError) as error:
                     self.loop.set_up_failed(str(error))
                 else:
-                    self.loop.set_up_done()
+                    self.loop.set_up_done({report.name: report.error_code for report in self.reports})
             self._publish_state()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)
@@ -296,7 +296,7 @@ class Daemon:
             **self.loop.state(),
             "buses": buses,
             "drives": drive_states(self.loop.io),
-            "drive_reports": [asdict(report) for report in self.reports],
+            "drive_reports": [{**asdict(report), "state": report.state.value} for report in self.reports],
             "cycles": self.loop.cycles,
             "missed_cycles": self.loop.missed_cycles,
             "observer": self.observer.statistics(),

@@ -17,7 +17,7 @@ LONGEST_STEP = 1.5
 
 
 class TelemetryBatches:
-    """Cuts control cycles at `rate` 1/s of channels `names` into `batch_rate` batches a second of the data's own time."""
+    """Cuts control cycles of channels `names`, `rate` a second, into `batch_rate` batches a second of data time."""
 
     def __init__(self, names: Sequence[str], rate: float, batch_rate: float) -> None:
         self._names = tuple(names)

@@ -1,7 +1,7 @@
 """The control process' end of the observer: starts it, feeds it, hears from it, and never waits for it.
 
-On SocketCAN a process of its own logs the raw frames from its own sockets (`service.raw_log`), started here too, so that
-the log goes on when the observer, or this process, is gone.
+On SocketCAN a process of its own logs the raw frames from its own sockets (`service.raw_log`). It is started here too,
+so that the log goes on when the observer, or this process, is gone.
 """
 
 from __future__ import annotations
@@ -126,14 +126,14 @@ class ObserverClient:
 
     def start_recording(self, name: str, start_ns: int, metadata: dict[str, str]) -> None:
         """Record and estimate from `start_ns` on. `name` becomes part of the file names."""
+        if self._finished is not None and not self._finished.done():
+            self._finished.set_result(self._unfinished("another recording began"))
         now = datetime.now(UTC)
         safe_name = re.sub(r"[^\w.-]", "_", name)
         folder = Path(self._hello["data"]).absolute()
         stem = folder / f"{now:%Y%m%d-%H%M%S}-{now.microsecond // 1000:03d}_{safe_name}"
         raw_log = Path(f"{stem}.log")
         self._recording = {"recording": f"{stem}.arrow", "raw_log": str(raw_log)}
-        if self._finished is not None and not self._finished.done():
-            self._finished.cancel()
         self._finished = asyncio.get_running_loop().create_future()
         self.estimates = {}
         self._dropped_before = self._counts.frames_dropped
@@ -153,7 +153,7 @@ class ObserverClient:
         self._tell("stop_recording", reason=reason, end_ns=end_ns, raw_end_ns=raw_end_ns, dropped_frames=dropped)
 
     async def finished_recording(self, timeout: float = 15.0) -> dict[str, Any]:
-        """Summary of the running or last recording, once it is on the disk: recording, raw_log, rows, failure, estimates.
+        """The running or last recording, once it is on the disk: recording, raw_log (paths), rows, failure, estimates.
 
         Where it is not finished within `timeout` s, `failure` says so; empty where nothing was ever recorded.
         """

@@ -4,8 +4,8 @@
 
 Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each file closed, and for each trouble,
 a line of JSON goes to stdout. It has sockets of its own with the kernel's receive times, reads what has gathered every
-50 ms and writes it in the order of time. When stdin ends without `quit`, its master has died: it logs for `GRACE` s more,
-so that the log shows how the drives stopped, and then closes the file. It imports next to nothing and asks for nothing.
+50 ms and writes it in the order of time. When stdin ends without `quit`, its master has died: it logs for `GRACE` s
+more, so that the log shows how the drives stopped, and then closes the file. It imports next to nothing.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ _CAN_FRAME = struct.Struct("=IB3x8s")
 _TIMESPEC = struct.Struct("@qq")
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
 _ERROR_CLASSES = 0x1FFFFFFF
+_CAN_RAW_ERR_FILTER = 2
 _SO_RXQ_OVFL = 40
 _SO_TIMESTAMPNS = 35
 
@@ -62,7 +63,7 @@ class CanTap:
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_ERR_FILTER, _ERROR_CLASSES)
+            self._socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERROR_CLASSES)
             self._socket.bind((channel,))
         except OSError:
             self._socket.close()
@@ -87,13 +88,10 @@ class CanTap:
                 else:
                     self.lost = int.from_bytes(value, sys.byteorder)
             flagged, length, data = unpack(content)
-            error, extended = bool(flagged & _ERROR), bool(flagged & _EXTENDED)
-            can_id = flagged & 0x1FFFFFFF if extended or error else flagged & 0x7FF
-            into.append(
-                CanFrame(
-                    timestamp_ns, can_id, data[:length], bus, extended and not error, bool(flagged & _REMOTE), error
-                )
-            )
+            is_error, extended = bool(flagged & _ERROR), bool(flagged & _EXTENDED)
+            can_id = flagged & (0x1FFFFFFF if extended or is_error else 0x7FF)
+            remote = bool(flagged & _REMOTE)
+            into.append(CanFrame(timestamp_ns, can_id, data[:length], bus, extended and not is_error, remote, is_error))
 
     def close(self) -> None:
         self._socket.close()

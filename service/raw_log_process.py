@@ -22,13 +22,14 @@ class RawLogProcess:
         self._event = event
         self._heard = b""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "service.raw_log", *channels],
+            [sys.executable, "-P", "-m", "service.raw_log", *channels],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
             bufsize=0,
         )
-        assert self._process.stdin is not None and self._process.stdout is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._orders, self._answers = self._process.stdin, self._process.stdout
         os.set_blocking(self._answers.fileno(), False)
         asyncio.get_running_loop().add_reader(self._answers, self._hear)

@@ -67,7 +67,8 @@ class Recorder:
     def add(self, frames: list[Frame]) -> list[Frame]:
         """Take control cycles, and return those that belong to the recording.
 
-        A cycle that is not later than the one before is left out: the clock was set back, and in a recording time rises.
+        A cycle that is not later than the one before is left out: in a recording time rises, also where a clock was
+        set back.
         """
         taken = []
         self._seen_ns = frames[-1].timestamp_ns

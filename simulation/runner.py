@@ -143,10 +143,15 @@ class Runner:
     def _serve(self, frames: Received) -> None:
         for can_id, data in frames:
             if can_id == SYNC_ID:
-                elapsed = int((monotonic() - self._began) / self._step)
-                self._advance_to(min(self._steps, elapsed))
+                self._advance_to(self._sync_step())
                 self._note_sync()
             self.vehicle.receive(can_id, data)
+
+    def _sync_step(self) -> int:
+        """The step of the cycle at which a SYNC that is there now has come."""
+        if self._lock_step:
+            return self.vehicle.config.steps_per_ms
+        return min(self._steps, int((monotonic() - self._began) / self._step))
 
     def _settle(self) -> None:
         """Let a lock-step master that lags behind answer every set it has got, so that set and answer pair up."""
@@ -160,7 +165,6 @@ class Runner:
 
     def _wait_for_sync(self) -> None:
         """One control cycle in lock-step."""
-        sync_step = self.vehicle.config.steps_per_ms
         waited = 0.0
         synced = False
         while not synced:
@@ -168,7 +172,7 @@ class Runner:
             for can_id, data in frames:
                 if can_id == SYNC_ID:
                     synced = True
-                    self._advance_to(sync_step)
+                    self._advance_to(self._sync_step())
                     self._note_sync()
                 self.vehicle.receive(can_id, data)
             if self._stop.is_set():

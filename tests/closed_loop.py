@@ -66,6 +66,7 @@ class ClosedLoop:
             deadline=None,
         )
         self.plant_side.boot()
+        self.advance(0.2)
         for drive in self.vehicle.drive:
             self._to_vehicle(0x600 + drive.node, bytes((0x2F, 0x60, 0x60, 0, drive.mode, 0, 0, 0)), 0)  # SDO: 6060h
             self._to_vehicle(*command_frame(NmtCommand.START, drive.node), 0)
@@ -81,9 +82,7 @@ class ClosedLoop:
             while self._inbox:
                 frames, self._inbox = self._inbox, []
                 self.loop.on_frames(frames)
-            self.plant_side.advance_steps(
-                self.plant_side.config.steps_per_period - self.plant_side.config.steps_per_ms
-            )
+            self.plant_side.advance_steps(self.plant_side.config.steps_per_period - self.plant_side.config.steps_per_ms)
 
     def until(self, over: Callable[[], bool], limit: float) -> None:
         """Let time pass until `over()`; AssertionError after `limit` s."""

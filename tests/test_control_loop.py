@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-
 from closed_loop import ClosedLoop
+
 from drivers.cia402.states import State
 from service import assembly
 from service.control_loop import Mode
@@ -44,7 +44,9 @@ def test_every_experiment_goes_from_rest_to_rest(name: str) -> None:
     assert phases >= set(Phase) - {Phase.CENTRE}
     upright = [frame.values for frame in closed.witness.frames if frame.values[PHASE] == Phase.EXCITE]
     assert max(abs(values[ROLL]) for values in upright) < math.radians(3.0)
-    assert max(abs(values[PRECESSION]) for values in upright) < math.radians(closed.vehicle.limits.precession_budget_deg)
+    assert max(abs(values[PRECESSION]) for values in upright) < math.radians(
+        closed.vehicle.limits.precession_budget_deg
+    )
 
 
 @pytest.mark.parametrize("rate", [100, 500])
@@ -113,9 +115,33 @@ def test_an_immediate_stop_brakes_the_drives_and_is_latched() -> None:
     assert "A fault is latched: an operator" in closed.loop.interlocks()[0]
     assert closed.loop.reset_fault() == ""
     closed.loop.set_up_done()
+    closed.loop.look_after_drives()
     closed.advance(1.0)
     assert closed.loop.mode is Mode.DISARMED
     assert len(closed.witness.ended) == 1
+
+
+def test_a_drive_fault_needs_a_person_and_then_a_reset_enables_nothing() -> None:
+    closed = ClosedLoop(faults=["drive_fault:trim@12"])
+    closed.loop.start_experiment("hold")
+    closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 40.0)
+    closed.advance(3.0)
+    closed.loop.set_up_done()
+    closed.loop.look_after_drives()
+    closed.advance(2.0)
+    assert closed.loop.io.drives[2].state is State.FAULT
+    assert closed.loop.reset_fault() == ""
+    closed.loop.set_up_done()
+    closed.loop.look_after_drives()
+    closed.advance(2.0)
+    assert closed.loop.io.state is State.SWITCH_ON_DISABLED
+    assert closed.loop.interlocks() == []
+
+
+def test_a_drive_that_only_missed_its_master_is_taken_back() -> None:
+    closed = ClosedLoop()
+    closed.loop.set_up_done({"trim": 0x8130, "gimbal_left": 0x2310})
+    assert {drive.config.name for drive in closed.loop._to_acknowledge} == {"trim"}
 
 
 FAULTS = [
@@ -157,9 +183,7 @@ def test_late_cycles_are_not_answered_and_stop_the_run_when_they_pile_up() -> No
     closed.advance(10.0)
     sent = len(closed.raw)
     held_up = [frame for frame in closed.raw[-400:] if frame.can_id in closed.loop.io.imu.can_ids][-9:]
-    moved = [
-        type(frame)(frame.timestamp_ns + 3 * 4_000_000, frame.can_id, frame.data) for frame in held_up
-    ]
+    moved = [type(frame)(frame.timestamp_ns + 3 * 4_000_000, frame.can_id, frame.data) for frame in held_up]
     closed.loop.on_frames(moved)
     setpoints = [frame for frame in closed.raw[sent:] if frame.can_id == 0x201]
     assert len(setpoints) == 1

@@ -41,7 +41,10 @@ class Rig:
     def ask(self, *words: str, timeout: float = 150.0) -> tuple[int, dict[str, Any]]:
         """Exit code and JSON of a command."""
         done = subprocess.run(
-            [*UPRIGHT, *words, "--json", "--socket", str(self.socket)], capture_output=True, timeout=timeout, check=False
+            [*UPRIGHT, *words, "--json", "--socket", str(self.socket)],
+            capture_output=True,
+            timeout=timeout,
+            check=False,
         )
         if done.returncode == 1 and not done.stdout:
             return 1, {"text": done.stderr.decode()}

@@ -173,6 +173,8 @@ def lock_step_frames(channel: str, seed: int) -> list[tuple[int, bytes]]:
             master.set_up()
             for node in master.nodes:
                 node.sdo[0x1017].raw = 0
+                while node.sdo[0x6041].raw & 0x4F != 0x40:
+                    time.sleep(0.01)
             master.forget_sets()
             master.sets.get(timeout=5.0)
             start = len(master.frames)

@@ -20,9 +20,6 @@ from telemetry.samples import CanFrame
 
 NAN = float("nan")
 
-FAULT_RESET_PATIENCE = 250
-"""Cycles that a drive has to leave Fault after the edge: 1 s at 250 Hz."""
-
 
 class Drive:
     """A drive of CiA 402 in velocity mode 2 or 9.
@@ -42,8 +39,8 @@ class Drive:
         mode_display: 6061h where it is mapped, else None.
         emergency: the EMCY in force, None without one or when it was cleared; last_emergency, emergency_count: of all.
         tripped, trip_reason, restarted: see above.
-        wrong_length, last_wrong_length: frames of a wrong length, which are not used: how many, and the last in words.
-        clipped: setpoints that did not fit into their object and were limited to it.
+        wrong_length, last_wrong_length: how many frames had a wrong length and were not used; the last in words.
+        clipped: setpoints that were limited to what their object can hold.
     """
 
     def __init__(self, config: DriveConfig) -> None:
@@ -112,6 +109,17 @@ class Drive:
         self._configured = True
         self.restarted = False
 
+    def acknowledge(self) -> bool:
+        """The cause is mended: reset a fault, or forget an emergency that outlived it. False while it cannot be told.
+
+        As after any fault reset, the drive stays off until the target has been lowered and raised again.
+        """
+        if self.statusword is None:
+            return False
+        if self.state is not State.FAULT_REACTION_ACTIVE and not self.request_fault_reset():
+            self.emergency = None
+        return self.state is not State.FAULT_REACTION_ACTIVE
+
     @property
     def can_ids(self) -> tuple[int, ...]:
         """CAN ids that `handle` understands: TPDOs, EMCY, heartbeat, and the RPDOs for replay."""
@@ -130,9 +138,9 @@ class Drive:
     @property
     def condition(self) -> str:
         """State and what is wrong, in words."""
-        words = [self.state.value if self.statusword is not None else "no statusword yet"]
+        words = ["no statusword yet"]
         if self.statusword is not None:
-            words.extend(states.flags(self.statusword))
+            words = [self.state.value, *states.flags(self.statusword)]
         if self.emergency is not None:
             words.append(self.emergency.text)
         if self.tripped:
@@ -161,7 +169,7 @@ class Drive:
             (cob_id, codec.pack(*[sent[place] for place in places])) for cob_id, (codec, places) in self._rpdos.items()
         )
 
-    def request_fault_reset(self, patience: int = FAULT_RESET_PATIENCE) -> bool:
+    def request_fault_reset(self, patience: int = states.FAULT_RESET_PATIENCE) -> bool:
         """Begin a fault reset; it runs over the next cycles, see `fault_reset`. False where the drive has no fault.
 
         The drive ends in Switch on disabled and stays there until the target has been lowered and raised again.
@@ -239,11 +247,9 @@ class Drive:
         self.statusword_timestamp_ns = timestamp_ns
         self.state = state = states.classify(raw)
         # Once enable operation has been sent, and so Switched on been seen, there is no way back but by itself.
-        if (
-            self.controlword & states.ENABLE_OPERATION == states.ENABLE_OPERATION
-            and state is not State.OPERATION_ENABLED
-            and (before is State.OPERATION_ENABLED or state is not State.SWITCHED_ON)
-        ):
+        asked = self.controlword & states.ENABLE_OPERATION == states.ENABLE_OPERATION
+        fell = before is State.OPERATION_ENABLED or state is not State.SWITCHED_ON
+        if asked and fell and state is not State.OPERATION_ENABLED:
             self._trip(f"left Operation enabled by itself for {state.value} (statusword {raw:04X}h)")
 
     def _take_position(self, raw: int, timestamp_ns: int) -> None:

@@ -87,6 +87,9 @@ TOWARDS: dict[State, dict[State, int]] = {
 }
 """Target, then present state, to the controlword. Where a state is not named, DISABLE_VOLTAGE."""
 
+FAULT_RESET_PATIENCE = 250
+"""Cycles that a drive has to leave Fault after the edge: 1 s at 250 Hz."""
+
 FAULTY = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE})
 
 

@@ -1,0 +1,42 @@
+"""An MQTT broker inside this process, for the demo and for trying things out; on a vehicle use a real one.
+
+amqtt, MQTT 3.1.1, on the loopback interface alone, open to every process of this machine.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+from types import TracebackType
+from typing import Any, Self
+
+from amqtt.broker import Broker
+
+
+class EmbeddedBroker:
+    """`async with EmbeddedBroker() as broker:` serves on `broker.address` (HOST:PORT, a free port)."""
+
+    def __init__(self) -> None:
+        self.address = ""
+        self._broker: Any = None
+
+    async def __aenter__(self) -> Self:
+        # It logs every connection as a warning or worse.
+        for name in ("amqtt", "transitions"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.address = f"127.0.0.1:{probe.getsockname()[1]}"
+        self._broker = Broker(
+            {
+                "listeners": {"default": {"type": "tcp", "bind": self.address}},
+                "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+            }
+        )
+        await self._broker.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._broker.shutdown()

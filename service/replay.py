@@ -1,0 +1,136 @@
+"""Recordings again: from any file, from the raw frames, through the live estimators, into other formats.
+
+A recording begins at an agreed time at which the daemon forgot all that was measured before, so the raw log that begins
+at the same time rebuilds the same rows bit for bit. What was never on the bus (`NOT_ON_THE_BUS`) comes, instant by
+instant, from the recording that lies beside the log; without it, it is unknown (NaN).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service import assembly
+from service.online_estimators import EstimatorBank, online_estimators
+from service.rows import rows_from_frames
+from service.vehicle_file import VehicleFile
+from telemetry import recording as recordings
+from telemetry.candump import CandumpReader
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording
+
+NOT_ON_THE_BUS = ("roll_reference", "excitation", "phase")
+
+CONVERTED = (*recordings.SUFFIXES, ".mat")
+
+
+def load(path: Path, vehicle: VehicleFile) -> Recording:
+    """A recording from a file of any kind, raw logs included.
+
+    Raises:
+        RecordingError: the file cannot be read, or holds no frames of this vehicle.
+    """
+    return from_raw_log(path, vehicle) if Path(path).suffix == ".log" else recordings.load(path)
+
+
+def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
+    """The recording that the daemon made of the frames in a candump log.
+
+    Raises:
+        RecordingError: a line is no CAN frame, or no complete row can be made of the frames.
+    """
+    channels = assembly.channels(vehicle)
+    io = assembly.vehicle_io(vehicle)
+    log = CandumpReader(path)
+    rows = list(rows_from_frames(log, io, assembly.roll_filter(vehicle)))
+    if not rows:
+        raise RecordingError(str(path), "", f"no row can be made of its frames: {_missing(io)}", remedy=_CHECK)
+    table = np.array([row.values for row in rows], dtype=np.float64)
+    rebuilt = Recording(
+        channels=channels,
+        timestamp_ns=np.array([row.timestamp_ns for row in rows], dtype=np.int64),
+        values={name: table[:, place].copy() for place, name in enumerate(channels.names)},
+        metadata={"vehicle": vehicle.vehicle.id, "kind": vehicle.vehicle.kind, "rate": str(vehicle.control.rate)},
+        truncated=log.truncated,
+        source=str(path),
+    )
+    beside = Path(path).with_suffix(".arrow")
+    if not beside.exists():
+        return rebuilt
+    try:
+        return _completed(rebuilt, recordings.load(beside))
+    except RecordingError as error:
+        return replace(rebuilt, truncated=f"{', '.join(NOT_ON_THE_BUS)} are unknown: {error}")
+
+
+def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
+    """Run a recording through the estimators that ran live: method to result, as the live run gave it at its end.
+
+    Raises:
+        RecordingError: a channel that the estimators take is missing.
+    """
+    bank = EstimatorBank(
+        online_estimators(
+            vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
+        )
+    )
+    bank.update(recording.frames(assembly.channels(vehicle)))
+    return bank.results()
+
+
+def convert(recording: Recording, path: Path) -> None:
+    """Write `recording` to `path` by its suffix, one of CONVERTED.
+
+    Raises:
+        RecordingError: the format is not known, or `path` cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in CONVERTED:
+        what = f"upright does not write {path.suffix or 'files without a suffix'}"
+        raise RecordingError(str(path), "", what, remedy=f"Use one of {', '.join(CONVERTED)}.")
+    try:
+        if path.suffix == ".mat":
+            _save_mat(recording, path)
+        else:
+            recording.save(path)
+    except OSError as error:
+        raise RecordingError(
+            str(path),
+            "",
+            f"cannot be written: {error.strerror or error}",
+            remedy="Check the folder and its permissions.",
+        ) from error
+
+
+_CHECK = "Compare the log's CAN ids with [imu] and [[drive]] of the vehicle file (`upright config show`)."
+
+
+def _missing(io: Any) -> str:
+    """What the frames lacked, in words."""
+    if io.imu.statistics.sets == 0:
+        return io.imu.fault_text or f"no complete IMU frame set (ids {', '.join(f'{i:X}' for i in io.imu.can_ids)})"
+    silent = [drive.config.name for drive in io.drives if drive.timestamp_ns == 0]
+    return f"no values from {', '.join(silent)}"
+
+
+def _completed(rebuilt: Recording, beside: Recording) -> Recording:
+    """`rebuilt` with what only the recording beside it knows."""
+    _, here, there = np.intersect1d(rebuilt.timestamp_ns, beside.timestamp_ns, return_indices=True)
+    values = dict(rebuilt.values)
+    for name in set(NOT_ON_THE_BUS).intersection(beside.channels.names):
+        values[name] = np.full(len(rebuilt), np.nan)
+        values[name][here] = beside.values[name][there]
+    return replace(rebuilt, values=values, metadata={**rebuilt.metadata, **beside.metadata})
+
+
+def _save_mat(recording: Recording, path: Path) -> None:
+    """A MATLAB 5 file: `time` (s) and a column vector a channel, `timestamp_ns`, and the texts as structs."""
+    from scipy.io import savemat
+
+    columns = {"time": recording.time, "timestamp_ns": recording.timestamp_ns, **recording.values}
+    units = {channel.name: channel.unit for channel in recording.channels}
+    texts = {"unit": units, "metadata": {key[:31]: text for key, text in recording.metadata.items()}}
+    savemat(path, {**columns, **texts}, oned_as="column")

@@ -1,0 +1,53 @@
+"""An observer process and a small vehicle's control cycles to feed it: for the tests of observer and MQTT."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from service.observer_client import ObserverClient
+from service.vehicle_file import load
+from telemetry.samples import Frame
+import small_vehicle
+
+VEHICLE = load("monocab")
+
+
+def hello(data: Path, broker: str = "", **mqtt: Any) -> dict[str, Any]:
+    """What control says of the shipped vehicle, with in-process buses."""
+    from service.assembly import observer_hello
+
+    return {
+        **observer_hello(VEHICLE, data, []),
+        "mqtt": {**VEHICLE.mqtt.model_dump(), "broker": broker, **mqtt},
+    }
+
+
+@cache
+def cycles(duration: float) -> list[Frame]:
+    """Control cycles of the small vehicle under a sweep, 250 Hz."""
+    stamps, table = small_vehicle.run(1, duration, reference=small_vehicle.sweep)
+    return list(small_vehicle.frames(stamps, table, 0))
+
+
+async def until(what: Callable[[], object], seconds: float = 20.0) -> None:
+    """Wait in the running loop until `what()` is true."""
+    limit = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < limit, f"not within {seconds} s"
+        await asyncio.sleep(0.01)
+
+
+async def record(client: ObserverClient, frames: list[Frame], name: str = "sweep") -> dict[str, Any]:
+    """Record all of `frames`; the summary."""
+    client.start_recording(name, frames[0].timestamp_ns, {"kind": "monocab"})
+    for frame in frames[:-1]:
+        client.offer(frame)
+    client.stop_recording("done", frames[-1].timestamp_ns)
+    # As the control loop does: the cycle in which the recording was stopped is offered after the order.
+    client.offer(frames[-1])
+    return await client.finished_recording()

@@ -1,0 +1,305 @@
+"""The bus on real SocketCAN: kernel timestamps, interfaces that go and come back, a transmit queue that fills."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+
+import pytest
+
+from drivers.bus import Bus, BusDown, BusError, BusGroup
+from drivers.error_frames import ErrorClass
+from telemetry.samples import CanFrame
+
+pytestmark = pytest.mark.vcan
+
+CHANNEL = "vcan7"
+"""A device of these tests' own: others keep theirs."""
+
+CAN_ERR_FLAG, CAN_EFF_FLAG, CAN_RTR_FLAG = 0x2000_0000, 0x8000_0000, 0x4000_0000
+
+
+async def run(*command: str) -> None:
+    process = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.PIPE)
+    _, error = await process.communicate()
+    assert process.returncode == 0, f"{' '.join(command)}: {error.decode()}"
+
+
+async def make_interface(name: str) -> None:
+    await run("ip", "link", "add", "dev", name, "type", "vcan")
+    # On a vcan frames wait nowhere, unless it has a queue when it comes up.
+    await run("ip", "link", "set", name, "txqueuelen", "10", "up")
+
+
+@pytest.fixture
+async def interface() -> AsyncIterator[str]:
+    await make_interface(CHANNEL)
+    yield CHANNEL
+    with contextlib.suppress(AssertionError):  # a test may have deleted it
+        await run("ip", "link", "delete", "dev", CHANNEL)
+
+
+class Peer:
+    """Another program on the same interface: a plain blocking socket."""
+
+    def __init__(self, channel: str) -> None:
+        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self._socket.bind((channel,))
+        self._socket.settimeout(5.0)
+
+    def send(self, can_id: int, data: bytes = b"") -> None:
+        self._socket.send(struct.pack("=IB3x8s", can_id, len(data), data))
+
+    def receive(self) -> tuple[int, bytes]:
+        can_id, length, data = struct.unpack("=IB3x8s", self._socket.recv(16))
+        return can_id, data[:length]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def peer(interface: str) -> Iterator[Peer]:
+    peer = Peer(interface)
+    yield peer
+    peer.close()
+
+
+class Connection:
+    """An open bus and what it delivered, with the time of its end."""
+
+    def __init__(self, channel: str = CHANNEL, can_ids: list[int] | None = None) -> None:
+        self.bus = Bus.open(f"socketcan:{channel}", index=1, can_ids=can_ids)
+        self.frames: list[CanFrame] = []
+        self.down: BusDown | None = None
+        self.down_at = 0.0
+        self.bus.start(self.frames.extend, self._on_down)
+
+    def _on_down(self, down: BusDown) -> None:
+        assert self.down is None
+        self.down, self.down_at = down, time.monotonic()
+
+
+@pytest.fixture
+async def connection(interface: str) -> AsyncIterator[Connection]:
+    connection = Connection(interface)
+    yield connection
+    connection.bus.close()
+
+
+async def until(condition: Callable[[], object], what: str) -> None:
+    limit = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < limit, f"waited in vain for {what}"
+        await asyncio.sleep(0.001)
+
+
+async def test_frames_carry_the_kernels_receive_time(connection: Connection, peer: Peer) -> None:
+    before = time.time_ns()
+    for number in range(3):
+        peer.send(0x18A + 0x100 * number, bytes([number] * number))
+    after = time.time_ns()
+    await until(lambda: len(connection.frames) == 3, "the frames")
+    times = [frame.timestamp_ns for frame in connection.frames]
+    assert before < times[0] < times[1] < times[2] < after
+    assert [(frame.can_id, frame.data, frame.bus) for frame in connection.frames] == [
+        (0x18A, b"", 1),
+        (0x28A, b"\1", 1),
+        (0x38A, b"\2\2", 1),
+    ]
+    assert connection.bus.statistics.received == 3
+
+
+async def test_flag_bits_are_taken_off_the_id(connection: Connection, peer: Peer) -> None:
+    peer.send(CAN_EFF_FLAG | 0x1234_5678, b"\1")
+    peer.send(CAN_RTR_FLAG | 0x123)
+    peer.send(CAN_EFF_FLAG | 0x123, b"\2")
+    await until(lambda: len(connection.frames) == 3, "the frames")
+    assert [(frame.can_id, frame.extended, frame.remote, frame.error) for frame in connection.frames] == [
+        (0x1234_5678, True, False, False),
+        (0x123, False, True, False),
+        (0x123, True, False, False),
+    ]
+
+
+async def test_sent_frames_reach_other_programs_and_not_the_sender(connection: Connection, peer: Peer) -> None:
+    connection.bus.send(0x201, b"\x0f\0")
+    connection.bus.send(0x1234_5678, b"")
+    assert [peer.receive(), peer.receive()] == [(0x201, b"\x0f\0"), (CAN_EFF_FLAG | 0x1234_5678, b"")]
+    await asyncio.sleep(0.02)
+    assert connection.frames == []
+
+
+async def test_the_kernel_delivers_only_the_ids_asked_for(interface: str, peer: Peer) -> None:
+    connection = Connection(interface, can_ids=[0x181, 0x182])
+    for can_id in (0x181, 0x183, CAN_EFF_FLAG | 0x181, CAN_RTR_FLAG | 0x181, 0x182):
+        peer.send(can_id)
+    await until(lambda: len(connection.frames) >= 2, "the frames")
+    await asyncio.sleep(0.02)
+    assert [frame.can_id for frame in connection.frames if not frame.remote] == [0x181, 0x182]
+    connection.bus.close()
+
+
+async def test_a_flood_is_read_in_bounded_lists_and_what_the_kernel_drops_is_counted(
+    connection: Connection, peer: Peer
+) -> None:
+    count = 4000  # more than any receive buffer that an unprivileged process gets
+    for number in range(count):
+        peer.send(0x100, number.to_bytes(4, "little"))
+    read = -1
+    while read < len(connection.frames):
+        read = len(connection.frames)
+        await asyncio.sleep(0.02)
+    peer.send(0x101)  # the count of dropped frames comes with the next frame that was not
+    await until(lambda: connection.frames[-1].can_id == 0x101, "the frame after the flood")
+    statistics = connection.bus.statistics
+    numbers = [int.from_bytes(frame.data, "little") for frame in connection.frames[:-1]]
+    assert numbers == list(range(len(numbers)))
+    assert statistics.receive_dropped > 0
+    assert statistics.received + statistics.receive_dropped == count + 1
+    assert statistics.largest_drain <= 128
+
+
+async def test_an_interface_that_goes_down_is_told_within_100_ms_without_a_busy_loop(connection: Connection) -> None:
+    await run("ip", "link", "set", CHANNEL, "down")
+    is_down = time.monotonic()
+    await until(lambda: connection.down, "BusDown")
+    assert connection.down is not None
+    assert connection.down_at - is_down < 0.1
+    assert connection.down.bus == f"socketcan:{CHANNEL}"
+    assert "set down" in connection.down.reason
+
+    wakeups, spent = connection.bus.statistics.wakeups, time.process_time()
+    connection.bus.send(0x201, b"")
+    await asyncio.sleep(0.3)
+    assert connection.bus.statistics.wakeups == wakeups
+    assert time.process_time() - spent < 0.1
+    assert connection.bus.statistics.transmit_dropped == 1
+
+
+async def test_a_bus_that_was_down_is_opened_again(interface: str, peer: Peer) -> None:
+    connection = Connection()
+    await run("ip", "link", "set", CHANNEL, "down")
+    await until(lambda: connection.down, "BusDown")
+    connection.bus.close()
+    with pytest.raises(BusError, match="is down") as caught:
+        Connection()
+    assert f"ip link set {CHANNEL} up" in caught.value.remedy
+
+    await run("ip", "link", "set", CHANNEL, "up")
+    again = Connection()
+    with contextlib.suppress(OSError):
+        peer.send(0x100)  # the peer's own socket still has to report that its interface was down
+    peer.send(0x101, b"\1")
+    await until(lambda: again.frames, "a frame")
+    assert again.frames[-1].data == b"\1"
+    assert again.down is None
+    again.bus.close()
+
+
+async def test_an_interface_that_is_removed_and_comes_back(interface: str) -> None:
+    connection = Connection()
+    await run("ip", "link", "delete", "dev", CHANNEL)
+    is_gone = time.monotonic()
+    await until(lambda: connection.down, "BusDown")
+    assert connection.down_at - is_gone < 0.1
+    connection.bus.close()
+    with pytest.raises(BusError, match="no interface") as caught:
+        Connection()
+    assert f"ip link add dev {CHANNEL} type vcan" in caught.value.remedy
+
+    await make_interface(CHANNEL)
+    again, peer = Connection(), Peer(CHANNEL)
+    peer.send(0x101)
+    again.bus.send(0x201, b"")
+    await until(lambda: again.frames, "a frame")
+    assert peer.receive()[0] == 0x201
+    again.bus.close()
+    peer.close()
+
+
+async def test_one_of_two_buses_goes_down_and_the_other_goes_on(interface: str) -> None:
+    frames: list[CanFrame] = []
+    downs: list[BusDown] = []
+    group = BusGroup([Bus.open("socketcan:vcan0"), Bus.open(f"socketcan:{CHANNEL}", index=1)])
+    group.start(frames.extend, downs.append)
+    await run("ip", "link", "set", CHANNEL, "down")
+    await until(lambda: downs, "BusDown")
+    peer = Peer("vcan0")
+    peer.send(0x18A)
+    await until(lambda: frames, "a frame of the bus that is left")
+    assert [down.bus for down in downs] == [f"socketcan:{CHANNEL}"]
+    group.close()
+    peer.close()
+
+
+async def test_two_buses_come_as_one_list_in_the_order_of_reception(interface: str, peer: Peer) -> None:
+    lists: list[list[CanFrame]] = []
+    group = BusGroup([Bus.open("socketcan:vcan0"), Bus.open(f"socketcan:{CHANNEL}", index=1)])
+    group.start(lists.append, lambda down: None)
+    other = Peer("vcan0")
+    for number in range(10):
+        (other, peer)[number % 2].send(0x100 + number)
+    await until(lambda: sum(map(len, lists)) == 10, "the frames")
+    frames = lists[0]  # all were there at the first wake-up
+    assert [frame.can_id for frame in frames] == [0x100 + number for number in range(10)]
+    assert [frame.bus for frame in frames] == [0, 1] * 5
+    group.close()
+    other.close()
+
+
+async def test_bus_off_ends_the_bus_and_lesser_errors_do_not(connection: Connection, peer: Peer) -> None:
+    peer.send(CAN_ERR_FLAG | ErrorClass.CONTROLLER, bytes([0, 0x20, 0, 0, 0, 0, 130, 0]))
+    peer.send(CAN_ERR_FLAG | ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR, bytes([0, 0, 0x84, 0x08, 0, 0, 0, 0]))
+    await until(lambda: len(connection.frames) == 2, "the error frames")
+    assert connection.down is None
+    assert connection.bus.last_error is not None
+    assert connection.bus.last_error.text == "bit stuffing error, while transmitting in checksum; bus error"
+
+    sent = time.monotonic()
+    peer.send(CAN_ERR_FLAG | ErrorClass.BUS_OFF, bytes(8))
+    await until(lambda: connection.down, "BusDown")
+    assert connection.down is not None
+    assert connection.down_at - sent < 0.1
+    assert "bus-off" in connection.down.reason
+    assert connection.bus.statistics.error_frames == 3
+    assert [frame.error for frame in connection.frames] == [True] * 3
+
+
+async def slow_down(frames_a_second: int) -> None:
+    """Let the interface take so many frames a second, with a transmit queue of five: a frame counts 16 bytes."""
+    await run(
+        "tc", "qdisc", "replace", "dev", CHANNEL, "root",
+        "tbf", "rate", f"{16 * 8 * frames_a_second}bit", "burst", "16", "limit", "80",
+    )  # fmt: skip
+
+
+async def test_a_transmit_queue_that_fills_for_a_while_loses_nothing(connection: Connection, peer: Peer) -> None:
+    await slow_down(1000)
+    for number in range(20):
+        connection.bus.send(0x200 + number, bytes([number]))
+    received = await asyncio.to_thread(lambda: [peer.receive() for _ in range(20)])
+    assert received == [(0x200 + number, bytes([number])) for number in range(20)]
+    assert connection.bus.statistics.sent == 20
+    assert connection.bus.statistics.transmit_retries >= 10
+    assert connection.bus.statistics.transmit_dropped == 0
+    assert connection.down is None
+
+
+async def test_a_transmit_queue_that_stays_full_ends_the_bus(connection: Connection) -> None:
+    await slow_down(2)
+    begin = time.monotonic()
+    for number in range(20):
+        connection.bus.send(0x200 + number, b"")
+    assert time.monotonic() - begin < 0.05  # sending did not wait
+    await until(lambda: connection.down, "BusDown")
+    assert connection.down is not None
+    assert connection.down_at - begin < 0.1
+    assert "transmit queue stayed full" in connection.down.reason
+    statistics = connection.bus.statistics
+    assert statistics.sent + statistics.transmit_dropped == 20
+    assert statistics.transmit_retries < 100  # one try a millisecond: no busy loop

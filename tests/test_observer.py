@@ -1,0 +1,280 @@
+"""The observer process: what it records and estimates, and that control neither waits for it nor depends on it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from observer_harness import VEHICLE, cycles, hello, record, until
+
+from service import link, replay
+from service.observer_client import ObserverClient
+from service.observer_pipe import MOST_MESSAGES
+from telemetry.candump import CandumpReader
+from telemetry.channels import MONOCAB
+from telemetry.recording import load
+from telemetry.samples import CanFrame, Frame
+
+
+@pytest.fixture
+async def client(tmp_path: Path) -> AsyncIterator[ObserverClient]:
+    """A started client; its observer waits for nothing but the pipe."""
+    client = ObserverClient(hello(tmp_path))
+    await client.start()
+    yield client
+    if client.alive and client.pid is not None:
+        os.kill(client.pid, signal.SIGCONT)
+    await client.stop()
+
+
+async def up(client: ObserverClient) -> None:
+    """Wait until the observer has read what was sent, its start-up included."""
+    await until(lambda: "trouble" in client.statistics())
+
+
+async def test_recording_live_results_and_replay_are_one(client: ObserverClient) -> None:
+    frames = cycles(20.0)
+    client.offer(Frame(frames[0].timestamp_ns - 4_000_000, frames[0].values))  # before the start: not recorded
+    await up(client)
+    summary = await record(client, frames)
+    assert (summary["failure"], summary["rows"]) == ("", len(frames))
+
+    recording = load(Path(summary["recording"]))
+    assert list(recording.frames(MONOCAB)) == frames
+    assert recording.truncated == ""
+    assert recording.metadata["end_reason"] == "done"
+    assert recording.metadata["dropped_frames"] == "0"
+    results = replay.replay(recording, VEHICLE)
+    assert results == summary["estimates"] == client.estimates
+    assert results["recursive_least_squares"]["status"] == "ok"
+    beside = Path(summary["recording"].replace(".arrow", ".estimates.json"))
+    assert json.loads(beside.read_text())["methods"] == results
+
+
+async def test_estimates_come_while_it_records_and_begin_anew_with_each_recording(client: ObserverClient) -> None:
+    frames = cycles(20.0)
+    client.start_recording("first", frames[0].timestamp_ns, {})
+    for frame in frames:
+        client.offer(frame)
+    await until(lambda: client.estimates.get("recursive_least_squares", {}).get("samples"))
+    second = await record(client, frames[:100])
+    assert second["estimates"]["recursive_least_squares"]["status"] == "too_few_samples"
+    first = [path for path in Path(second["recording"]).parent.glob("*first.arrow") if len(load(path)) == len(frames)]
+    assert load(first[0]).metadata["end_reason"] == "another recording began"
+
+
+async def test_cycles_before_the_start_and_clocks_set_back_are_left_out(client: ObserverClient) -> None:
+    frames = cycles(2.0)
+    client.start_recording("hold", frames[50].timestamp_ns, {})
+    for frame in (*frames[:200], *frames[150:300]):
+        client.offer(frame)
+    client.stop_recording("done", frames[299].timestamp_ns)
+    summary = await client.finished_recording()
+    assert list(load(Path(summary["recording"])).frames()) == frames[50:300]
+
+
+async def test_raw_frames_that_come_through_the_pipe(client: ObserverClient) -> None:
+    start = 1_000_000_000_000
+    kinds = [{}, {"extended": True}, {"remote": True}, {"error": True}, {"bus": 1}]
+    frames = [CanFrame(start + 100_000 * i, 0x18A, bytes([i % 256] * (i % 9)), **kinds[i % 5]) for i in range(3000)]
+    client.offer_can(frames[0])  # nothing records yet
+    client.start_recording("hold", frames[10].timestamp_ns, {})
+    for frame in frames:
+        client.offer_can(frame)
+    client.offer(Frame(frames[2000].timestamp_ns, (0.0,) * len(MONOCAB)))
+    client.stop_recording("done", frames[2000].timestamp_ns - 2_000_000)  # half a cycle is added: setpoints
+    summary = await client.finished_recording()
+    log = CandumpReader(Path(summary["raw_log"]))
+    logged = list(log)
+    assert log.buses == {"can0": 0, "can1": 1}
+    assert [frame.timestamp_ns for frame in logged] == [frame.timestamp_ns for frame in frames[10:]]
+    expected = [replace(frame, data=frame.data) for frame in frames[10:]]
+    assert logged == expected
+
+
+async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: ObserverClient) -> None:
+    exits: list[int] = []
+    client.on_exit = exits.append
+    frames = cycles(20.0)
+    client.start_recording("sweep", frames[0].timestamp_ns, {})
+    for frame in frames[:1000]:
+        client.offer(frame)
+    folder = Path(hello_data(client))
+    await until(lambda: any(path.stat().st_size > 1000 * 8 * 15 for path in folder.glob("*.arrow")))
+    assert client.pid is not None
+    os.kill(client.pid, signal.SIGKILL)
+    await until(lambda: exits)
+    assert exits == [-signal.SIGKILL]
+    assert not client.alive
+    client.offer(frames[1000])  # nobody hears it; it must not raise
+    client.stop_recording("done", frames[1000].timestamp_ns)
+    summary = await client.finished_recording()
+    assert summary["failure"] == "the observer process ended"
+    kept = load(Path(summary["recording"]))
+    assert list(kept.frames()) == frames[: len(kept)]
+    assert len(kept) > 500
+    assert "not closed" in kept.truncated or "cut off" in kept.truncated
+
+    await client.restart()
+    again = await record(client, frames[:500], "again")
+    assert (again["failure"], again["rows"]) == ("", 500)
+    assert client.statistics()["exits"] == 1
+
+
+def hello_data(client: ObserverClient) -> str:
+    return str(client._hello["data"])
+
+
+async def test_slow_it_costs_frames_that_are_counted_and_nothing_else(client: ObserverClient) -> None:
+    await up(client)
+    assert client.pid is not None
+    os.kill(client.pid, signal.SIGSTOP)
+    client.start_recording("sweep", 0, {})
+    values = (0.0,) * len(MONOCAB)
+    total = 40_000  # 160 s: many times what the pipe holds. A single wait in it would hang this test.
+    for i in range(total):
+        client.offer(Frame(1 + 4_000_000 * i, values))
+    client.stop_recording("done", 4_000_000 * total)
+    counts = client.statistics()
+    assert counts["frames"] + counts["frames_dropped"] == total
+    assert counts["frames_dropped"] > total / 2
+    os.kill(client.pid, signal.SIGCONT)
+    summary = await client.finished_recording()
+    assert summary["failure"] == ""
+    recording = load(Path(summary["recording"]))
+    assert len(recording) == counts["frames"]
+    assert recording.metadata["dropped_frames"] == str(counts["frames_dropped"])
+
+
+async def test_messages_wait_for_a_slow_observer_up_to_a_bound(client: ObserverClient) -> None:
+    await up(client)
+    assert client.pid is not None
+    os.kill(client.pid, signal.SIGSTOP)
+    for i in range(20_000):
+        client.event("info", "test", f"number {i}")
+    dropped = client.statistics()["messages_dropped"]
+    assert 0 < dropped < 20_000 - MOST_MESSAGES
+    os.kill(client.pid, signal.SIGCONT)
+    summary_of_later = asyncio.create_task(record(client, cycles(2.0)))
+    assert (await summary_of_later)["failure"] == ""
+
+
+async def test_lossless_it_waits_for_a_slow_observer(tmp_path: Path) -> None:
+    client = ObserverClient(hello(tmp_path), lossless=True)
+    await client.start()
+    await up(client)
+    pid = client.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    wake = threading.Timer(0.3, os.kill, (pid, signal.SIGCONT))
+    wake.start()
+    values = (0.0,) * len(MONOCAB)
+    client.start_recording("sweep", 0, {})
+    for i in range(10_000):
+        client.offer(Frame(1 + 4_000_000 * i, values))
+    client.stop_recording("done", 4_000_000 * 9_999 + 1)
+    assert (await client.finished_recording())["rows"] == 10_000
+    assert client.statistics()["frames_dropped"] == 0
+    wake.join()
+    await client.stop()
+
+
+async def test_stopped_while_it_records_it_finishes_and_deaf_to_signals(client: ObserverClient) -> None:
+    frames = cycles(2.0)
+    await up(client)
+    assert client.pid is not None
+    client.start_recording("hold", frames[0].timestamp_ns, {})
+    for frame in frames:
+        client.offer(frame)
+    os.kill(client.pid, signal.SIGTERM)  # a stopped service tells all its processes
+    os.kill(client.pid, signal.SIGINT)
+    await client.stop()
+    summary = await client.finished_recording()
+    recording = load(Path(summary["recording"]))
+    assert list(recording.frames()) == frames
+    assert recording.truncated == ""
+    assert recording.metadata["end_reason"] == "the control process ended"
+
+
+async def test_where_nothing_can_be_written_it_says_so_and_still_estimates(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    client = ObserverClient(hello(tmp_path / "file"))
+    await client.start()
+    summary = await record(client, cycles(2.0))
+    assert "file" in summary["failure"]
+    await until(lambda: "nothing is recorded" in client.statistics()["trouble"])
+    await client.stop()
+
+
+async def test_nothing_recorded_nothing_to_wait_for(tmp_path: Path) -> None:
+    assert await ObserverClient(hello(tmp_path)).finished_recording() == {}
+
+
+async def test_a_recording_that_is_never_stopped_is_not_waited_for(client: ObserverClient) -> None:
+    client.start_recording("a/b c", 0, {})
+    summary = await client.finished_recording(timeout=0.1)
+    assert "not finished" in summary["failure"]
+    assert summary["recording"].endswith("_a_b_c.arrow")
+
+
+MASTER = """
+import asyncio, os, sys, time
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from observer_harness import cycles, hello
+from service.observer_client import ObserverClient
+
+async def main():
+    client = ObserverClient(hello(Path({data!r})))
+    await client.start()
+    frames = cycles(4.0)
+    client.start_recording("hold", frames[0].timestamp_ns, {{"kind": "monocab"}})
+    for frame in frames:
+        client.offer(frame)
+    client.progress("flush", 0.0, 1.0)
+    print(client.pid, flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+
+def test_when_control_is_killed_the_recording_is_completed_and_the_observer_ends(tmp_path: Path) -> None:
+    script = MASTER.format(tests=str(Path(__file__).parent), data=str(tmp_path))
+    master = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert master.stdout is not None
+    observer = int(master.stdout.readline())
+    master.kill()
+    master.wait()
+    master.stdout.close()
+    limit = time.monotonic() + 20.0
+    while Path(f"/proc/{observer}").exists():
+        assert time.monotonic() < limit, "the observer is still there"
+        time.sleep(0.02)
+    (path,) = tmp_path.glob("*.arrow")
+    recording = load(path)
+    assert (len(recording), recording.truncated) == (1000, "")
+    assert recording.metadata["end_reason"] == "the control process ended"
+
+
+def test_packets_keep_every_bit() -> None:
+    random = np.random.default_rng(3)
+    frames = [Frame(int(t), tuple(random.standard_normal(14).tolist())) for t in random.integers(0, 1 << 62, 50)]
+    codec = link.FrameCodec(14)
+    assert codec.unpack(codec.pack(frames)) == frames
+    message: dict[str, Any] = {"type": "event", "text": "grüße\n"}
+    assert link.unpack_json(link.pack_json(message)) == message
+    with pytest.raises(ValueError, match="bytes"):
+        link.pack_json({"text": "x" * link.LARGEST})

@@ -1,0 +1,214 @@
+"""Recordings in files: no bit is lost, a cut-off file gives what it holds, a wrong one says what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording, load
+from telemetry.storage import ArrowStreamWriter
+
+START_NS = 1_730_301_035_277_560_123
+TWO = ChannelTable(MONOCAB[:2])
+
+
+def make(rows: int = 40, channels: ChannelTable = MONOCAB) -> Recording:
+    """Noise at 250 Hz with jitter of single ns, and a value here and there that was not known."""
+    random = np.random.default_rng(7)
+    values = {name: 0.1 * random.standard_normal(rows) for name in channels.names}
+    values["roll_rate"][3] = np.nan
+    stamps = START_NS + 4_000_000 * np.arange(rows) + random.integers(-99, 99, rows)
+    return Recording(channels, stamps, values, {"vehicle": "monocab", "note": "grüße"})
+
+
+def assert_same_values(a: Recording, b: Recording) -> None:
+    assert a.channels.names == b.channels.names
+    for name in a.channels.names:
+        np.testing.assert_array_equal(a[name], b[name], strict=True)
+
+
+@pytest.mark.parametrize("suffix", [".arrow", ".parquet"])
+def test_arrow_and_parquet_keep_every_bit(tmp_path: Path, suffix: str) -> None:
+    original = make()
+    original.save(tmp_path / f"run{suffix}")
+    read = load(tmp_path / f"run{suffix}")
+    assert_same_values(original, read)
+    np.testing.assert_array_equal(original.timestamp_ns, read.timestamp_ns, strict=True)
+    assert (read.metadata, read.channels, read.truncated) == (original.metadata, MONOCAB, "")
+
+
+def test_csv_keeps_every_value_and_nanosecond_since_the_start(tmp_path: Path) -> None:
+    original = make()
+    original.save(tmp_path / "run.csv")
+    read = load(tmp_path / "run.csv")
+    assert_same_values(original, read)
+    np.testing.assert_array_equal(original.timestamp_ns - original.timestamp_ns[0], read.timestamp_ns)
+
+
+def test_frames_are_the_rows_in_the_order_asked_for() -> None:
+    recording = make()
+    swapped = ChannelTable((MONOCAB[1], MONOCAB[0]))
+    frames = list(recording.frames(swapped))
+    assert [frame.timestamp_ns for frame in frames] == recording.timestamp_ns.tolist()
+    assert frames[5].values == (recording["roll_rate"][5], recording["roll"][5])
+    assert recording.rate == pytest.approx(250.0, rel=1e-4)  # jitter of 100 ns in 4 ms
+    assert recording.duration == pytest.approx(39 * 0.004, abs=1e-6)
+
+
+def stream(path: Path, batches: int) -> tuple[Recording, list[int]]:
+    """A stream of batches of ten rows, as the recorder writes it, and the file's size after each."""
+    recording = make(10 * batches, TWO)
+    table = np.stack([recording.values[name] for name in TWO.names], axis=1)
+    writer = ArrowStreamWriter(path, TWO, {"vehicle": "monocab"})
+    sizes = []
+    for first in range(0, 10 * batches, 10):
+        writer.append(recording.timestamp_ns[first : first + 10], table[first : first + 10])
+        sizes.append(path.stat().st_size)
+    writer.close({"end_reason": "done"})
+    return recording, sizes
+
+
+def test_a_stream_that_was_never_closed_is_read_to_its_last_batch(tmp_path: Path) -> None:
+    original, sizes = stream(tmp_path / "run.arrow", 3)
+    (tmp_path / "run.arrow").write_bytes((tmp_path / "run.arrow").read_bytes()[: sizes[-1]])
+    read = load(tmp_path / "run.arrow")
+    assert_same_values(original, read)
+    assert "not closed" in read.truncated
+
+
+def test_a_stream_cut_anywhere_gives_the_whole_batches_before_the_cut(tmp_path: Path) -> None:
+    path, cut = tmp_path / "run.arrow", tmp_path / "cut.arrow"
+    original, sizes = stream(path, 3)
+    content = path.read_bytes()
+    for length in range(0, len(content), 13):
+        cut.write_bytes(content[:length])
+        whole = sum(size <= length for size in sizes)
+        if whole == 0:
+            with pytest.raises(RecordingError):
+                load(cut)
+            continue
+        read = load(cut)
+        assert len(read) == 10 * whole
+        np.testing.assert_array_equal(read["roll"], original["roll"][: 10 * whole])
+        assert read.truncated
+
+
+def test_what_became_known_at_the_end_is_read_with_the_rest(tmp_path: Path) -> None:
+    stream(tmp_path / "run.arrow", 1)
+    read = load(tmp_path / "run.arrow")
+    assert read.metadata == {"vehicle": "monocab", "end_reason": "done"}
+    assert read.truncated == ""
+
+
+def test_a_stream_never_overwrites(tmp_path: Path) -> None:
+    stream(tmp_path / "run.arrow", 1)
+    with pytest.raises(FileExistsError):
+        ArrowStreamWriter(tmp_path / "run.arrow", TWO, {})
+    assert len(load(tmp_path / "run.arrow")) == 10
+
+
+def csv(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    return path
+
+
+def test_csv_of_other_origin(tmp_path: Path) -> None:
+    read = load(csv(tmp_path, "\ufeffroll, time ,my sensor\n0.01,0.5,7\n\n0.02,0.504,\n"))
+    assert read.timestamp_ns.tolist() == [500_000_000, 504_000_000]
+    assert read["roll"].tolist() == [0.01, 0.02]
+    assert read.channels[0] == MONOCAB[0]
+    assert (read["my sensor"][0], np.isnan(read["my sensor"][1])) == (7.0, True)
+
+
+def test_csv_with_a_last_line_that_was_cut_off(tmp_path: Path) -> None:
+    read = load(csv(tmp_path, "time,roll\n0.0,0.01\n0.004,0.02\n0.0"))
+    assert len(read) == 2
+    assert "line 4" in read.truncated
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "words"),
+    [
+        ("roll,roll_rate\n1,2\n", "time", "header"),
+        ("", "time", "header"),
+        ("time,roll,roll\n0,1,2\n", "roll", "twice"),
+        ("time,roll\n0.0,0.1\n0.1,abc\n0.2,0.1\n", "line 3", "abc"),
+        ("time,roll\n0.0,0.1\n0.1\n0.2,0.1\n", "line 3", "1 fields for 2 columns"),
+        ("time,roll\n0.0,0.1\n0.0,0.1\n", "time", "row 2"),
+        ("time,roll\n0.1,0.1\n0.0,0.1\n", "time", "row 2"),
+        ("time,roll\n,0.1\n0.1,0.1\n", "time", "not numbers"),
+        ("time,roll\n0.0,3.9\n0.1,-4.0\n", "roll", "cannot be rad"),
+        ("time,roll\n", "", "no rows"),
+    ],
+)
+def test_a_wrong_csv_names_the_place_and_the_remedy(tmp_path: Path, text: str, key: str, words: str) -> None:
+    path = csv(tmp_path, text)
+    with pytest.raises(RecordingError, match=words) as caught:
+        load(path)
+    assert (caught.value.file, caught.value.key) == (str(path), key)
+    assert caught.value.remedy
+
+
+def test_files_that_are_no_recordings(tmp_path: Path) -> None:
+    for name, words in [
+        ("absent.arrow", "No such file"),
+        ("absent.csv", "No such file"),
+        ("run.log", "--vehicle"),
+        ("run.xlsx", "not kept as .xlsx"),
+        ("run", "without a suffix"),
+    ]:
+        with pytest.raises(RecordingError, match=words):
+            load(tmp_path / name)
+    for suffix in (".arrow", ".parquet", ".csv"):
+        path = tmp_path / f"noise{suffix}"
+        path.write_bytes(np.random.default_rng(1).bytes(4096))
+        with pytest.raises(RecordingError) as caught:
+            load(path)
+        assert caught.value.remedy
+
+
+def test_a_parquet_file_that_was_cut_off(tmp_path: Path) -> None:
+    make().save(tmp_path / "run.parquet")
+    content = (tmp_path / "run.parquet").read_bytes()
+    (tmp_path / "run.parquet").write_bytes(content[: len(content) // 2])
+    with pytest.raises(RecordingError, match="no whole Parquet file"):
+        load(tmp_path / "run.parquet")
+
+
+def test_parquet_of_other_origin(tmp_path: Path) -> None:
+    path = tmp_path / "other.parquet"
+    pa.parquet.write_table(pa.table({"time": [0.0, 0.004], "roll": pa.array([0.1, None], pa.float32())}), path)
+    read = load(path)
+    assert read.timestamp_ns.tolist() == [0, 4_000_000]
+    assert np.isnan(read["roll"][1])
+    pa.parquet.write_table(pa.table({"time": [0.0], "roll": ["steep"]}), path)
+    with pytest.raises(RecordingError, match="of type string") as caught:
+        load(path)
+    assert caught.value.key == "roll"
+    pa.parquet.write_table(pa.table({"roll": [0.0]}), path)
+    with pytest.raises(RecordingError, match="timestamp_ns"):
+        load(path)
+
+
+def test_a_missing_channel_is_named_with_what_there_is() -> None:
+    recording = make()
+    with pytest.raises(RecordingError, match="'precession_rate'") as caught:
+        recording["precession_rat"]
+    assert caught.value.key == "precession_rat"
+    with pytest.raises(RecordingError, match="first in row 4"):
+        recording.require("roll", "roll_rate", finite=True)
+    recording.require("roll", finite=True)
+    with pytest.raises(RecordingError):
+        list(make(channels=TWO).frames(MONOCAB))
+
+
+def test_columns_of_different_length() -> None:
+    with pytest.raises(RecordingError, match="3 values for 2 instants"):
+        Recording(ChannelTable(MONOCAB[:1]), np.array([1, 2]), {"roll": np.zeros(3)})
