@@ -40,6 +40,11 @@ vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in 
 	$(GUEST) $(BIN)/pytest -m vcan || $(NO_GUEST)
 	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
 
+benchmark: $(READY) ## roll filter beside VQF on measured data, bus turnaround beside bare echoes in C and Python
+	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc
+	$(BIN)/python benchmarks/broad.py
+	$(GUEST) $(BIN)/python benchmarks/turnaround.py
+
 clean: ## remove the environment and everything that was made
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build .guest.*
 

@@ -95,6 +95,8 @@ class ControlLoop:
         self.roll: RollState | None = None
         self.drives: Measurement = self.io.measurement()
         self.on_change: Callable[[], None] = lambda: None
+        self.heard: list[CanFrame] | None = None
+        """While set-up listens to the bus: all frames."""
         self._filter = assembly.roll_filter(vehicle)
         self._design = design(vehicle)
         self._safety = Safety(SafetyLimits.of(vehicle))
@@ -125,6 +127,8 @@ class ControlLoop:
 
     def on_frames(self, frames: list[CanFrame]) -> None:
         """Take the frames of one wake-up, in the order of their timestamps."""
+        if self.heard is not None:
+            self.heard.extend(frames)
         handle = self.io.handle
         # More than one frame set at once: this process was held up. Only the last of them is answered on the bus.
         waiting = sum(frame.can_id == self._last_imu_id for frame in frames) if len(frames) > 4 else 1

@@ -19,6 +19,7 @@ from drivers.bus import Bus, BusDown, BusError, BusGroup
 from drivers.canopen_link import CanopenLink
 from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.cia402.setup import DriveReport, DriveSetupError, Supervision, configure
+from drivers.imu_format import ImuFormatError, check_format
 from service import assembly
 from service.api import ApiServer, ExitCode, Message, result
 from service.control_loop import QUICK_STOP_TIME, ControlLoop, Mode
@@ -33,6 +34,9 @@ PROGRESS_PERIOD = 0.2
 
 RECONNECT_PERIOD = 0.5
 """s between attempts to open a bus that went down, and to set up drives that did not answer."""
+
+LISTENING = 1.0
+"""s of bus traffic from which the IMU's format is told."""
 
 ORDERLY_END = 20.0
 """s that an experiment gets to lower the vehicle when the daemon is told to end."""
@@ -166,8 +170,9 @@ class Daemon:
             self.loop.look_after_drives()
             if self.loop.needs_set_up:
                 try:
+                    await self._check_imu()
                     await self._set_up_drives()
-                except (DriveSetupError, BusError) as error:
+                except (ImuFormatError, DriveSetupError, BusError) as error:
                     self.loop.set_up_failed(str(error))
                 else:
                     self.loop.set_up_done({report.name: report.error_code for report in self.reports})
@@ -186,6 +191,15 @@ class Daemon:
                 await asyncio.sleep(RECONNECT_PERIOD)
             else:
                 return
+
+    async def _check_imu(self) -> None:
+        """Listen, while the vehicle is at rest, to what the IMU streams. Raises ImuFormatError."""
+        heard: list[CanFrame] = []
+        self.loop.heard = heard
+        await asyncio.sleep(LISTENING)
+        self.loop.heard = None
+        place = 0 if self.places.imu_bus == self.places.drives_bus else 1
+        check_format(self.loop.io.imu.config, [frame for frame in heard if frame.bus == place])
 
     async def _set_up_drives(self) -> None:
         link, control = self._link, self.vehicle.control

@@ -22,8 +22,8 @@ JSON = b"J"
 LARGEST = 131072
 """Bytes of a packet. Half of the kernel's usual socket buffer: one must fit beside what waits already."""
 
-BUFFER = 4 << 20
-"""Bytes of socket buffer asked for; the kernel gives what it allows (net.core.wmem_max), usually 0.2 MB."""
+BUFFER = 1 << 20
+"""Bytes of socket buffer asked for, half a minute of 250 Hz; the kernel gives what net.core.wmem_max allows."""
 
 _CAN = struct.Struct("=qIBBB8s")
 _EXTENDED, _REMOTE, _ERROR = 1, 2, 4

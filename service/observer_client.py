@@ -149,6 +149,8 @@ class ObserverClient:
         raw_end_ns = end_ns + round(0.5e9 / self._hello["rate"])
         if self._raw_log is not None:
             self._raw_log.close(raw_end_ns)
+        if self._pipe is not None:
+            self._pipe.flush()
         dropped = self._counts.frames_dropped - self._dropped_before
         self._tell("stop_recording", reason=reason, end_ns=end_ns, raw_end_ns=raw_end_ns, dropped_frames=dropped)
 

@@ -90,6 +90,7 @@ class ObserverPipe:
     def post(self, packet: bytes) -> None:
         """A message: after the frames that came before it, queued where there is no room."""
         self.flush()
+        self._flush_at_ns = 0  # The next cycle may be the last one that an order asks for.
         if self._send(packet):
             return
         if not self.is_open or len(self._messages) >= MOST_MESSAGES:

@@ -9,10 +9,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import small_vehicle
+
 from service.observer_client import ObserverClient
 from service.vehicle_file import load
 from telemetry.samples import Frame
-import small_vehicle
 
 VEHICLE = load("monocab")
 
@@ -28,9 +29,9 @@ def hello(data: Path, broker: str = "", **mqtt: Any) -> dict[str, Any]:
 
 
 @cache
-def cycles(duration: float) -> list[Frame]:
-    """Control cycles of the small vehicle under a sweep, 250 Hz."""
-    stamps, table = small_vehicle.run(1, duration, reference=small_vehicle.sweep)
+def cycles() -> list[Frame]:
+    """8 s of control cycles of the small vehicle under a sweep, 250 Hz."""
+    stamps, table = small_vehicle.run(1, 8.0, reference=small_vehicle.sweep)
     return list(small_vehicle.frames(stamps, table, 0))
 
 

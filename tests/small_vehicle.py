@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telemetry.channels import MONOCAB
+from telemetry.recording import Recording
 from telemetry.samples import Frame
 
 Array = NDArray[np.float64]
@@ -138,3 +139,9 @@ def frames(stamps: NDArray[np.int64], table: dict[str, Array], seed: int) -> Ite
         rows[:, MONOCAB.index_of(name)] = column[:, seed]
     for stamp, row in zip(stamps.tolist(), rows.tolist(), strict=True):
         yield Frame(stamp, tuple(row))
+
+
+def recording(stamps: NDArray[np.int64], table: dict[str, Array], seed: int) -> Recording:
+    """The same as a recording."""
+    unknown = np.zeros(len(stamps))
+    return Recording(MONOCAB, stamps, {n: table[n][:, seed] if n in table else unknown for n in MONOCAB.names})

@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 from collections.abc import AsyncIterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ async def up(client: ObserverClient) -> None:
 
 
 async def test_recording_live_results_and_replay_are_one(client: ObserverClient) -> None:
-    frames = cycles(20.0)
+    frames = cycles()
     client.offer(Frame(frames[0].timestamp_ns - 4_000_000, frames[0].values))  # before the start: not recorded
     await up(client)
     summary = await record(client, frames)
@@ -58,13 +57,13 @@ async def test_recording_live_results_and_replay_are_one(client: ObserverClient)
     assert recording.metadata["dropped_frames"] == "0"
     results = replay.replay(recording, VEHICLE)
     assert results == summary["estimates"] == client.estimates
-    assert results["recursive_least_squares"]["status"] == "ok"
+    assert results["recursive_least_squares"]["samples"] > 100
     beside = Path(summary["recording"].replace(".arrow", ".estimates.json"))
     assert json.loads(beside.read_text())["methods"] == results
 
 
 async def test_estimates_come_while_it_records_and_begin_anew_with_each_recording(client: ObserverClient) -> None:
-    frames = cycles(20.0)
+    frames = cycles()
     client.start_recording("first", frames[0].timestamp_ns, {})
     for frame in frames:
         client.offer(frame)
@@ -76,7 +75,7 @@ async def test_estimates_come_while_it_records_and_begin_anew_with_each_recordin
 
 
 async def test_cycles_before_the_start_and_clocks_set_back_are_left_out(client: ObserverClient) -> None:
-    frames = cycles(2.0)
+    frames = cycles()[:500]
     client.start_recording("hold", frames[50].timestamp_ns, {})
     for frame in (*frames[:200], *frames[150:300]):
         client.offer(frame)
@@ -87,32 +86,31 @@ async def test_cycles_before_the_start_and_clocks_set_back_are_left_out(client: 
 
 async def test_raw_frames_that_come_through_the_pipe(client: ObserverClient) -> None:
     start = 1_000_000_000_000
-    kinds = [{}, {"extended": True}, {"remote": True}, {"error": True}, {"bus": 1}]
-    frames = [CanFrame(start + 100_000 * i, 0x18A, bytes([i % 256] * (i % 9)), **kinds[i % 5]) for i in range(3000)]
+    kinds: list[dict[str, Any]] = [{}, {"extended": True}, {"error": True}, {"bus": 1}]
+    frames = [CanFrame(start + 100_000 * i, 0x18A, bytes([i % 256] * (i % 9)), **kinds[i % 4]) for i in range(3000)]
+    frames[20] = CanFrame(frames[20].timestamp_ns, 0x18A, bytes(4), remote=True)
     client.offer_can(frames[0])  # nothing records yet
     client.start_recording("hold", frames[10].timestamp_ns, {})
-    for frame in frames:
+    for frame in frames[:1500]:
         client.offer_can(frame)
-    client.offer(Frame(frames[2000].timestamp_ns, (0.0,) * len(MONOCAB)))
-    client.stop_recording("done", frames[2000].timestamp_ns - 2_000_000)  # half a cycle is added: setpoints
+    client.stop_recording("done", frames[2000].timestamp_ns - 2_000_000)  # and half a cycle on: the setpoints' frames
+    for frame in frames[1500:]:
+        client.offer_can(frame)
     summary = await client.finished_recording()
     log = CandumpReader(Path(summary["raw_log"]))
     logged = list(log)
     assert log.buses == {"can0": 0, "can1": 1}
-    assert [frame.timestamp_ns for frame in logged] == [frame.timestamp_ns for frame in frames[10:]]
-    expected = [replace(frame, data=frame.data) for frame in frames[10:]]
-    assert logged == expected
+    assert logged == frames[10:2001]
 
 
-async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: ObserverClient) -> None:
+async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: ObserverClient, tmp_path: Path) -> None:
     exits: list[int] = []
     client.on_exit = exits.append
-    frames = cycles(20.0)
+    frames = cycles()
     client.start_recording("sweep", frames[0].timestamp_ns, {})
     for frame in frames[:1000]:
         client.offer(frame)
-    folder = Path(hello_data(client))
-    await until(lambda: any(path.stat().st_size > 1000 * 8 * 15 for path in folder.glob("*.arrow")))
+    await until(lambda: any(path.stat().st_size > 1000 * 8 * 15 for path in tmp_path.glob("*.arrow")))
     assert client.pid is not None
     os.kill(client.pid, signal.SIGKILL)
     await until(lambda: exits)
@@ -133,17 +131,13 @@ async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: Observ
     assert client.statistics()["exits"] == 1
 
 
-def hello_data(client: ObserverClient) -> str:
-    return str(client._hello["data"])
-
-
 async def test_slow_it_costs_frames_that_are_counted_and_nothing_else(client: ObserverClient) -> None:
     await up(client)
     assert client.pid is not None
     os.kill(client.pid, signal.SIGSTOP)
     client.start_recording("sweep", 0, {})
     values = (0.0,) * len(MONOCAB)
-    total = 40_000  # 160 s: many times what the pipe holds. A single wait in it would hang this test.
+    total = 20_000  # 80 s: more than twice what the pipe holds. A single wait in it would hang this test.
     for i in range(total):
         client.offer(Frame(1 + 4_000_000 * i, values))
     client.stop_recording("done", 4_000_000 * total)
@@ -167,7 +161,7 @@ async def test_messages_wait_for_a_slow_observer_up_to_a_bound(client: ObserverC
     dropped = client.statistics()["messages_dropped"]
     assert 0 < dropped < 20_000 - MOST_MESSAGES
     os.kill(client.pid, signal.SIGCONT)
-    summary_of_later = asyncio.create_task(record(client, cycles(2.0)))
+    summary_of_later = asyncio.create_task(record(client, cycles()[:500]))
     assert (await summary_of_later)["failure"] == ""
 
 
@@ -192,7 +186,7 @@ async def test_lossless_it_waits_for_a_slow_observer(tmp_path: Path) -> None:
 
 
 async def test_stopped_while_it_records_it_finishes_and_deaf_to_signals(client: ObserverClient) -> None:
-    frames = cycles(2.0)
+    frames = cycles()[:500]
     await up(client)
     assert client.pid is not None
     client.start_recording("hold", frames[0].timestamp_ns, {})
@@ -212,9 +206,9 @@ async def test_where_nothing_can_be_written_it_says_so_and_still_estimates(tmp_p
     (tmp_path / "file").write_text("in the way")
     client = ObserverClient(hello(tmp_path / "file"))
     await client.start()
-    summary = await record(client, cycles(2.0))
+    summary = await record(client, cycles()[:500])
     assert "file" in summary["failure"]
-    await until(lambda: "nothing is recorded" in client.statistics()["trouble"])
+    await until(lambda: "nothing is recorded" in client.statistics().get("trouble", ""))
     await client.stop()
 
 
@@ -239,7 +233,7 @@ from service.observer_client import ObserverClient
 async def main():
     client = ObserverClient(hello(Path({data!r})))
     await client.start()
-    frames = cycles(4.0)
+    frames = cycles()[:1000]
     client.start_recording("hold", frames[0].timestamp_ns, {{"kind": "monocab"}})
     for frame in frames:
         client.offer(frame)

@@ -1,0 +1,118 @@
+"""A real broker: mosquitto with passwords and an access list, started and stopped at will; for the tests of MQTT."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import shutil
+import socket
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+import pytest
+
+PUBLISHER, WATCHER, STRANGER = "upright", "watcher", "stranger"
+PASSWORDS = {PUBLISHER: "balance", WATCHER: "look", STRANGER: "touch"}
+
+ACL = """
+user upright
+topic write upright/monocab/#
+user watcher
+topic read upright/#
+"""
+
+
+def _command(name: str) -> str:
+    path = shutil.which(name, path=f"{os.environ['PATH']}:/usr/sbin:/usr/local/sbin")
+    if path is None:
+        pytest.skip(f"no {name} here: apt-get install mosquitto")
+    return path
+
+
+class Mosquitto:
+    """A broker on a free port of this machine. It keeps nothing when it ends."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.chmod(0o755)
+        self._folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port: int = probe.getsockname()[1]
+        passwords, acl = folder / "passwords", folder / "acl"
+        passwords.write_text("".join(f"{user}:{password}\n" for user, password in PASSWORDS.items()))
+        subprocess.run([_command("mosquitto_passwd"), "-U", passwords], check=True)
+        acl.write_text(ACL)
+        for file in (passwords, acl):
+            file.chmod(0o644)
+        (folder / "password").write_text(PASSWORDS[PUBLISHER] + "\nignored\n")
+        self._config = folder / "mosquitto.conf"
+        self._config.write_text(
+            f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {acl}\n"
+            "persistence false\nlog_dest stderr\n"
+        )
+
+    @property
+    def address(self) -> str:
+        return f"127.0.0.1:{self.port}"
+
+    @property
+    def login(self) -> dict[str, str]:
+        """The keys of [mqtt] that let the vehicle in."""
+        return {"username": PUBLISHER, "password_file": str(self._folder / "password")}
+
+    @property
+    def pid(self) -> int:
+        assert self._process is not None
+        return self._process.pid
+
+    def start(self) -> None:
+        with (self._folder / "log").open("ab") as log:
+            self._process = subprocess.Popen([_command("mosquitto"), "-c", self._config], stderr=log)
+        limit = time.monotonic() + 10.0
+        while True:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", self.port)) == 0:
+                    return
+            assert time.monotonic() < limit, (self._folder / "log").read_text()
+            time.sleep(0.02)
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait(10)
+            self._process = None
+
+
+class Watcher:
+    """Somebody who looks at all topics. `messages` are (topic below the vehicle, payload, retained), in order."""
+
+    def __init__(self, port: int) -> None:
+        self.messages: list[tuple[str, Any, bool]] = []
+        self._client = aiomqtt.Client("127.0.0.1", port, username=WATCHER, password=PASSWORDS[WATCHER])
+
+    async def __aenter__(self) -> Watcher:
+        await self._client.__aenter__()
+        await self._client.subscribe("upright/#", qos=1)
+        self._task = asyncio.create_task(self._watch())
+        return self
+
+    async def __aexit__(self, *error: Any) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+        await self._client.__aexit__(None, None, None)
+
+    async def _watch(self) -> None:
+        async for message in self._client.messages:
+            topic = str(message.topic).removeprefix("upright/monocab/")
+            assert isinstance(message.payload, bytes)
+            text = message.payload.decode()
+            self.messages.append((topic, text if topic == "status" else json.loads(text), bool(message.retain)))
+
+    def of(self, topic: str) -> list[Any]:
+        """Payloads of a topic, in order."""
+        return [payload for name, payload, _ in self.messages if name == topic]

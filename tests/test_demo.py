@@ -1,0 +1,88 @@
+"""The story as a person runs it: `upright demo` from the command line, and what can be done with its recordings."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
+
+pytestmark = pytest.mark.timeout(180)
+
+
+def upright(*words: str, code: int = 0) -> str:
+    done = subprocess.run([*UPRIGHT, *words], capture_output=True, text=True, timeout=170, check=False)
+    assert done.returncode == code, done.stderr
+    return done.stdout if code == 0 else done.stderr
+
+
+def document(*words: str) -> Any:
+    return json.loads(upright(*words, "--json"))
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("demo")
+    upright("demo", "--data", str(folder))
+    return {name: next(folder.glob(f"*_{name}.arrow")) for name in ("step", "sweep")}
+
+
+@pytest.mark.parametrize(("name", "bound"), [("step", 0.03), ("sweep", 0.01)])
+def test_inertia_and_gravity_stiffness_come_out(recordings: dict[str, Path], name: str, bound: float) -> None:
+    found = document("identify", str(recordings[name]))["methods"]["recursive_least_squares"]
+    assert found["status"] == "ok"
+    for parameter, true in TRUTH.items():
+        entry = found["parameters"][parameter]
+        assert entry["value"] == pytest.approx(true, rel=bound)
+        assert abs(entry["value"] - true) < 1.96 * entry["std"]
+
+
+def test_the_cad_model_fails_and_the_identified_one_is_adequate(recordings: dict[str, Path]) -> None:
+    sweep = recordings["sweep"]
+    models = document("compare", str(sweep), "--model", str(sweep.with_suffix(".estimates.json")))["models"]
+    by_name = {model["name"]: model for model in models}
+    assert not by_name["CAD"]["adequate"]
+    assert by_name["recursive_least_squares"]["adequate"]
+    assert by_name["recursive_least_squares"]["fit_percent"]["roll"] > 95 > by_name["CAD"]["fit_percent"]["roll"]
+
+
+def test_replay_gives_the_live_numbers_from_either_file(recordings: dict[str, Path]) -> None:
+    arrow, log = recordings["step"], recordings["step"].with_suffix(".log")
+    results = document("replay", str(arrow), str(log))["recordings"]
+    live = json.loads(arrow.with_suffix(".estimates.json").read_text())["methods"]
+    assert results[str(arrow)] == results[str(log)] == live
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_a_raw_log_converts(recordings: dict[str, Path], tmp_path: Path, suffix: str) -> None:
+    target = tmp_path / f"step{suffix}"
+    upright("convert", str(recordings["step"].with_suffix(".log")), str(target))
+    assert target.stat().st_size > 100_000
+
+
+def test_a_truncated_recording_gives_what_it_holds_and_says_so(recordings: dict[str, Path], tmp_path: Path) -> None:
+    whole = recordings["sweep"].read_bytes()
+    cut = tmp_path / "cut.arrow"
+    cut.write_bytes(whole[: len(whole) // 2])
+    done = subprocess.run([*UPRIGHT, "identify", str(cut)], capture_output=True, text=True, check=True)
+    assert "cut.arrow" in done.stderr
+    assert "inertia" in done.stdout
+
+
+def test_a_hidden_effect_makes_the_model_fail(tmp_path: Path) -> None:
+    upright("demo", "--experiment", "multisine", "--hide", "coulomb_friction", "--data", str(tmp_path))
+    recording = next(tmp_path.glob("*_multisine.arrow"))
+    models = document("compare", str(recording), "--model", str(recording.with_suffix(".estimates.json")))["models"]
+    assert not any(model["adequate"] for model in models)
+
+
+def test_an_effect_that_does_not_exist_lists_those_that_do(tmp_path: Path) -> None:
+    said = upright("demo", "--hide", "gremlins", "--data", str(tmp_path), code=1)
+    assert "gremlins" in said
+    assert "coulomb_friction" in said
