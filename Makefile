@@ -8,7 +8,7 @@ export PATH
 BIN := .venv/bin
 READY := .venv/.ready
 GUEST := tests/guest/vcan-guest
-GUEST_NEEDS := linux.uml:user-mode-linux insmod:kmod ip:iproute2 taskset:util-linux /lib/systemd/systemd:systemd
+GUEST_NEEDS := linux.uml:user-mode-linux insmod:kmod ip:iproute2 taskset:util-linux poweroff:systemd-sysv
 # Where UPRIGHT_REQUIRE_ALL=1 (as in .ci/run), what cannot run here is a failure; elsewhere it is left out, and said.
 OPTIONAL := [ "$${UPRIGHT_REQUIRE_ALL:-}" != 1 ]
 NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests need SocketCAN or a guest" >&2; }

@@ -27,7 +27,7 @@ def save_comparison(comparisons: Sequence[ModelComparison], recording: Recording
 
 
 def comparison_figure(comparisons: Sequence[ModelComparison], recording: Recording) -> Figure:
-    """Overlay of roll, missing torque by time and frequency, and by roll, precession and roll rate; a colour a model."""
+    """Overlay of roll; missing torque by time, frequency, roll, precession and roll rate. A colour a model."""
     figure = Figure(figsize=(12.0, 9.0), layout="constrained")
     grid = figure.add_gridspec(3, 6)
     overlay, time = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :4])

@@ -37,7 +37,16 @@ REGRESSORS = ("inertia", "gravity_stiffness", "static_torque", "drive_time_offse
 
 BALANCE_CHANNELS = ChannelTable(
     MONOCAB[MONOCAB.index_of(name)]
-    for name in ("roll", "roll_rate", "precession_rate", "trim_position", "trim_rate", "drive_age", "excitation")
+    for name in (
+        "roll",
+        "roll_rate",
+        "precession_rate",
+        "trim_position",
+        "trim_rate",
+        "drive_age",
+        "excitation",
+        "precession_rate_setpoint",
+    )
 )
 """What a row is made of."""
 
@@ -69,7 +78,7 @@ class FilterConfig:
 class BalanceRow:
     """One row: `output` (N m) = `regressors` (4,) . parameters, see REGRESSORS; `begins` where it follows no other row.
 
-    `instruments` are what filters make of the injected excitation, and the constant: (8,).
+    `instruments` are what filters make of the injected excitation, and the constant: (INSTRUMENTS,).
     """
 
     timestamp_ns: int
@@ -82,23 +91,32 @@ class BalanceRow:
 class InstrumentBank:
     """The excitation through first-order lags: instruments that carry nothing but what was injected.
 
-    Time constants from 1/32 s to 1 s span the closed loop's response to the excitation.
+    Time constants from 1/32 s to 1 s span the vehicle's response. It is another one to what is injected into the closed
+    loop than to what alone drives the gimbals, as the step from rest does, so each has lags of its own.
     """
 
     RATES = 2.0 ** np.arange(6)
-    COUNT = len(RATES) + 1
+    COUNT = 2 * (len(RATES) + 1)
+    ALONE = 1e-3
+    """rad/s between excitation and setpoint, at most, where the excitation is all of it."""
 
     def __init__(self) -> None:
-        self.outputs: NDArray[np.float64] = np.zeros(self.COUNT)
+        self._lags: NDArray[np.float64] = np.zeros((len(self.RATES), 2))
+        self._held = np.zeros(2)
 
-    def update(self, spacing: float, excitation: float) -> None:
+    def update(self, spacing: float, excitation: float, setpoint: float) -> None:
         """The next value, which is held until the one after."""
-        outputs = self.outputs
-        outputs[:-1] += -np.expm1(-self.RATES * spacing) * (outputs[-1] - outputs[:-1])
-        outputs[-1] = excitation
+        self._lags += -np.expm1(-self.RATES * spacing)[:, None] * (self._held - self._lags)
+        alone = abs(setpoint - excitation) < self.ALONE
+        self._held = np.array((0.0, excitation) if alone else (excitation, 0.0))
+
+    @property
+    def outputs(self) -> NDArray[np.float64]:
+        return np.concatenate((self._lags.ravel(), self._held))
 
     def reset(self) -> None:
-        self.outputs[:] = 0.0
+        self._lags[:] = 0.0
+        self._held[:] = 0.0
 
 
 class BalanceRows:
@@ -153,14 +171,14 @@ class BalanceRows:
     def update(self, frame: Frame) -> BalanceRow | None:
         """The row that this cycle completes, if any. Cycles on the support, out of order or unknown are passed over."""
         values = frame.values
-        roll, rate, speed, trim, trim_rate, age, excitation = [values[place] for place in self._places]
+        roll, rate, speed, trim, trim_rate, age, excitation, setpoint = [values[place] for place in self._places]
         now = frame.timestamp_ns
         recent = self._recent
         spacing = (now - recent[-1][0]) * 1e-9 if recent else 0.0
         if recent and spacing <= 0.0:
             return None
         self.cycles += 1
-        known = roll + rate + speed + trim + trim_rate + age + excitation
+        known = roll + rate + speed + trim + trim_rate + age + excitation + setpoint
         longest = self.config.longest_gap
         if known - known != 0.0 or spacing > longest or not 0.0 <= age <= longest:
             self._running = False
@@ -169,7 +187,7 @@ class BalanceRows:
             if known - known != 0.0:  # NaN or infinite
                 return None
             spacing = 0.0
-        self._bank.update(spacing, excitation)
+        self._bank.update(spacing, excitation, setpoint)
         recent.append((now, roll, rate))
         if abs(roll) >= self._free_angle:
             self._running = False

@@ -19,10 +19,12 @@ from telemetry.channels import Channel, ChannelTable
 from telemetry.samples import Frame
 
 FORCE_PER_VOLT = 35.15065
-CHANNELS = ChannelTable((
-    Channel("position", "m", "of the carriage, from the encoder"),
-    Channel("force", "N", "of the motor on the carriage"),
-))
+CHANNELS = ChannelTable(
+    (
+        Channel("position", "m", "of the carriage, from the encoder"),
+        Channel("force", "N", "of the motor on the carriage"),
+    )
+)
 
 
 def identify(path: Path) -> Estimate:

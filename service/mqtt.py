@@ -187,6 +187,8 @@ class MqttPublisher:
         statistics.connected, statistics.trouble = True, ""
         statistics.connections += 1
         self._changed = dict.fromkeys(self._retained)
+        statistics.dropped += len(self._telemetry)
+        self._telemetry.clear()
         self._wake.set()
         while True:
             await self._wake.wait()

@@ -78,15 +78,15 @@ class Observer:
             self._complain("mqtt", str(error))
 
     async def run(self) -> None:
-        """Until the pipe ends. An error of its own making ends it too, after the recording is safe."""
+        """Until the pipe ends, or an error of its own making outside of MQTT, which leaves the recording complete."""
         reading = asyncio.create_task(self._read(), name="read")
         tasks = [
             reading,
             asyncio.create_task(self._write_regularly(), name="write"),
             asyncio.create_task(self._estimate_regularly(), name="estimate"),
         ]
-        mqtt = asyncio.create_task(self._mqtt.run(), name="mqtt") if self._mqtt is not None else None
-        await asyncio.wait({*tasks, mqtt} if mqtt is not None else tasks, return_when=asyncio.FIRST_COMPLETED)
+        mqtt = asyncio.create_task(self._run_mqtt(self._mqtt), name="mqtt") if self._mqtt is not None else None
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         failures = [task.exception() for task in tasks if task.done()]
         self._end = self._end or {"end_reason": "the control process ended"}
         self._close_recording()
@@ -230,6 +230,14 @@ class Observer:
                 estimates = self._estimators.results()
                 self._send({"type": "estimates", "estimates": estimates})
                 self._publish_parameters(estimates)
+
+    async def _run_mqtt(self, mqtt: MqttPublisher) -> None:
+        """A recording must not end because of MQTT, whatever happens there."""
+        try:
+            await mqtt.run()
+        except Exception as error:
+            self._mqtt = None
+            self._complain("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
 
     def _publish_parameters(self, estimates: Mapping[str, Any]) -> None:
         if self._mqtt is not None and estimates:

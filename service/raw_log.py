@@ -4,7 +4,7 @@
 
 Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each file closed, and for each trouble,
 a line of JSON goes to stdout. It has sockets of its own with the kernel's receive times, reads what has gathered every
-50 ms and writes it in the order of time. When stdin ends without `quit`, its master has died: it logs for `GRACE` s
+20 ms and writes it in the order of time. When stdin ends without `quit`, its master has died: it logs for `GRACE` s
 more, so that the log shows how the drives stopped, and then closes the file. It imports next to nothing.
 """
 
@@ -14,8 +14,6 @@ import json
 import os
 import select
 import signal
-import socket
-import struct
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -23,10 +21,11 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
+from service.can_tap import CanTap
 from telemetry.candump import format_frames
 from telemetry.samples import CanFrame
 
-READ_PERIOD = 0.05
+READ_PERIOD = 0.02
 """s between two looks at the sockets."""
 
 SYNC_PERIOD = 1.0
@@ -38,63 +37,7 @@ GRACE = 2.0
 SETTLED_NS = 5_000_000
 """A frame is written when it is older than this: by then those of the other interface are in their socket, too."""
 
-RECEIVE_BUFFER = 4 << 20
-"""Bytes asked for, each socket; the kernel gives what it allows (net.core.rmem_max)."""
-
-_CAN_FRAME = struct.Struct("=IB3x8s")
-_TIMESPEC = struct.Struct("@qq")
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
-_ERROR_CLASSES = 0x1FFFFFFF
-_CAN_RAW_ERR_FILTER = 2
-_SO_RXQ_OVFL = 40
-_SO_TIMESTAMPNS = 35
-
-
-class CanTap:
-    """A listening socket on one interface. `lost` counts the frames that found its buffer full."""
-
-    def __init__(self, channel: str, bus: int) -> None:
-        self.lost = 0
-        self._bus = bus
-        self._channel = channel
-        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        try:
-            self._socket.setblocking(False)
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-            self._socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERROR_CLASSES)
-            self._socket.bind((channel,))
-        except OSError:
-            self._socket.close()
-            raise
-
-    def read(self, into: list[CanFrame]) -> None:
-        """Take all that has gathered. An interface that went down is told, and listened to until it is back."""
-        receive, unpack, bus = self._socket.recvmsg, _CAN_FRAME.unpack_from, self._bus
-        while True:
-            try:
-                content, ancillary, _, _ = receive(16, 64)
-            except BlockingIOError:
-                return
-            except OSError as error:
-                say(error=f"{self._channel}: {error.strerror}")
-                return
-            timestamp_ns = 0
-            for _, kind, value in ancillary:
-                if kind == _SO_TIMESTAMPNS:
-                    seconds, nanoseconds = _TIMESPEC.unpack(value)
-                    timestamp_ns = seconds * 1_000_000_000 + nanoseconds
-                else:
-                    self.lost = int.from_bytes(value, sys.byteorder)
-            flagged, length, data = unpack(content)
-            is_error, extended = bool(flagged & _ERROR), bool(flagged & _EXTENDED)
-            can_id = flagged & (0x1FFFFFFF if extended or is_error else 0x7FF)
-            remote = bool(flagged & _REMOTE)
-            into.append(CanFrame(timestamp_ns, can_id, data[:length], bus, extended and not is_error, remote, is_error))
-
-    def close(self) -> None:
-        self._socket.close()
+NICENESS = 5
 
 
 class RawLog:
@@ -131,7 +74,7 @@ class RawLog:
         """Read, and write what no older frame can come before. Raises OSError."""
         horizon_ns = time.time_ns() - SETTLED_NS
         for tap in self._taps:
-            tap.read(self._waiting)
+            listen(tap, self._waiting)
         self._write(horizon_ns)
         if self._file is not None and time.monotonic() - self._synced > SYNC_PERIOD:
             self._synced = time.monotonic()
@@ -141,11 +84,13 @@ class RawLog:
             self.close()
 
     def close(self) -> None:
-        """Close the file, if one is open, and account for it on stdout. Raises OSError where the disk is full."""
+        """Write what has come in, close the file, if one is open, and account for it on stdout. Raises OSError."""
         file, taps, waiting = self._file, self._taps, self._waiting
         self._file, self._taps, self._waiting = None, [], []
         for tap in taps:
+            listen(tap, waiting)
             tap.close()
+        waiting.sort(key=lambda frame: frame.timestamp_ns)
         if file is None:
             return
         try:
@@ -170,6 +115,14 @@ class RawLog:
         file.write(format_frames(wanted, self.channels))
 
 
+def listen(tap: CanTap, into: list[CanFrame]) -> None:
+    """Take what has come in; an interface that went down is told, and listened to until it is back."""
+    try:
+        tap.read(into)
+    except OSError as error:
+        say(error=f"{tap.channel}: {error.strerror}")
+
+
 def say(**account: object) -> None:
     """A line of JSON for the master; unheard where it is gone."""
     try:
@@ -183,6 +136,7 @@ def main(channels: Sequence[str]) -> None:
     # Ends by its stdin alone: a stopped service ends its experiment first, and that shall be in the log.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.nice(NICENESS)
     log = RawLog(channels)
     orders = Orders()
     while True:

@@ -48,9 +48,11 @@ class RawLogProcess:
 
     async def stop(self) -> None:
         """Close the file, if one is open, and end the process."""
-        self._tell("quit")
+        if self._answers.closed:
+            return
         with contextlib.suppress(BrokenPipeError):
-            self._orders.close()
+            self._orders.write(b"quit\n")
+        self._orders.close()
         try:
             await asyncio.to_thread(self._process.wait, 5.0)
         except subprocess.TimeoutExpired:

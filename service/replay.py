@@ -57,13 +57,11 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
         truncated=log.truncated,
         source=str(path),
     )
-    beside = Path(path).with_suffix(".arrow")
-    if not beside.exists():
-        return rebuilt
     try:
-        return _completed(rebuilt, recordings.load(beside))
+        return _completed(rebuilt, recordings.load(Path(path).with_suffix(".arrow")))
     except RecordingError as error:
-        return replace(rebuilt, truncated=f"{', '.join(NOT_ON_THE_BUS)} are unknown: {error}")
+        notes = [rebuilt.truncated, f"{', '.join(NOT_ON_THE_BUS)} are unknown: {error}"]
+        return replace(rebuilt, truncated="; ".join(filter(None, notes)))
 
 
 def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
@@ -133,4 +131,5 @@ def _save_mat(recording: Recording, path: Path) -> None:
     columns = {"time": recording.time, "timestamp_ns": recording.timestamp_ns, **recording.values}
     units = {channel.name: channel.unit for channel in recording.channels}
     texts = {"unit": units, "metadata": {key[:31]: text for key, text in recording.metadata.items()}}
-    savemat(path, {**columns, **texts}, oned_as="column")
+    with path.open("wb") as file:
+        savemat(file, {**columns, **texts}, oned_as="column")

@@ -71,7 +71,7 @@ _TEXTS = {
     Phase.DISABLE: "disabling the drives",
 }
 
-DURATIONS = {Phase.REST: 2.0, Phase.SETTLE: 3.0, Phase.FADE: 1.5}
+DURATIONS = {Phase.REST: 4.0, Phase.SETTLE: 3.0, Phase.FADE: 1.5}
 """s of the phases that just take their time."""
 
 TIMEOUTS = {Phase.ENABLE: 5.0, Phase.CENTRE: 30.0, Phase.LOWER: 12.0, Phase.CENTRE_BACK: 30.0, Phase.DISABLE: 3.0}

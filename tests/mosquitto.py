@@ -37,7 +37,6 @@ class Mosquitto:
     """A broker on a free port of this machine. It keeps nothing when it ends."""
 
     def __init__(self, folder: Path) -> None:
-        folder.chmod(0o755)
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         with socket.socket() as probe:
@@ -47,13 +46,12 @@ class Mosquitto:
         passwords.write_text("".join(f"{user}:{password}\n" for user, password in PASSWORDS.items()))
         subprocess.run([_command("mosquitto_passwd"), "-U", passwords], check=True)
         acl.write_text(ACL)
-        for file in (passwords, acl):
-            file.chmod(0o644)
         (folder / "password").write_text(PASSWORDS[PUBLISHER] + "\nignored\n")
         self._config = folder / "mosquitto.conf"
         self._config.write_text(
             f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {acl}\n"
             "persistence false\nlog_dest stderr\n"
+            "user root\n"  # Started by root it would become a user that cannot read this folder; else without effect.
         )
 
     @property

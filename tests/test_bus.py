@@ -256,13 +256,13 @@ def test_whatever_the_queue_refuses_frames_leave_once_and_in_order(answers: list
     assert asyncio.run(send_all()) == list(range(count))
 
 
-async def test_a_transmit_queue_that_stays_full_takes_the_bus_down_within_100_ms() -> None:
+async def test_a_transmit_queue_that_stays_full_takes_the_bus_down() -> None:
     port, bus, consumer = scripted(lambda: False)
     begin = time.monotonic()
     for number in range(3):
         bus.send(0x200 + number, b"")
     await until(lambda: consumer.downs, "BusDown")
-    assert time.monotonic() - begin < 0.1
+    assert 0.05 <= time.monotonic() - begin < 0.5
     assert consumer.downs[0].bus == "scripted:0"
     assert "transmit queue stayed full for 50 ms" in consumer.downs[0].reason
     assert bus.statistics.transmit_dropped == 3

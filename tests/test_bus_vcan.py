@@ -105,7 +105,7 @@ async def test_frames_carry_the_kernels_receive_time(connection: Connection, pee
     after = time.time_ns()
     await until(lambda: len(connection.frames) == 3, "the frames")
     times = [frame.timestamp_ns for frame in connection.frames]
-    assert before < times[0] < times[1] < times[2] < after
+    assert before <= times[0] < times[1] < times[2] <= after
     assert [(frame.can_id, frame.data, frame.bus) for frame in connection.frames] == [
         (0x18A, b"", 1),
         (0x28A, b"\1", 1),
@@ -298,7 +298,7 @@ async def test_a_transmit_queue_that_stays_full_ends_the_bus(connection: Connect
     assert time.monotonic() - begin < 0.05  # sending did not wait
     await until(lambda: connection.down, "BusDown")
     assert connection.down is not None
-    assert connection.down_at - begin < 0.1
+    assert 0.05 <= connection.down_at - begin < 0.5
     assert "transmit queue stayed full" in connection.down.reason
     statistics = connection.bus.statistics
     assert statistics.sent + statistics.transmit_dropped == 20

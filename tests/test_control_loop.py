@@ -92,7 +92,7 @@ def test_an_operator_ends_it_in_order() -> None:
     assert_rests_disarmed(closed)
 
 
-@pytest.mark.parametrize("after", [0.5, 2.02, 2.6, 2.9])
+@pytest.mark.parametrize("after", [0.5, 4.02, 4.6, 4.9])
 def test_it_ends_in_order_from_every_phase_on_the_way_up(after: float) -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")

@@ -1,4 +1,4 @@
-"""MQTT against a real broker with passwords and an access list: what is published, and what a broker's absence costs."""
+"""MQTT against a real broker with passwords and an access list: what is published, and what its absence costs."""
 
 from __future__ import annotations
 
@@ -137,7 +137,8 @@ async def test_a_broker_that_goes_and_comes_back_disturbs_nothing(client: Observ
         for frame in frames[:100]:
             client.offer(Frame(frame.timestamp_ns + 60_000_000_000, frame.values))
         await until(lambda: watcher.of("telemetry"))
-        assert watcher.of("telemetry")[0]["t0"] >= frames[0].timestamp_ns * 1e-9 + 60.0  # the old is not made up for
+        # The old is not made up for, but for the batch that was not full yet.
+        assert watcher.of("telemetry")[0]["t0"] >= frames[-1].timestamp_ns * 1e-9 - 0.05
     await until(lambda: client.statistics()["mqtt"]["connections"] == 2)
     assert client.statistics()["mqtt"]["dropped"] > 0
 

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 import small_vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from estimators.contract import EstimationError, Estimate, Status
+from estimators.contract import Estimate, EstimationError, Status
 from estimators.recursive_least_squares import Prior, RecursiveLeastSquares
 from estimators.state_variable_filter import StateVariableFilter
 from estimators.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
 from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
+
+Array = NDArray[np.float64]
 
 CAD = {
     "inertia": 1450.0,
@@ -52,7 +58,7 @@ def test_filter_is_exact_from_its_first_sample() -> None:
     # x = 2 + 3 t: the filtered derivative must equal 3 times the filtered constant at every instant, transient or not.
     svf = StateVariableFilter(1, 20.0)
     svf.start([2.0])
-    for step in range(1, 60):
+    for step in range(1, 200):
         svf.update(0.01, [2.0 + 3.0 * 0.01 * step])
         outputs = svf.outputs()
         assert outputs[1, 0] == pytest.approx(3.0 * outputs[0, 1], abs=1e-9)
@@ -71,7 +77,9 @@ def test_signals_sampled_at_other_instants_are_brought_to_one() -> None:
     assert abs(early.outputs()[0, 0] - late.outputs()[0, 0]) > 1e-3
 
 
-@pytest.mark.parametrize(("bandwidth", "order", "what"), [(10.0, 1, "order 1"), (0.0, 4, "bandwidth 0"), (-1.0, 4, "-1")])
+@pytest.mark.parametrize(
+    ("bandwidth", "order", "what"), [(10.0, 1, "order 1"), (0.0, 4, "bandwidth 0"), (-1.0, 4, "-1")]
+)
 def test_a_filter_that_is_none_is_refused(bandwidth: float, order: int, what: str) -> None:
     with pytest.raises(EstimationError, match=what) as caught:
         StateVariableFilter(1, bandwidth, order)
@@ -197,9 +205,17 @@ def test_settings_that_cannot_work_are_refused_with_a_remedy() -> None:
 # --- the torque balance of the MONOCAB
 
 
-def estimates(method: Method, seeds: int, duration: float, **settings: object) -> list[Estimate]:
-    stamps, table = small_vehicle.run(seeds, duration, **settings)  # type: ignore[arg-type]
+def sweep_in(span: float) -> Callable[[float], float]:
+    return partial(small_vehicle.sweep, span=span)
+
+
+def estimates(method: Method, seeds: int, duration: float, **settings: Any) -> list[Estimate]:
+    return estimates_of(method, *small_vehicle.run(seeds, duration, **settings))
+
+
+def estimates_of(method: Method, stamps: NDArray[np.int64], table: dict[str, Array]) -> list[Estimate]:
     found = []
+    seeds = table["roll"].shape[1]
     for seed in range(seeds):
         estimator = TorqueBalance(CAD, SUPPORT, method=method)
         for frame in small_vehicle.frames(stamps, table, seed):
@@ -208,7 +224,7 @@ def estimates(method: Method, seeds: int, duration: float, **settings: object) -
     return found
 
 
-def errors(found: list[Estimate]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def errors(found: list[Estimate]) -> dict[str, tuple[Array, NDArray[np.bool_]]]:
     """Relative errors (absolute of the static torque, N m) and whether the 95 % interval holds the truth."""
     result = {}
     for name, truth in TRUTH.items():
@@ -221,7 +237,8 @@ def errors(found: list[Estimate]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 @pytest.fixture(scope="module")
 def sweeps() -> dict[Method, list[Estimate]]:
-    return {m: estimates(m, 4, 41.0, reference=lambda t: small_vehicle.sweep(t, 40.0)) for m in Method}
+    stamps, table = small_vehicle.run(3, 31.0, reference=sweep_in(30.0))
+    return {method: estimates_of(method, stamps, table) for method in Method}
 
 
 @pytest.mark.parametrize("method", list(Method))
@@ -234,39 +251,36 @@ def test_sweep_gives_inertia_and_stiffness_within_one_percent(
     assert np.abs(errs["inertia"][0]).max() < 0.01
     assert np.abs(errs["gravity_stiffness"][0]).max() < 0.01
     assert np.abs(errs["static_torque"][0]).max() < 2.0
-    # 12 intervals of 95 %: fewer than 9 right has a probability of 2e-4
-    assert sum(inside.sum() for _, inside in errs.values()) >= 9
+    # 9 intervals of 95 %: fewer than 7 right has a probability of 0.8 %
+    assert sum(inside.sum() for _, inside in errs.values()) >= 7
 
 
 @pytest.mark.parametrize("method", list(Method))
 def test_step_from_rest_gives_inertia_and_stiffness_within_three_percent(method: Method) -> None:
-    found = estimates(method, 4, 8.0, from_support=True)
-    errs = errors(found)
+    errs = errors(estimates(method, 4, 8.0, from_support=True))
     assert np.abs(errs["inertia"][0]).max() < 0.03
     assert np.abs(errs["gravity_stiffness"][0]).max() < 0.03
+    # 12 intervals of 95 %: fewer than 9 right has a probability of 2e-4
     assert sum(inside.sum() for _, inside in errs.values()) >= 9
 
 
 def test_noise_on_the_gyro_biases_the_plain_form_and_not_the_instrumental_one() -> None:
     noisy = small_vehicle.Truth(gyro_density=20 * 3.5e-5)
-    settings = {"truth": noisy, "reference": lambda t: small_vehicle.sweep(t, 40.0)}
-    plain = errors(estimates(Method.PLAIN, 2, 41.0, **settings))["inertia"][0]
-    instrumental = errors(estimates(Method.INSTRUMENTAL, 2, 41.0, **settings))["inertia"][0]
+    stamps, table = small_vehicle.run(2, 31.0, noisy, reference=sweep_in(30.0))
+    plain = errors(estimates_of(Method.PLAIN, stamps, table))["inertia"][0]
+    instrumental = errors(estimates_of(Method.INSTRUMENTAL, stamps, table))["inertia"][0]
     assert (plain < -0.05).all()  # attenuated, as the paper found
     assert np.abs(instrumental).max() < 0.02
 
 
 def test_alignment_survives_other_rates_and_jitter() -> None:
-    found = estimates(
-        Method.PLAIN, 2, 31.0, spacing=0.01, jitter=0.0005, reference=lambda t: small_vehicle.sweep(t, 30.0)
-    )
-    errs = errors(found)
+    errs = errors(estimates(Method.PLAIN, 2, 31.0, spacing=0.01, jitter=0.0005, reference=sweep_in(30.0)))
     assert np.abs(errs["inertia"][0]).max() < 0.01
-    assert np.abs(errs["gravity_stiffness"][0]).max() < 0.01
+    assert np.abs(errs["gravity_stiffness"][0]).max() < 0.02  # 100 Hz: 2.5 times the accelerometer's noise density
 
 
 def test_the_anchor_passes_its_uncertainty_on() -> None:
-    stamps, table = small_vehicle.run(1, 21.0, reference=lambda t: small_vehicle.sweep(t, 20.0))
+    stamps, table = small_vehicle.run(1, 21.0, reference=sweep_in(20.0))
     results = []
     for deviations in ({}, {"angular_momentum": 33.0}):
         estimator = make(CAD, SUPPORT, deviations=deviations)
@@ -281,7 +295,7 @@ def test_the_anchor_passes_its_uncertainty_on() -> None:
 
 
 def frames_of_a_sweep(duration: float = 16.0) -> list[Frame]:
-    stamps, table = small_vehicle.run(1, duration, reference=lambda t: small_vehicle.sweep(t, duration))
+    stamps, table = small_vehicle.run(1, duration, reference=sweep_in(duration))
     return list(small_vehicle.frames(stamps, table, 0))
 
 
@@ -365,7 +379,7 @@ def test_reset_gives_the_same_numbers_again_bit_for_bit() -> None:
 
 
 def test_a_trim_mass_out_of_its_middle_is_a_known_torque() -> None:
-    stamps, table = small_vehicle.run(1, 21.0, reference=lambda t: small_vehicle.sweep(t, 20.0))
+    stamps, table = small_vehicle.run(1, 21.0, reference=sweep_in(20.0))
     estimator = make(CAD, SUPPORT)
     place = 40.0 / (9.81 * 500.0)  # so much that all of the static torque is the trim mass
     for frame in small_vehicle.frames(stamps, table, 0):

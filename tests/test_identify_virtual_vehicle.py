@@ -1,0 +1,54 @@
+"""From the virtual vehicle's own sensors, roll filter and controller to its parameters: how good is good enough."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_loop import ClosedLoop
+
+from diagnosis.compare import compare
+from estimators.identify import identified, identify
+from estimators.torque_balance import Method, TorqueBalance
+from simulation.config import PlantTruth
+from telemetry.channels import MONOCAB
+from telemetry.recording import Recording
+from telemetry.samples import Frame
+
+TRUTH = PlantTruth()
+METHOD = Method.PLAIN.value
+
+
+def recorded(loop: ClosedLoop, name: str) -> list[Frame]:
+    """The control cycles of one whole experiment."""
+    loop.run(name)
+    (_, start), (_, end) = loop.witness.recordings[-1], loop.witness.ended[-1]
+    return [frame for frame in loop.witness.frames if start <= frame.timestamp_ns <= end]
+
+
+def recording_of(frames: list[Frame]) -> Recording:
+    table = np.array([frame.values for frame in frames])
+    stamps = np.array([frame.timestamp_ns for frame in frames])
+    return Recording(MONOCAB, stamps, {name: table[:, i] for i, name in enumerate(MONOCAB.names)})
+
+
+@pytest.mark.parametrize(("experiment", "within"), [("step", 0.03), ("sweep", 0.01)])
+def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle(experiment: str, within: float) -> None:
+    loop = ClosedLoop()
+    vehicle = loop.vehicle
+    recording = recording_of(recorded(loop, experiment))
+    known, deviations = vehicle.parameters.values, vehicle.parameters.deviations
+    document = identify([recording], known, vehicle.support, deviations=deviations)["methods"][METHOD]
+    assert document["status"] == "ok"
+    for name, truth in (("inertia", TRUTH.inertia), ("gravity_stiffness", TRUTH.gravity_stiffness)):
+        parameter = document["parameters"][name]
+        assert parameter["value"] == pytest.approx(truth, rel=within), name
+        assert abs(parameter["value"] - truth) < 1.96 * parameter["std"], name
+
+    estimator = TorqueBalance(known, vehicle.support, deviations=deviations)
+    for frame in recording.frames():
+        estimator.update(frame)
+    models = {"CAD": known, "identified": identified(known, estimator.result())}
+    cad, found = compare(models, recording, vehicle.support)
+    assert not cad.adequate
+    assert found.adequate, found.fails
+    assert found.rmse["roll"] < 0.5 * cad.rmse["roll"]
