@@ -31,13 +31,16 @@ _FRAME = struct.Struct("=IB3x8s")
 _CONTROL = struct.Struct("@16xqq16xI4x")
 """Ancillary data: header and timespec, then header and the count of lost frames, which is there once there are any."""
 
+_TIME_ALONE = 32
+"""Bytes of ancillary data while no frame was lost."""
+
 
 class _IoVector(ctypes.Structure):
     _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
 
 
-class _Message(ctypes.Structure):
-    """struct mmsghdr."""
+class _Header(ctypes.Structure):
+    """struct msghdr."""
 
     _fields_ = (
         ("name", ctypes.c_void_p),
@@ -47,8 +50,13 @@ class _Message(ctypes.Structure):
         ("control", ctypes.c_void_p),
         ("control_length", ctypes.c_size_t),
         ("flags", ctypes.c_int),
-        ("received", ctypes.c_uint),
     )
+
+
+class _Message(ctypes.Structure):
+    """struct mmsghdr."""
+
+    _fields_ = (("header", _Header), ("received", ctypes.c_uint))
 
 
 _recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
@@ -71,8 +79,9 @@ class CanTap:
         self._messages = (_Message * MOST)()
         for place, (vector, message) in enumerate(zip(self._vectors, self._messages, strict=True)):
             vector.base, vector.length = data + place * _FRAME.size, _FRAME.size
-            message.vectors, message.vector_count = ctypes.pointer(vector), 1
-            message.control, message.control_length = control + place * _CONTROL.size, _CONTROL.size
+            header = message.header
+            header.vectors, header.vector_count = ctypes.pointer(vector), 1
+            header.control, header.control_length = control + place * _CONTROL.size, _CONTROL.size
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -100,23 +109,24 @@ class CanTap:
             self._take(count, into)
 
     def _take(self, count: int, into: list[CanFrame]) -> None:
-        bus, messages = self._bus, self._messages
+        bus = self._bus
         frames, control = _FRAME.iter_unpack(self._data), _CONTROL.iter_unpack(self._control)
-        for _, (flagged, length, data), (seconds, nanoseconds, lost) in zip(
+        lost = 0
+        for _, (flagged, length, data), (seconds, nanoseconds, lost) in zip(  # noqa: B007
             range(count), frames, control, strict=False
         ):
             timestamp_ns = seconds * 1_000_000_000 + nanoseconds
             if flagged <= 0x7FF:
                 into.append(CanFrame(timestamp_ns, flagged, data[:length], bus))
-            else:
-                error, extended, remote = flagged & _ERROR, flagged & _EXTENDED, flagged & _REMOTE
-                can_id = flagged & (0x1FFFFFFF if extended or error else 0x7FF)
-                flags = (bool(extended and not error), bool(remote), bool(error))
-                into.append(CanFrame(timestamp_ns, can_id, data[:length], bus, *flags))
-        if count and messages[count - 1].control_length > 32:
+                continue
+            error, extended, remote = flagged & _ERROR, flagged & _EXTENDED, flagged & _REMOTE
+            can_id = flagged & (0x1FFFFFFF if extended or error else 0x7FF)
+            flags = (bool(extended and not error), bool(remote), bool(error))
+            into.append(CanFrame(timestamp_ns, can_id, data[:length], bus, *flags))
+        if count and self._messages[count - 1].header.control_length > _TIME_ALONE:
             self.lost = lost
         for place in range(count):
-            messages[place].control_length = _CONTROL.size
+            self._messages[place].header.control_length = _CONTROL.size
 
     def close(self) -> None:
         self._socket.close()

@@ -293,9 +293,14 @@ class ControlLoop:
             self._observer.event("error", "set_up", reason)
 
     def look_after_drives(self) -> None:
-        """Once in a while: set up a drive that restarted, acknowledge faults once the drives have told their state."""
-        if self.mode is not Mode.RUNNING and any(drive.restarted for drive in self.io.drives):
-            self.needs_set_up = True
+        """Once in a while: what has to be set up anew, and faults to acknowledge once the drives have told their state.
+
+        A drive that missed its master has left NMT operational, one that restarted has lost its configuration.
+        """
+        if self.mode in (Mode.STARTING, Mode.DISARMED):
+            for drive in self.io.drives:
+                if drive.restarted or (drive.emergency and drive.emergency.code & 0xFF00 in COMMUNICATION_ERRORS):
+                    self.needs_set_up = True
         self._to_acknowledge = {drive for drive in self._to_acknowledge if not drive.acknowledge()}
 
     def bus_down(self, down: BusDown) -> None:
@@ -334,9 +339,9 @@ class ControlLoop:
     def _finish_run(self, mode: Mode, code: str, reason: str) -> None:
         self.run = None
         self._phase = Phase.NONE
+        self._enter(mode, code, reason)
         if self._recording and mode is not Mode.FAULT:
             self._end_recording()
-        self._enter(mode, code, reason)
 
     def _begin_recording(self) -> None:
         """At the agreed time all that was measured before is forgotten, so that the raw log alone tells everything."""

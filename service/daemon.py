@@ -167,7 +167,6 @@ class Daemon:
                 await self._reopen_buses()
             if not self.observer.alive:
                 await self.observer.restart()
-            self.loop.look_after_drives()
             if self.loop.needs_set_up:
                 try:
                     await self._check_imu()
@@ -176,6 +175,7 @@ class Daemon:
                     self.loop.set_up_failed(str(error))
                 else:
                     self.loop.set_up_done({report.name: report.error_code for report in self.reports})
+            self.loop.look_after_drives()
             self._publish_state()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)

@@ -128,64 +128,64 @@ def rig(
         sys.stderr.write((folder / "daemon.log").read_text())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="class")
 def shared_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     with rig(tmp_path_factory.mktemp("hil")) as made:
         yield made
 
 
-@pytest.mark.parametrize("name", list(VEHICLE.experiments))
-def test_each_experiment_ends_well_and_is_recorded(shared_rig: Rig, name: str) -> None:
-    shared_rig.until_ready()
-    code, answer = shared_rig.ask("experiment", name)
-    assert code == 0, answer
-    recording = load_recording(Path(answer["recording"]))
-    assert recording.duration > VEHICLE.experiments[name].duration * 0.9
-    assert recording.rate == pytest.approx(250, rel=0.01)
-    assert (recording.timestamp_ns[1:] - recording.timestamp_ns[:-1]).max() < 40_000_000
-    if name in ("sweep", "multisine"):
-        found = answer["estimates"]["recursive_least_squares"]["parameters"]
-        for parameter, true in (("inertia", 1650.0), ("gravity_stiffness", 14500.0)):
-            assert found[parameter]["value"] == pytest.approx(true, rel=0.01)
-            assert abs(found[parameter]["value"] - true) < 1.96 * found[parameter]["std"]
+class TestOnOneRig:
+    """One vehicle and one daemon for all of these, as on a day at the track."""
 
+    @pytest.mark.parametrize("name", list(VEHICLE.experiments))
+    def test_each_experiment_ends_well_and_is_recorded(self, shared_rig: Rig, name: str) -> None:
+        shared_rig.until_ready()
+        code, answer = shared_rig.ask("experiment", name)
+        assert code == 0, answer
+        recording = load_recording(Path(answer["recording"]))
+        assert recording.duration > VEHICLE.experiments[name].duration * 0.9
+        assert recording.rate == pytest.approx(250, rel=0.01)
+        assert (recording.timestamp_ns[1:] - recording.timestamp_ns[:-1]).max() < 40_000_000
+        if name in ("sweep", "multisine"):
+            found = answer["estimates"]["recursive_least_squares"]["parameters"]
+            for parameter, true in (("inertia", 1650.0), ("gravity_stiffness", 14500.0)):
+                assert found[parameter]["value"] == pytest.approx(true, rel=0.01)
+                assert abs(found[parameter]["value"] - true) < 1.96 * found[parameter]["std"]
 
-def test_the_raw_log_gives_the_same_estimates_bit_for_bit(shared_rig: Rig) -> None:
-    shared_rig.until_ready()
-    code, answer = shared_rig.ask("experiment", "step")
-    assert code == 0, answer
-    for parameter, true in (("inertia", 1650.0), ("gravity_stiffness", 14500.0)):
-        found = answer["estimates"]["recursive_least_squares"]["parameters"][parameter]
-        assert found["value"] == pytest.approx(true, rel=0.03)
-    done = subprocess.run(
-        [*UPRIGHT, "replay", answer["recording"], answer["raw_log"], "--json"], capture_output=True, check=True
-    )
-    assert answer["rows"] == len(load_recording(Path(answer["recording"])))
-    assert shared_rig.status()["observer"]["frames_dropped"] == 0
-    results = json.loads(done.stdout)["recordings"]
-    from_arrow, from_log = results[answer["recording"]], results[answer["raw_log"]]
-    assert from_arrow == from_log
-    for method, estimate in answer["estimates"].items():
-        assert from_arrow[method]["parameters"] == estimate["parameters"]
-
-
-def test_a_second_experiment_is_refused_while_one_runs_and_stop_ends_it(shared_rig: Rig) -> None:
-    shared_rig.until_ready()
-    with shared_rig.experiment("hold") as running:
-        shared_rig.until_phase("excite")
+    def test_the_raw_log_gives_the_same_estimates_bit_for_bit(self, shared_rig: Rig) -> None:
+        shared_rig.until_ready()
         code, answer = shared_rig.ask("experiment", "step")
-        assert code == 3
-        assert "is running" in answer["text"]
-        code, _ = shared_rig.ask("stop")
-        assert code == 0
-        assert running.wait(30) == 0
-    shared_rig.until_ready()
+        assert code == 0, answer
+        for parameter, true in (("inertia", 1650.0), ("gravity_stiffness", 14500.0)):
+            found = answer["estimates"]["recursive_least_squares"]["parameters"][parameter]
+            assert found["value"] == pytest.approx(true, rel=0.03)
+        done = subprocess.run(
+            [*UPRIGHT, "replay", answer["recording"], answer["raw_log"], "--json"], capture_output=True, check=True
+        )
+        assert answer["rows"] == len(load_recording(Path(answer["recording"])))
+        assert shared_rig.status()["observer"]["frames_dropped"] == 0
+        results = json.loads(done.stdout)["recordings"]
+        from_arrow, from_log = results[answer["recording"]], results[answer["raw_log"]]
+        assert from_arrow == from_log
+        for method, estimate in answer["estimates"].items():
+            assert from_arrow[method]["parameters"] == estimate["parameters"]
 
+    def test_a_second_experiment_is_refused_while_one_runs_and_stop_ends_it(self, shared_rig: Rig) -> None:
+        shared_rig.until_ready()
+        with shared_rig.experiment("hold") as running:
+            shared_rig.until_phase("excite")
+            code, answer = shared_rig.ask("experiment", "step")
+            assert code == 3
+            assert "is running" in answer["text"]
+            code, _ = shared_rig.ask("stop")
+            assert code == 0
+            assert running.wait(30) == 0
+        shared_rig.until_ready()
 
-def test_an_unknown_experiment_is_a_usage_error(shared_rig: Rig) -> None:
-    code, answer = shared_rig.ask("experiment", "salto")
-    assert code == 2
-    assert "multisine" in answer["text"]
+    def test_an_unknown_experiment_is_a_usage_error(self, shared_rig: Rig) -> None:
+        code, answer = shared_rig.ask("experiment", "salto")
+        assert code == 2
+        assert "multisine" in answer["text"]
 
 
 def test_the_drives_stop_by_themselves_when_the_master_is_killed(tmp_path: Path) -> None:

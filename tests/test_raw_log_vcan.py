@@ -51,6 +51,9 @@ class Sender:
         flags = {"extended": bool(can_id & 0x80000000), "remote": bool(can_id & 0x40000000)}
         return CanFrame(seconds * 1_000_000_000 + nanoseconds, can_id & 0x1FFFFFFF, data, bus, **flags)
 
+    def send_unheard(self, bus: int, can_id: int, data: bytes) -> None:
+        self._sockets[bus].send(struct.pack("=IB3x8s", can_id, len(data), data))
+
     def close(self) -> None:
         for raw in (*self._sockets, *self._listeners):
             raw.close()
@@ -165,6 +168,29 @@ async def test_an_interface_that_goes_down_and_comes_back(
     await process.stop()
     assert [frame.data for frame in CandumpReader(tmp_path / "run.log")] == [b"before", b"after"]
     assert len(events) == 1
+
+
+async def test_frames_that_found_its_buffer_full_are_counted(
+    sender: Sender, start: Start, events: Heard, tmp_path: Path
+) -> None:
+    process = start("vcan0")
+    path = tmp_path / "run.log"
+    process.open(path, 0)
+    await until(path.exists)
+    await asyncio.sleep(0.2)
+    os.kill(process.pid, signal.SIGSTOP)
+    total = 20_000  # twice what even a privileged process' buffer holds
+    for i in range(total):
+        sender.send_unheard(0, 0x123, i.to_bytes(2, "big"))
+    os.kill(process.pid, signal.SIGCONT)
+    await until(lambda: path.stat().st_size)
+    sender.send(0, 0x123, b"the last")
+    await process.stop()
+    logged = list(CandumpReader(path))
+    ((severity, _, text),) = events
+    assert severity == "warning"
+    assert text.startswith(f"{total + 1 - len(logged)} frames did not reach")
+    assert 100 < len(logged) < total
 
 
 async def test_killed_it_leaves_whole_lines_and_is_missed(
