@@ -59,6 +59,8 @@ class Mode(StrEnum):
 class Observer(Protocol):
     """What the loop tells the observer process; none of it waits."""
 
+    @property
+    def ready(self) -> bool: ...
     def offer(self, frame: Frame) -> None: ...
     def start_recording(self, name: str, start_ns: int, metadata: dict[str, str]) -> None: ...
     def stop_recording(self, reason: str, end_ns: int) -> None: ...
@@ -260,6 +262,8 @@ class ControlLoop:
                 return [f"A fault is latched: {self.reason}. Mend its cause, then `upright reset`."]
             case Mode.STARTING:
                 return [f"Not ready: {self.reason}."]
+            case Mode.DISARMED if not self._observer.ready:
+                return ["The observer process is not up yet: nothing would be recorded."]
             case Mode.DISARMED:
                 return interlocks(self.vehicle, self.io, self.roll, self.drives, self._last_ns, self._silence)
 

@@ -60,6 +60,11 @@ class ObserverClient:
         return self._pipe is not None and self._pipe.is_open
 
     @property
+    def ready(self) -> bool:
+        """Whether the observer has said that it is up."""
+        return self.alive and bool(self._report)
+
+    @property
     def pid(self) -> int | None:
         """Process id of the observer."""
         return self._process.pid if self._process is not None else None
@@ -75,6 +80,7 @@ class ObserverClient:
         """Start the observer where there is none. What the old one had begun to record is not taken up again."""
         if self.alive:
             return
+        self._report = {}
         own, other = link.pair()
         command = [sys.executable, "-P", "-m", "service.observer", str(other.fileno())]
         with other:

@@ -258,7 +258,6 @@ class ExperimentSection(_Section):
     frequencies: list[Positive] | None = None
     width: Positive | None = None
     lines: Annotated[int, Field(ge=2)] | None = None
-    seed: int | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

@@ -23,6 +23,7 @@ from telemetry.samples import CanFrame, Frame
 class Witness:
     """Stands where the observer process is: keeps what the loop tells it."""
 
+    ready: bool = True
     frames: list[Frame] = field(default_factory=list)
     recordings: list[tuple[str, int]] = field(default_factory=list)
     ended: list[tuple[str, int]] = field(default_factory=list)

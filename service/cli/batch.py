@@ -153,6 +153,11 @@ def load_recording(path: Path, vehicle: str) -> Recording:
     return recording
 
 
+def estimates_beside(recording: Path) -> Path:
+    """What the live estimators found while `recording` was made."""
+    return recording.with_suffix(".estimates.json")
+
+
 def cad(vehicle: str) -> dict[str, Any]:
     """The vehicle file's parameters in the shape of an estimate."""
     from service.vehicle_file import load

@@ -47,13 +47,28 @@ def demo(
     seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
 ) -> None:
     """The whole story without hardware: a virtual vehicle on a virtual bus is balanced, excited and identified."""
+    from diagnosis.compare import compare as compare_models
+    from service.cli.batch import comparison_table, estimates_beside, load_recording, read_models, working
     from service.cli.talk import follow
     from service.demo import run_demo
+    from service.demo_figure import save_run
     from service.vehicle_file import load
 
     file = load(vehicle)
     recordings = run_demo(file, hide or [], experiment or ["step", "sweep"], data or Path("recordings"), seed, follow)
-    page.print(f"Recordings: {', '.join(str(path) for path in recordings)}")
+    for path in recordings:
+        picture = path.with_suffix(".png")
+        with working() as step:
+            step(f"comparing and drawing {path.name}")
+            recording = load_recording(path, vehicle)
+            models = {"CAD": file.parameters.values, **read_models(estimates_beside(path), file.parameters.values)}
+            comparisons = compare_models(models, recording, file.support)
+            save_run(recording, file, picture)
+        page.print(comparison_table(comparisons, title=path.stem))
+        page.print(f"  recording {path}\n  picture   {picture}")
+    page.print(
+        "Next: `upright compare RECORDING --picture FILE.png` shows where a model fails, `upright --help` the rest."
+    )
 
 
 def simulate(

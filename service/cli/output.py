@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -37,7 +36,7 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Table:
     """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
     for heading in ("method", "parameter"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=True)
     for heading in ("value", "±", "unit", "", "note"):
         table.add_column(heading, justify="right" if heading in ("value", "±") else "left")
     for method, estimate in estimates.items():
@@ -57,8 +56,3 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Table:
         if estimate.get("reason"):
             table.add_row(shown, "", "", "", "", "", estimate["reason"])
     return table
-
-
-def result_path(path: Path | None, default: str) -> Path:
-    """`path`, or `default` in the current folder."""
-    return path if path is not None else Path(default)
