@@ -37,13 +37,15 @@ native-test: $(READY) ## the tests that need neither SocketCAN nor systemd
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
-	$(GUEST) $(BIN)/pytest -m vcan || $(NO_GUEST)
+	$(GUEST) $(BIN)/pytest -m vcan --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
 
 benchmark: $(READY) ## roll filter beside VQF on measured data, bus turnaround beside bare echoes in C and Python
 	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc
 	$(BIN)/python benchmarks/broad.py
-	$(GUEST) $(BIN)/python benchmarks/turnaround.py
+	$(GUEST) $(BIN)/python benchmarks/turnaround.py --rate 500 --seconds 60 \
+	  --source "$(BIN)/python benchmarks/vehicle_at.py {rate} simulate" \
+	  --responder upright "$(BIN)/python benchmarks/vehicle_at.py 500 serve"
 
 clean: ## remove the environment and everything that was made
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build .guest.*

@@ -201,7 +201,7 @@ class MqttPublisher:
             while self._events:
                 event = name, payload = self._events.popleft()
                 try:
-                    await client.publish(f"{prefix}/{name}", payload)
+                    await client.publish(f"{prefix}/{name}", payload, qos=1)
                 except aiomqtt.MqttError:
                     self._events.appendleft(event)
                     raise

@@ -113,7 +113,13 @@ def serve(
 ) -> None:
     """The daemon: balances and identifies the vehicle. Comes up disarmed; `upright experiment NAME` starts a run."""
     import asyncio
+    import logging
     import os
+
+    # Matrices of six rows gain nothing from threads, and threads cost the control loop its punctuality.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A drive that does not answer is told once, by the set-up, and not by canopen twice a second.
+    logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
     from service.api import default_socket
     from service.daemon import Daemon, Places
