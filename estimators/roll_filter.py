@@ -43,6 +43,10 @@ INITIAL_TILT_STD = 0.1
 INITIAL_BIAS_STD = 0.01
 """rad/s, of the gyro bias before anything is known of it."""
 
+LEVER_TIME = 0.1
+"""s after a start over which the tangential acceleration is faded in. Its average is the difference of the two gyro
+readings at its ends over the time between them: of the first few samples, that is noise."""
+
 LONGEST_STEP = 1.0
 """s; after a longer silence the up vector is taken from the accelerometer anew. The bias is kept."""
 
@@ -141,7 +145,8 @@ class RollFilter:
         elapsed = self._period * max(1, round(step / self._period))
         change = (wx - vx, wy - vy, wz - vz)
         before = _apply(turn, last.acceleration)
-        lever = self._lever(rate, change, elapsed)
+        share = min(1.0, self._readings * self._period / LEVER_TIME)
+        lever = self._lever(rate, (share * change[0], share * change[1], share * change[2]), elapsed)
         now = sample.acceleration
         reading = (
             0.5 * (before[0] + now[0]) - lever[0],
