@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from service import assembly
+from service import assembly, export
 from service.online_estimators import EstimatorBank, online_estimators
 from service.rows import rows_from_frames
 from service.vehicle_file import VehicleFile
@@ -24,7 +24,7 @@ from telemetry.recording import Recording
 
 NOT_ON_THE_BUS = ("roll_reference", "excitation", "phase")
 
-CONVERTED = (*recordings.SUFFIXES, ".mat")
+CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
 
 
 def load(path: Path, vehicle: VehicleFile) -> Recording:
@@ -90,8 +90,8 @@ def convert(recording: Recording, path: Path) -> None:
         what = f"upright does not write {path.suffix or 'files without a suffix'}"
         raise RecordingError(str(path), "", what, remedy=f"Use one of {', '.join(CONVERTED)}.")
     try:
-        if path.suffix == ".mat":
-            _save_mat(recording, path)
+        if path.suffix in export.SUFFIXES:
+            export.export(recording, path)
         else:
             recording.save(path)
     except OSError as error:
@@ -122,14 +122,3 @@ def _completed(rebuilt: Recording, beside: Recording) -> Recording:
         values[name] = np.full(len(rebuilt), np.nan)
         values[name][here] = beside.values[name][there]
     return replace(rebuilt, values=values, metadata={**rebuilt.metadata, **beside.metadata})
-
-
-def _save_mat(recording: Recording, path: Path) -> None:
-    """A MATLAB 5 file: `time` (s) and a column vector a channel, `timestamp_ns`, and the texts as structs."""
-    from scipy.io import savemat
-
-    columns = {"time": recording.time, "timestamp_ns": recording.timestamp_ns, **recording.values}
-    units = {channel.name: channel.unit for channel in recording.channels}
-    texts = {"unit": units, "metadata": {key[:31]: text for key, text in recording.metadata.items()}}
-    with path.open("wb") as file:
-        savemat(file, {**columns, **texts}, oned_as="column")

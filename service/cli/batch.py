@@ -130,7 +130,7 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
 
 def convert(
     source: Annotated[Path, typer.Argument(help="A recording, or a raw CAN .log.")],
-    target: Annotated[Path, typer.Argument(help="By its suffix: .arrow, .parquet, .csv or .mat.")],
+    target: Annotated[Path, typer.Argument(help="By its suffix: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")],
     vehicle: VehicleOption = "monocab",
 ) -> None:
     """Write a recording in another format. From a raw CAN log, all measured channels are rebuilt."""
