@@ -11,16 +11,18 @@ can_id [0] u32, length [4] u8, data [8] 8 bytes, cmsghdr [16], struct timespec [
 
 from __future__ import annotations
 
-import asyncio
 import ctypes
 import errno
 import os
 import socket
 import struct
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from telemetry.samples import CanFrame
+
+if TYPE_CHECKING:
+    import asyncio
 
 SLOTS = 128
 """Frames read at most in one go; what is left waits for the next turn of the event loop."""
@@ -78,7 +80,8 @@ _recvmmsg.restype = ctypes.c_int
 class SocketHolder(Protocol):
     """What is needed of python-can's SocketcanBus."""
 
-    socket: socket.socket
+    @property
+    def socket(self) -> socket.socket: ...
 
     def shutdown(self) -> None: ...
 

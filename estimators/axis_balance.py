@@ -105,9 +105,11 @@ class AxisBalance:
                 reason = f"the term of {name} moves at {coverage:.0f} % of what is needed: move the axis more"
                 status = Status.TOO_LITTLE_EXCITATION
                 parameters[name] = ParameterEstimate(None, None, unit, status, coverage, reason)
+            elif not 0.0 <= (variance := float(solution.covariance[place, place])) < np.inf:
+                reason = f"how sure {name} is cannot be told from {samples} rows: go on for longer"
+                parameters[name] = ParameterEstimate(None, None, unit, Status.TOO_FEW_SAMPLES, coverage, reason)
             else:
-                std = float(np.sqrt(solution.covariance[place, place]))
-                parameters[name] = ParameterEstimate(value, std, unit, Status.OK, coverage)
+                parameters[name] = ParameterEstimate(value, float(np.sqrt(variance)), unit, Status.OK, coverage)
         failed = next((p for p in parameters.values() if not p.identifiable), None)
         status, reason = (failed.status, failed.reason) if failed else (Status.OK, "")
         return Estimate(self.method, parameters, status, reason, samples, self._span)

@@ -9,9 +9,11 @@ the roll rate; the constant is the filter's step response.
 Alignment. The drives are sampled before the IMU; `drive_age` says by how much, and the drive signals are brought to the
 IMU's instant. What is left of a misalignment, a fraction of a sample, is for the user of a row to fit along as a
 nuisance: shifting the drive signals by `drive_time_offset` adds angular_momentum * precession'' * offset, linear in it.
+It takes up whatever else goes with precession'', so it is no property of the vehicle and no measure of its drives.
 
 Validity. Only a free vehicle obeys the balance: |roll| must be less than the support angle by a margin. The filter
-restarts whenever the vehicle gets free and after every gap, and is exact from that moment on.
+restarts whenever the vehicle gets free and after every gap, and is exact from that moment on. Rows without instruments
+take nothing but what was on the bus (BALANCE_CHANNELS); excitation and setpoint are read for the instruments alone.
 
 Signs as in telemetry.channels, SI units. Source: Griese et al., section III-B, equation (6), with the gravity term's
 sign set right and the static torque added.
@@ -22,6 +24,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +47,14 @@ BALANCE_CHANNELS = ChannelTable(
         "trim_position",
         "trim_rate",
         "drive_age",
-        "excitation",
-        "precession_rate_setpoint",
     )
 )
 """What a row is made of."""
+
+INSTRUMENT_CHANNELS = ChannelTable(
+    MONOCAB[MONOCAB.index_of(name)] for name in (*BALANCE_CHANNELS.names, "excitation", "precession_rate_setpoint")
+)
+"""What a row with instruments is made of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +84,7 @@ class FilterConfig:
 class BalanceRow:
     """One row: `output` (N m) = `regressors` (4,) . parameters, see REGRESSORS; `begins` where it follows no other row.
 
-    `instruments` are what filters make of the injected excitation, and the constant: (INSTRUMENTS,).
+    `instruments` are what filters make of the injected excitation, and the constant: (INSTRUMENTS,), or ().
     """
 
     timestamp_ns: int
@@ -123,7 +129,8 @@ class BalanceRows:
     """Takes control cycles, gives a row every `stride` seconds of free motion.
 
     `parameters` needs angular_momentum, trim_mass, trim_height; `support` is the roll angle, rad, at which the supports
-    carry. Raises EstimationError where a parameter is missing or the support angle leaves no free range.
+    carry. With `instruments` a cycle of unknown excitation is an unknown cycle.
+    Raises EstimationError where a parameter is missing or the support angle leaves no free range.
     """
 
     INSTRUMENTS = InstrumentBank.COUNT + 1
@@ -134,6 +141,8 @@ class BalanceRows:
         support: float,
         channels: ChannelTable = MONOCAB,
         config: FilterConfig | None = None,
+        *,
+        instruments: bool = False,
     ) -> None:
         self.config = config = config or FilterConfig()
         for name in ("angular_momentum", "trim_mass", "trim_height"):
@@ -149,45 +158,51 @@ class BalanceRows:
         self._trim_weight = GRAVITY * float(parameters["trim_mass"])
         self._trim_reaction = float(parameters["trim_mass"]) * float(parameters["trim_height"])
         self._free_angle = support - config.support_margin
-        self._places = tuple(channels.index_of(name) for name in BALANCE_CHANNELS.names)
+        names = INSTRUMENT_CHANNELS.names if instruments else BALANCE_CHANNELS.names
+        self._places = tuple(channels.index_of(name) for name in names)
         self._imu = StateVariableFilter(2, config.bandwidth, config.order)
         self._drive = StateVariableFilter(3, config.bandwidth, config.order)
-        self._bank = InstrumentBank()
+        self._bank = InstrumentBank() if instruments else None
         self._recent: deque[tuple[int, float, float]] = deque(maxlen=8)
         self.reset()
 
     def reset(self) -> None:
         """Back to before the first cycle."""
-        self._bank.reset()
+        self._reset_bank()
         self._recent.clear()
         self._running = self._begins = False
         self._imu_time = self._drive_time = 0
         self._next = 0.0
         self.cycles = 0
         """Cycles seen so far."""
+        self.unknown_excitation = 0
+        """Of these, how many lacked the excitation that instruments need."""
         self.free_time = 0.0
         """s of free motion so far."""
 
     def update(self, frame: Frame) -> BalanceRow | None:
         """The row that this cycle completes, if any. Cycles on the support, out of order or unknown are passed over."""
         values = frame.values
-        roll, rate, speed, trim, trim_rate, age, excitation, setpoint = [values[place] for place in self._places]
+        roll, rate, speed, trim, trim_rate, age, *injected = [values[place] for place in self._places]
         now = frame.timestamp_ns
         recent = self._recent
         spacing = (now - recent[-1][0]) * 1e-9 if recent else 0.0
         if recent and spacing <= 0.0:
             return None
         self.cycles += 1
-        known = roll + rate + speed + trim + trim_rate + age + excitation + setpoint
+        known = roll + rate + speed + trim + trim_rate + age + sum(injected)
+        if injected and not isfinite(injected[0]):
+            self.unknown_excitation += 1
         longest = self.config.longest_gap
         if known - known != 0.0 or spacing > longest or not 0.0 <= age <= longest:
             self._running = False
             recent.clear()
-            self._bank.reset()
+            self._reset_bank()
             if known - known != 0.0:  # NaN or infinite
                 return None
             spacing = 0.0
-        self._bank.update(spacing, excitation, setpoint)
+        if self._bank:
+            self._bank.update(spacing, *injected)
         recent.append((now, roll, rate))
         if abs(roll) >= self._free_angle:
             self._running = False
@@ -208,6 +223,10 @@ class BalanceRows:
             return None
         self._next += self.config.stride
         return self._row(now)
+
+    def _reset_bank(self) -> None:
+        if self._bank:
+            self._bank.reset()
 
     def _begin(self, drive_time: int, drive: Sequence[float]) -> None:
         """Start both filters at one instant, that of the drive values; roll and roll rate are interpolated there."""
@@ -236,6 +255,6 @@ class BalanceRows:
             timestamp_ns=now,
             output=float(momentum * drive[0, 0] + self._trim_weight * drive[0, 1] - self._trim_reaction * drive[1, 2]),
             regressors=(imu[1, 1], -imu[0, 0], -imu[0, 2], -momentum * drive[1, 0]),
-            instruments=(imu[0, 2], *self._bank.outputs),
+            instruments=(imu[0, 2], *self._bank.outputs) if self._bank else (),
             begins=begins,
         )

@@ -31,6 +31,7 @@ class Status(StrEnum):
     TOO_FEW_SAMPLES = "too_few_samples"
     TOO_LITTLE_EXCITATION = "too_little_excitation"
     IMPLAUSIBLE = "implausible"
+    MISSING_CHANNEL = "missing_channel"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from estimators.balance_rows import BALANCE_CHANNELS
+from estimators.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.prediction import free_motion, predict, sensor_noise
 from estimators.torque_balance import NUISANCE, Method, TorqueBalance
@@ -41,9 +41,10 @@ def identify(
     document: dict[str, Any] = {}
     for method in map(Method, methods):
         start = stopwatch()
-        estimator = TorqueBalance(parameters, support, method=method, deviations=deviations, channels=BALANCE_CHANNELS)
+        channels = INSTRUMENT_CHANNELS if method is Method.INSTRUMENTAL else BALANCE_CHANNELS
+        estimator = TorqueBalance(parameters, support, method=method, deviations=deviations, channels=channels)
         for recording in recordings:
-            for frame in recording.frames(BALANCE_CHANNELS):
+            for frame in recording.frames(channels):
                 estimator.update(frame)
         estimate = estimator.result()
         fit = fit_percent(recordings, identified(parameters, estimate), support) if estimate.status is Status.OK else {}

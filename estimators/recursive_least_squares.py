@@ -46,6 +46,8 @@ SINGULAR = 1e-9
 """Directions of the scaled regressor moments smaller than this share of the largest count as not excited."""
 ROUNDING = 1e-12
 """Residual energy, as a share of the output's, that an exact fit leaves."""
+WHITE_SHARES = (1e-6, 1e-4, 1e-2)
+"""White noise, as a share of the residual's power, that keeps the autoregressive process stable."""
 ROUNDS = 3
 """Of putting back what the fit took from the residual."""
 
@@ -256,13 +258,23 @@ def positive_meat(autocovariance: Array, symmetric: Array) -> Array:
 
 
 def continue_autocovariance(autocovariance: Array, order: int) -> Array:
-    """The first `order` lags as they are, the others those of the autoregressive process of that order."""
+    """The first `order` lags as they are, the others those of the autoregressive process of that order.
+
+    Where samples are finely spaced or the residual is hardly more than rounding, the process can come out unstable; it
+    is then taken of the residual with white noise added, the least of WHITE_SHARES with which no lag exceeds lag 0.
+    """
     continued = autocovariance.copy()
     if order == 0 or continued[0] <= ROUNDING:
         return continued
-    column = continued[:order].copy()
-    column[0] *= 1.0 + 1e-6  # keeps the process stable where the samples are very finely spaced
-    process = solve_toeplitz(column, continued[1 : order + 1])
-    for lag in range(order + 1, len(continued)):
-        continued[lag] = process @ continued[lag - order : lag][::-1]
+    for share in WHITE_SHARES:
+        column = continued[:order].copy()
+        column[0] *= 1.0 + share
+        process = solve_toeplitz(column, continued[1 : order + 1])
+        for lag in range(order + 1, len(continued)):
+            continued[lag] = process @ continued[lag - order : lag][::-1]
+            if not abs(continued[lag]) <= continued[0]:
+                break
+        else:
+            return continued
+    continued[order + 1 :] = 0.0
     return continued

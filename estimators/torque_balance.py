@@ -7,8 +7,12 @@ of the regression is, and when the vehicle obeys it, is in estimators.balance_ro
 
 Two forms. Plain least squares is biased where noise on roll'' is not small against roll'' (the paper's finding); the
 instrumental-variable form replaces the regressors by what follows from the injected excitation alone, so that neither
-sensor noise nor a disturbance in the closed loop can bias it. It needs an injected excitation, the plain form only
-motion.
+sensor noise nor a disturbance in the closed loop can bias it. It needs an injected excitation that is known instant by
+instant; the plain form needs only motion, and only what was on the bus: a raw log alone gives the same numbers bit for
+bit.
+
+`drive_time_offset` is given along with the three, but it is a nuisance: fitted so that a misalignment of a fraction of
+a sample does not bias them. It is no parameter of the vehicle, no model takes it, and it need not be identifiable.
 
 Source: Griese et al., section III-B, equations (6) and (7).
 """
@@ -36,6 +40,7 @@ TERMS = dict(
     )
 )
 NUISANCE = "drive_time_offset"
+"""The one result that is no parameter of the vehicle, see above."""
 
 
 class Method(StrEnum):
@@ -86,7 +91,8 @@ class TorqueBalance:
                 raise EstimationError(f"parameter {name}", "must be given and positive", remedy=remedy)
         self._method = method
         self._config = config = config or TorqueBalanceConfig()
-        self._rows = BalanceRows(parameters, support, channels, config.filter)
+        instrumental = method is Method.INSTRUMENTAL
+        self._rows = BalanceRows(parameters, support, channels, config.filter, instruments=instrumental)
         deviations = deviations or {}
         self._momentum_share = deviations.get("angular_momentum", 0.0) / parameters["angular_momentum"]
         inertia, stiffness = parameters["inertia"], parameters["gravity_stiffness"]
@@ -104,7 +110,7 @@ class TorqueBalance:
             )
         self._regression = RecursiveLeastSquares(
             len(REGRESSORS),
-            instruments=BalanceRows.INSTRUMENTS if method is Method.INSTRUMENTAL else 0,
+            instruments=BalanceRows.INSTRUMENTS if instrumental else 0,
             lags=round(config.correlation_time / config.filter.stride),
             memory=config.memory / config.filter.stride,
             prior=prior,
@@ -126,24 +132,31 @@ class TorqueBalance:
             return
         if row.begins:
             self._regression.interrupt()
-        instruments = row.instruments if self._regression.instruments else ()
-        self._regression.update(row.output, row.regressors, instruments)
+        self._regression.update(row.output, row.regressors, row.instruments)
 
     def result(self) -> Estimate:
-        """Inertia, gravity stiffness, static torque and the drives' time offset, with standard deviations."""
+        """Inertia, gravity stiffness and static torque with standard deviations, and the NUISANCE fitted along."""
         span = self._rows.free_time
         if span < self._config.shortest_span:
-            return self._too_short(span)
+            return self._no_result(span)
         solution = self._regression.solve()
         parameters = {name: self._parameter(place, name, solution) for place, name in enumerate(REGRESSORS)}
         failed = next((p for name, p in parameters.items() if not p.identifiable and name != NUISANCE), None)
         status, reason = (failed.status, failed.reason) if failed else (Status.OK, "")
         return Estimate(self.method, parameters, status, reason, round(self._regression.samples), span)
 
-    def _too_short(self, span: float) -> Estimate:
-        where = "the vehicle has hardly left its supports" if self._rows.cycles else "no control cycle has come in yet"
-        reason = f"{span:.1f} s of free motion, {self._config.shortest_span:g} s needed: {where}"
-        lacking = Status.TOO_FEW_SAMPLES
+    def _no_result(self, span: float) -> Estimate:
+        cycles, unknown = self._rows.cycles, self._rows.unknown_excitation
+        if 2 * unknown > cycles:
+            lacking = Status.MISSING_CHANNEL
+            reason = (
+                f"the excitation is unknown in {unknown} of {cycles} control cycles, and this form needs it: it is not "
+                f"on the bus, so a raw log does not hold it; keep the .arrow beside it, or use {Method.PLAIN.value}"
+            )
+        else:
+            lacking = Status.TOO_FEW_SAMPLES
+            where = "the vehicle has hardly left its supports" if cycles else "no control cycle has come in yet"
+            reason = f"{span:.1f} s of free motion, {self._config.shortest_span:g} s needed: {where}"
         parameters = {name: ParameterEstimate(None, None, unit, lacking, 0.0, reason) for name, unit in UNITS.items()}
         return Estimate(self.method, parameters, lacking, reason, round(self._regression.samples), span)
 
@@ -161,6 +174,9 @@ class TorqueBalance:
         if name != NUISANCE:
             # The balance gives its parameters in units of the angular momentum, whose uncertainty is theirs too.
             variance += (value * self._momentum_share) ** 2
+        if not 0.0 <= variance < np.inf:
+            reason = f"how sure {name} is cannot be told from {solution.samples:.0f} rows: go on for longer"
+            return ParameterEstimate(None, None, unit, Status.TOO_FEW_SAMPLES, coverage, reason)
         return ParameterEstimate(value, float(np.sqrt(variance)), unit, Status.OK, coverage)
 
 

@@ -22,6 +22,8 @@ def export(recording: Recording, path: Path) -> None:
         OSError: `path` cannot be written.
     """
     writers = {".mat": save_mat, ".mf4": save_mf4, ".mcap": save_mcap}
+    with path.open("wb"):
+        pass  # A place that cannot be written is told by the system here, not by a library in its own words.
     try:
         writers[path.suffix](recording, path)
     except ModuleNotFoundError as error:

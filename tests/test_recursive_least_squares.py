@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate, EstimationError, Status
-from estimators.recursive_least_squares import Prior, RecursiveLeastSquares
+from estimators.recursive_least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
 from estimators.state_variable_filter import StateVariableFilter
 from estimators.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
 from telemetry.channels import MONOCAB
@@ -164,6 +164,17 @@ def test_products_are_not_formed_across_an_interruption() -> None:
             regression.update(float(step % 4), (1.0,))
     assert whole.solve().values == pytest.approx(parts.solve().values)
     assert whole.solve().covariance[0, 0] != pytest.approx(parts.solve().covariance[0, 0], rel=1e-3)
+
+
+def test_an_autocovariance_is_never_continued_to_more_than_its_power() -> None:
+    # A slow residual with rounding-sized errors: its autoregressive process is unstable and would grow without bound.
+    random = np.random.default_rng(11)
+    for _ in range(50):
+        lags = np.arange(200)
+        measured = 1e-11 * np.exp(-((lags / 40.0) ** 2)) + 1e-16 * random.standard_normal(len(lags))
+        continued = continue_autocovariance(measured, 25)
+        np.testing.assert_array_equal(continued[:26], measured[:26])
+        assert np.abs(continued).max() <= measured[0]
 
 
 def test_forgetting_follows_a_change_and_its_covariance_stays_bounded() -> None:
@@ -321,6 +332,64 @@ def test_gaps_unknown_values_and_repeated_frames_do_no_harm() -> None:
     assert result.status is Status.OK
     for name in ("inertia", "gravity_stiffness"):
         assert result.parameters[name].value == pytest.approx(TRUTH[name], rel=0.02)
+
+
+@pytest.mark.parametrize("value", [float("nan"), 0.3])
+def test_the_plain_form_takes_neither_excitation_nor_reference_nor_setpoint(value: float) -> None:
+    frames = frames_of_a_sweep()
+    as_recorded, as_from_the_log = make(CAD, SUPPORT), make(CAD, SUPPORT)
+    for frame in frames:
+        as_recorded.update(frame)
+        for name in ("excitation", "roll_reference", "precession_rate_setpoint", "phase"):
+            frame = changed(frame, name, value)
+        as_from_the_log.update(frame)
+    assert as_recorded.result().status is Status.OK
+    assert as_from_the_log.result() == as_recorded.result()
+
+
+def test_the_instrumental_form_says_that_it_lacks_the_excitation() -> None:
+    estimator = make(CAD, SUPPORT, method=Method.INSTRUMENTAL)
+    for frame in frames_of_a_sweep(4.0):
+        estimator.update(changed(frame, "excitation", float("nan")))
+    result = estimator.result()
+    assert result.status is Status.MISSING_CHANNEL
+    assert "excitation is unknown in 1000 of 1000 control cycles" in result.reason
+    assert Method.PLAIN.value in result.reason
+    assert all(parameter.value is None and parameter.std is None for parameter in result.parameters.values())
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_asked_at_every_row_it_never_gives_a_deviation_that_is_none(method: Method) -> None:
+    # Without noise the residual is hardly more than rounding: an unstable continuation of its autocovariance made
+    # variances of -1e18 and 1e14 here.
+    quiet = small_vehicle.Truth(gyro_density=0.0, accelerometer_roll_std=0.0)
+    stamps, table = small_vehicle.run(1, 3.0, quiet, reference=lambda time: 0.01 * float(np.sin(1.885 * time)))
+    estimator = TorqueBalance(CAD, SUPPORT, method=method)
+    for frame in small_vehicle.frames(stamps, table, 0):
+        estimator.update(frame)
+        if frame.timestamp_ns % 20_000_000 == 0:
+            for parameter in estimator.result().parameters.values():
+                assert (parameter.std is None) == (parameter.status is not Status.OK)
+                assert parameter.std is None or 0.0 <= parameter.std < 1e3
+
+
+@pytest.mark.parametrize("variance", [-1e-9, float("inf"), float("nan")])
+def test_a_variance_that_is_none_becomes_a_reason(monkeypatch: pytest.MonkeyPatch, variance: float) -> None:
+    estimator = make(CAD, SUPPORT)
+    for frame in frames_of_a_sweep():
+        estimator.update(frame)
+    solve = RecursiveLeastSquares.solve
+
+    def solved(self: RecursiveLeastSquares) -> Solution:
+        solution = solve(self)
+        return replace(solution, covariance=np.full_like(solution.covariance, variance))
+
+    monkeypatch.setattr(RecursiveLeastSquares, "solve", solved)
+    result = estimator.result()
+    assert result.status is Status.TOO_FEW_SAMPLES
+    assert "how sure inertia is" in result.reason
+    assert result.parameters["inertia"].value is None
+    assert result.parameters["inertia"].std is None
 
 
 def test_what_happens_on_the_support_does_not_count() -> None:

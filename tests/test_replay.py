@@ -75,6 +75,23 @@ def test_a_log_alone_gives_all_that_was_on_the_bus(run: Path, tmp_path: Path) ->
         assert name in rebuilt.truncated
 
 
+@pytest.mark.parametrize("dropped", [(), (0x201, 0x202, 0x203)])
+def test_a_log_alone_gives_the_plain_estimates_bit_for_bit(run: Path, tmp_path: Path, dropped: tuple[int, ...]) -> None:
+    """Neither what was never on the bus nor the setpoints, whichever cycle they are counted to, play a part."""
+    recorded = replay.replay(replay.load(Path(f"{run}.arrow"), VEHICLE), VEHICLE)
+    lines = Path(f"{run}.log").read_text().splitlines(keepends=True)
+    kept = [line for line in lines if int(line.split()[2].partition("#")[0], 16) not in dropped]
+    assert bool(dropped) == (len(kept) < len(lines))
+    (tmp_path / "alone.log").write_text("".join(kept))
+    rebuilt = replay.replay(replay.load(tmp_path / "alone.log", VEHICLE), VEHICLE)
+    plain, instrumental = "recursive_least_squares", "recursive_instrumental_variables"
+    assert recorded[plain]["span"] > 0.4
+    assert rebuilt[plain] == recorded[plain]
+    assert rebuilt[instrumental]["status"] == "missing_channel"
+    assert "raw log does not hold it" in rebuilt[instrumental]["reason"]
+    assert rebuilt[instrumental]["samples"] == 0
+
+
 def test_a_log_that_was_cut_off_gives_the_rows_before(run: Path, tmp_path: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     rebuilt = replay.load(alone(run, tmp_path, lines=slice(6000), tail="(0000001005.1234"), VEHICLE)
