@@ -122,6 +122,11 @@ def service(silent_service: None) -> Iterator[dict[str, Any]]:
 def _start_experiment() -> list[str]:
     """An experiment that has the drives enabled; how it ended is added to the list when it has."""
     ends: list[str] = []
+    _wait(
+        "nothing keeps an experiment from starting",
+        lambda: not (_status() or {"interlocks": ["no answer"]})["interlocks"],
+        30.0,
+    )
 
     def follow() -> None:
         try:
