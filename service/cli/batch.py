@@ -194,8 +194,11 @@ def comparison_table(comparisons: list[Any], title: str = "") -> Table:
     from rich.table import Table
 
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    words = ("model", "channel", "verdict")
     for heading in ("model", "channel", "fit", "error", "noise floor", "missing torque", "verdict"):
-        table.add_column(heading, justify="left" if heading in ("model", "channel", "verdict") else "right")
+        table.add_column(
+            heading, justify="left" if heading in words else "right", no_wrap=heading in ("model", "channel")
+        )
     for each in comparisons:
         missing = each.missing_torque
         rms = f"{float((missing.torque**2).mean() ** 0.5):.1f} N m" if missing is not None else "-"
