@@ -190,29 +190,23 @@ def read_models(path: Path, base: dict[str, float]) -> dict[str, dict[str, float
 
 
 def comparison_table(comparisons: list[Any], title: str = "") -> Table:
-    """Models side by side, figures half a second ahead."""
+    """Models side by side: how well they predict half a second ahead, and the torque (N m, RMS) they miss."""
     from rich.table import Table
 
-    table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
-    words = ("model", "channel", "verdict")
-    for heading in ("model", "channel", "fit", "error", "noise floor", "missing torque", "verdict"):
-        table.add_column(
-            heading, justify="left" if heading in words else "right", no_wrap=heading in ("model", "channel")
-        )
+    table = Table(
+        title=title or None, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold"
+    )
+    for heading in ("model", "channel", "fit", "missing", "noise", "verdict"):
+        table.add_column(heading, justify="right" if heading in ("fit", "missing", "noise") else "left", no_wrap=True)
     for each in comparisons:
         missing = each.missing_torque
-        rms = f"{float((missing.torque**2).mean() ** 0.5):.1f} N m" if missing is not None else "-"
-        floor = f" (noise {missing.floor:.1f})" if missing is not None else ""
-        for row, (channel, fit) in enumerate(each.fit_percent.items()):
-            table.add_row(
-                each.name if row == 0 else "",
-                channel,
-                f"{fit:.2f} %",
-                f"{each.rmse[channel]:.2e}",
-                f"{each.noise_floor[channel]:.2e}",
-                rms + floor if row == 0 else "",
-                ("[green]adequate[/green]" if each.adequate else "[red]something is missing[/red]") if row == 0 else "",
-            )
+        torque = "" if missing is None else f"{float((missing.torque**2).mean() ** 0.5):.1f} N m"
+        noise = "" if missing is None else f"{missing.floor:.1f}"
+        verdict = "[green]adequate[/green]" if each.adequate else "[red]fails[/red]"
+        name = each.name
+        for channel, fit in each.fit_percent.items():
+            table.add_row(name, channel, f"{fit:.2f} %", torque, noise, verdict)
+            name = torque = noise = verdict = ""
     return table
 
 
