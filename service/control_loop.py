@@ -262,6 +262,8 @@ class ControlLoop:
                 return [f"A fault is latched: {self.reason}. Mend its cause, then `upright reset`."]
             case Mode.STARTING:
                 return [f"Not ready: {self.reason}."]
+            case Mode.DISARMED if self.needs_set_up:
+                return ["The drives are being set up."]
             case Mode.DISARMED if not self._observer.ready:
                 return ["The observer process is not up yet: nothing would be recorded."]
             case Mode.DISARMED:

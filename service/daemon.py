@@ -18,8 +18,8 @@ from typing import Any
 from drivers.bus import Bus, BusDown, BusError, BusGroup
 from drivers.canopen_link import CanopenLink
 from drivers.cia402.nmt import NmtCommand, command_frame
-from drivers.cia402.setup import DriveReport, DriveSetupError, Supervision, configure
-from drivers.imu_format import ImuFormatError, check_format
+from drivers.cia402.setup import DriveReport, Supervision, configure
+from drivers.imu_format import check_format
 from service import assembly
 from service.api import ApiServer, ExitCode, Message, result
 from service.control_loop import QUICK_STOP_TIME, ControlLoop, Mode
@@ -27,6 +27,7 @@ from service.notify import Notifier
 from service.observer_client import ObserverClient
 from service.readiness import drive_states
 from service.vehicle_file import VehicleFile
+from telemetry.errors import UprightError
 from telemetry.samples import CanFrame
 
 PROGRESS_PERIOD = 0.2
@@ -106,12 +107,10 @@ class Daemon:
             stopping = asyncio.create_task(self._stopping.wait(), name="wait for stop")
             await asyncio.wait({keeper, stopping}, return_when=asyncio.FIRST_COMPLETED)
             self._notifier.stopping("ending in order")
-            if keeper.done():
-                keeper.result()
             await self._end_in_order()
             keeper.cancel()
             with contextlib.suppress(asyncio.CancelledError):
-                await keeper
+                await keeper  # Raises here, with the vehicle down, what it may have failed on.
         finally:
             await self._api.close()
             await self.observer.stop()
@@ -171,7 +170,7 @@ class Daemon:
                 try:
                     await self._check_imu()
                     await self._set_up_drives()
-                except (ImuFormatError, DriveSetupError, BusError) as error:
+                except UprightError as error:
                     self.loop.set_up_failed(str(error))
                 else:
                     self.loop.set_up_done({report.name: report.error_code for report in self.reports})

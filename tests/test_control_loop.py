@@ -138,6 +138,13 @@ def test_a_drive_fault_needs_a_person_and_then_a_reset_enables_nothing() -> None
     assert closed.loop.interlocks() == []
 
 
+def test_nothing_starts_while_the_drives_are_being_set_up() -> None:
+    closed = ClosedLoop()
+    closed.loop.needs_set_up = True
+    assert closed.loop.mode is Mode.DISARMED
+    assert closed.loop.interlocks() == ["The drives are being set up."]
+
+
 def test_a_drive_that_only_missed_its_master_is_taken_back() -> None:
     closed = ClosedLoop()
     closed.loop.set_up_done({"trim": 0x8130, "gimbal_left": 0x2310})
