@@ -1,1 +1,35 @@
-"""Estimators: from control cycles to roll angle and parameters, one frame at a time; no I/O, no clock."""
+"""Estimators: from control cycles and recordings to roll angle and parameters; no I/O, no clock in what they find.
+
+For scripts and notebooks the batch methods are here by name, each `method(model, recordings, ...) -> Estimate`:
+
+    from telemetry.recording import Recording
+    import estimators
+
+    recording = Recording.load("sweep.arrow")
+    estimators.prediction_error("monocab_roll", [recording])
+
+They are imported on use: the control process needs none of them.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+METHODS = {
+    "output_error": "estimators.methods.output_error",
+    "output_error_simplex": "estimators.methods.output_error",
+    "prediction_error": "estimators.methods.prediction_error",
+    "least_squares": "estimators.methods.least_squares",
+    "instrumental_variables": "estimators.methods.instrumental_variables",
+    "frequency_output_error": "estimators.methods.frequency_output_error",
+    "frequency_equation_error": "estimators.methods.frequency_equation_error",
+    "drive_lag": "estimators.methods.drive_lag",
+}
+"""Batch methods: name to the module that has it."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in METHODS:
+        return getattr(import_module(METHODS[name]), name)
+    raise AttributeError(f"module 'estimators' has no attribute {name!r}")

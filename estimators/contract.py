@@ -8,9 +8,12 @@ not known is `None` with a reason in words, never a silent NaN.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from telemetry.errors import UprightError
 from telemetry.samples import Frame
@@ -32,6 +35,13 @@ class Status(StrEnum):
     TOO_LITTLE_EXCITATION = "too_little_excitation"
     IMPLAUSIBLE = "implausible"
     MISSING_CHANNEL = "missing_channel"
+    UNIDENTIFIABLE = "unidentifiable"
+    """The record cannot tell it from others, or it does not move what is measured."""
+    AT_BOUND = "at_bound"
+    """The best value would be physically impossible."""
+    BAD_DATA = "bad_data"
+    """Gaps, saturation, a stuck channel, or a channel in another unit."""
+    NOT_CONVERGED = "not_converged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +70,9 @@ class Estimate:
     """What one estimator knows: its parameters by name, from `samples` samples that span `span` seconds of valid data.
 
     `status` is OK when every parameter asked for is; otherwise that of the first one that is not, with its reason.
+    `correlation` is that of the parameters' errors, by pairs of names in the order of `parameters`, shape (n, n), NaN
+    where one is not known. `fit_percent` tells by channel how well the model with these parameters predicts.
+    `bounds_hit` names parameters whose best value would be physically impossible. `seconds` is what it took.
     """
 
     method: str
@@ -68,6 +81,25 @@ class Estimate:
     reason: str
     samples: int
     span: float
+    fit_percent: Mapping[str, float] = field(default_factory=dict)
+    correlation: NDArray[np.float64] | None = None
+    bounds_hit: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter name to value, those that are known."""
+        return {name: p.value for name, p in self.parameters.items() if p.value is not None}
+
+    def __str__(self) -> str:
+        from estimators.report import as_text
+
+        return as_text(self)
+
+    def _repr_html_(self) -> str:
+        from estimators.report import as_html
+
+        return as_html(self)
 
     def to_json(self) -> dict[str, Any]:
         """As JSON-ready values: what goes over MQTT and into `identify --json`."""
@@ -88,7 +120,24 @@ class Estimate:
             "reason": self.reason,
             "samples": self.samples,
             "span": self.span,
+            "fit_percent": dict(self.fit_percent),
+            "correlation": self._correlation_json(),
+            "bounds_hit": list(self.bounds_hit),
+            "seconds": self.seconds,
         }
+
+    def _correlation_json(self) -> dict[str, dict[str, float]]:
+        if self.correlation is None:
+            return {}
+        table: dict[str, dict[str, float]] = {}
+        names = list(self.parameters)
+        for row, first in enumerate(names):
+            known = {
+                names[c]: float(self.correlation[row, c]) for c in range(row) if np.isfinite(self.correlation[row, c])
+            }
+            if known:
+                table[first] = known
+        return table
 
 
 class Estimator(Protocol):

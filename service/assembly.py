@@ -120,6 +120,7 @@ def recording_metadata(vehicle: VehicleFile, experiment: str) -> dict[str, str]:
         "vehicle_file": Path(vehicle.path).name,
         "version": version(),
         "rate": str(vehicle.control.rate),
+        "support": repr(vehicle.support),
     }
 
 

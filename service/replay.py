@@ -53,7 +53,12 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
         channels=channels,
         timestamp_ns=np.array([row.timestamp_ns for row in rows], dtype=np.int64),
         values={name: table[:, place].copy() for place, name in enumerate(channels.names)},
-        metadata={"vehicle": vehicle.vehicle.id, "kind": vehicle.vehicle.kind, "rate": str(vehicle.control.rate)},
+        metadata={
+            "vehicle": vehicle.vehicle.id,
+            "kind": vehicle.vehicle.kind,
+            "rate": str(vehicle.control.rate),
+            "support": repr(vehicle.support),
+        },
         truncated=log.truncated,
         source=str(path),
     )

@@ -206,6 +206,8 @@ class ParametersSection(_Section):
     speed_loop_lag: ParameterEntry
     trim_mass: ParameterEntry
     trim_height: ParameterEntry
+    gimbal_inertia: ParameterEntry | None = None
+    """Of both gimbals with their rotors, about the precession axes; for the apparent inertia alone."""
 
     @model_validator(mode="after")
     def _units_and_signs(self) -> Self:
@@ -216,9 +218,12 @@ class ParametersSection(_Section):
             "speed_loop_lag": "s",
             "trim_mass": "kg",
             "trim_height": "m",
+            "gimbal_inertia": "kg m^2",
         }
         for name, unit in units.items():
-            entry: ParameterEntry = getattr(self, name)
+            entry: ParameterEntry | None = getattr(self, name)
+            if entry is None:
+                continue
             if entry.unit != unit:
                 raise ValueError(f"{name} is in {entry.unit!r}; give it in {unit!r}")
             if entry.value <= 0:
@@ -227,13 +232,18 @@ class ParametersSection(_Section):
 
     @property
     def values(self) -> dict[str, float]:
-        """Name to CAD value, SI."""
-        return {name: getattr(self, name).value for name in type(self).model_fields}
+        """Name to CAD value, SI, of those that are given."""
+        return {name: entry.value for name, entry in self._given.items()}
 
     @property
     def deviations(self) -> dict[str, float]:
         """Name to the CAD value's standard deviation, SI."""
-        return {name: getattr(self, name).std for name in type(self).model_fields}
+        return {name: entry.std for name, entry in self._given.items()}
+
+    @property
+    def _given(self) -> dict[str, ParameterEntry]:
+        entries = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: entry for name, entry in entries.items() if entry is not None}
 
 
 class ControllerSection(_Section):

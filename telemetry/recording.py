@@ -71,6 +71,11 @@ class Recording:
                     remedy="Convert angles to rad and rates to rad/s; recordings are in SI units.",
                 )
 
+    @classmethod
+    def load(cls, path: Path | str) -> Recording:
+        """Read a recording from a file, see `load`."""
+        return load(Path(path))
+
     @property
     def time(self) -> NDArray[np.float64]:
         """s since the first row, (n,)."""

@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from service.cli import batch, live, talk, vehicle
+from service.cli import batch, live, model, talk, vehicle
 from telemetry.errors import UprightError
 
 app = typer.Typer(
@@ -26,6 +26,7 @@ live.register(app)
 talk.register(app)
 batch.register(app)
 vehicle.register(app)
+model.register(app)
 
 
 def main() -> None:

@@ -1,0 +1,137 @@
+"""From the minimum of a fit to an Estimate: what is known, how well, what is not and why.
+
+A parameter counts as identified where the data alone, without its prior, tell it to within half of what was known
+before (or, where nothing was, to within 30 % of its size). What is not known well enough has no value; its reason says
+whether it hardly moves what is measured, or which other parameter does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Estimate, ParameterEstimate, Status
+from estimators.gauss_newton import Minimum
+from estimators.problem import Problem
+from estimators.segments import DataError
+from models.model import Model, Parameter
+
+Array = NDArray[np.float64]
+
+ASKED_OF_PRIOR = 0.5
+ASKED_OF_SIZE = 0.3
+
+
+def asked_std(parameter: Parameter) -> float:
+    """The standard deviation that the data alone have to reach for `parameter`."""
+    if parameter.std > 0.0:
+        return ASKED_OF_PRIOR * parameter.std
+    return ASKED_OF_SIZE * (parameter.scale or abs(parameter.value) or 1.0)
+
+
+def inverse(information: Array) -> Array:
+    """The inverse of an information matrix (p, p), with what is not informed at all very large instead of nonsense."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    values = np.maximum(values, 1e-12)
+    return np.asarray((vectors / values) @ vectors.T / np.outer(size, size))
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix of a covariance matrix (p, p)."""
+    size = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(size, size))
+
+
+def assemble(
+    problem: Problem,
+    method: str,
+    minimum: Minimum,
+    *,
+    covariance: Array,
+    data_covariance: Array,
+    fit_percent: Mapping[str, float],
+    seconds: float,
+) -> Estimate:
+    """The Estimate of a fit. `covariance` (p, p) is told, `data_covariance` (p, p) decides what is identified."""
+    parameters: dict[str, ParameterEstimate] = {}
+    related = correlation(data_covariance)
+    lower, upper = problem.bounds
+    bounds_hit = []
+    for place, parameter in enumerate(problem.parameters):
+        alone = float(np.sqrt(data_covariance[place, place]))
+        asked = asked_std(parameter)
+        coverage = 100.0 * min(1.0, asked / max(alone, 1e-300))
+        value, std = float(minimum.common[place]), float(np.sqrt(covariance[place, place]))
+        status, reason = Status.OK, ""
+        hit = bool(minimum.at_bound[place])
+        if hit:
+            bounds_hit.append(parameter.name)
+        if not minimum.converged:
+            status = Status.NOT_CONVERGED
+            reason = f"the fit did not settle in {minimum.iterations} steps: the model may be far from the vehicle"
+        elif not alone < asked:
+            status, reason = _unknown(problem, place, related, alone, asked)
+        elif hit and not _is_neutral(parameter, value):
+            status = Status.AT_BOUND
+            bound = lower[place] if value <= lower[place] else upper[place]
+            reason = f"the best value is at its bound, {bound:g} {parameter.unit}: the model lacks something else"
+        known = status is Status.OK
+        parameters[parameter.name] = ParameterEstimate(
+            value if known else None, std if known else None, parameter.unit, status, coverage, reason
+        )
+    failed = next((p for p in parameters.values() if not p.identifiable), None)
+    told = [parameters[parameter.name].identifiable for parameter in problem.parameters]
+    shown = np.where(np.outer(told, told), correlation(covariance), np.nan)
+    return Estimate(
+        method=method,
+        parameters=parameters,
+        status=failed.status if failed else Status.OK,
+        reason=failed.reason if failed else "",
+        samples=problem.rows,
+        span=problem.span,
+        fit_percent=dict(fit_percent),
+        correlation=shown,
+        bounds_hit=tuple(bounds_hit),
+        seconds=seconds,
+    )
+
+
+def _is_neutral(parameter: Parameter, value: float) -> bool:
+    """An amplitude may well be zero: the effect is not there."""
+    return value == 0.0 and parameter.scale > 0.0
+
+
+def _unknown(problem: Problem, place: int, related: Array, alone: float, asked: float) -> tuple[Status, str]:
+    parameter = problem.parameters[place]
+    others = np.abs(np.delete(related[place], place))
+    names = [each.name for number, each in enumerate(problem.parameters) if number != place]
+    told = f"the record tells {parameter.name} to +-{alone:.3g} {parameter.unit}, +-{asked:.3g} is asked"
+    if len(others) and np.max(others) > 0.9:
+        partner = names[int(np.argmax(others))]
+        return Status.UNIDENTIFIABLE, f"{told}: {partner} does the same to what is measured; hold one of them"
+    return Status.TOO_LITTLE_EXCITATION, f"{told}: excite it stronger, wider or for longer"
+
+
+def refused(model: Model, method: str, error: DataError, seconds: float) -> Estimate:
+    """The Estimate where the data cannot be used: no value, and why."""
+    reason = f"{error}".rstrip(".") + (f"; {error.remedy.rstrip('.')}" if error.remedy else "")
+    parameters = {
+        p.name: ParameterEstimate(None, None, p.unit, error.status, 0.0, reason)
+        for p in model.parameters
+        if p.estimated
+    }
+    return Estimate(method, parameters, error.status, reason, 0, 0.0, seconds=seconds)
+
+
+def with_known(covariance: Array, information: Array, across: Array, deviations: Array) -> Array:
+    """`covariance` (p, p) with the uncertainty of parameters that are held at a value that is not exact.
+
+    `information` (p, p); `across` (p, k) = J' J between the estimated and the held; `deviations` (k,).
+    """
+    if not len(deviations):
+        return covariance
+    moved = inverse(information) @ across * deviations
+    return np.asarray(covariance + moved @ moved.T)

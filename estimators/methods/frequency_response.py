@@ -1,0 +1,258 @@
+"""Frequency response from the known force at a joint to its coordinate, by Welch's method, with how sure it is.
+
+    direct:  G = S_uy / S_uu          joint:  G = S_ry / S_ru
+
+u is the known force (of the gyroscopes and the trim mass, of a motor), y the coordinate, r the injected excitation, and
+S_xy averages conj(X) Y over Hann windows. The direct form is the paper's (8). It is biased in closed loop: where the
+controller answers a disturbance, u and y go together by -1 / controller, whatever the vehicle is; the less is injected,
+the more of that. The joint form has no such bias, but needs r. Standard deviations are those of Bendat and Piersol,
+
+    std |G| / |G| = std arg G = sqrt((1 - coherence) / (2 averages coherence)),
+
+in the joint form with the part of y - G u that r does not explain. They tell of noise; leakage of a window that is
+short against the vehicle's memory, and a constant that is not taken out (`detrend`), come on top.
+
+Sources: Welch 1967; Bendat and Piersol, Random Data, 4th ed., sections 9.1 and 9.2; Ljung, System Identification,
+section 13.5 (closed loop); Griese et al., equation (8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import sympy
+from numpy.typing import NDArray
+
+from estimators.contract import EstimationError, Status
+from estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
+from estimators.methods.least_squares import sought
+from estimators.segments import DataError, segments
+from models.model import Model
+from models.segment import Segment
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+LONGEST_WINDOW = 20.0
+"""s."""
+WINDOWS = 4.0
+"""That the record is long, without overlap, where it is not said otherwise."""
+STEPS = 4
+"""A window, from one to the next: with half overlap what a sweep does at the windows' edges does not cancel."""
+DETRENDED = 2
+"""Lowest bins that are left out where something was taken out of the windows: it is missing there."""
+OF_BINS = (1.0, (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2)
+"""How alike errors are in the same, the next, and the next but one bin of a Hann window."""
+DIRECT = "direct: biased in closed loop by what the controller makes of disturbances"
+JOINT = "joint input-output through the excitation: not biased by the closed loop"
+
+
+class Detrend(StrEnum):
+    """What is taken out of each window before it is transformed."""
+
+    NONE = "none"
+    MEAN = "mean"
+    LINEAR = "linear"
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyResponse:
+    """A measured response at m frequencies, all (m,): `frequency` Hz, `response` output unit / input unit, complex.
+
+    `coherence`: the share of the output's power that goes with the input (joint: the lesser share of output and of
+    input that goes with the excitation). `magnitude_std` in the response's unit and `phase_std` rad, infinite where
+    nothing is known. `power`: mean square of the input at each frequency. `averages`: independent windows. `form` says
+    which estimate it is and what that means.
+    """
+
+    frequency: Array
+    response: ComplexArray
+    coherence: Array
+    magnitude_std: Array
+    phase_std: Array
+    power: Array
+    averages: float
+    form: str
+
+
+@dataclass(frozen=True, slots=True)
+class CrossSpectra:
+    """`matrix` (m, k, k): mean of conj(x_a) x_b at `frequency` Hz (m,), over `averages` independent windows.
+
+    Its sum over the frequencies is that of the signals, a constant counted twice.
+    """
+
+    frequency: Array
+    matrix: ComplexArray
+    averages: float
+    samples: int
+    span: float
+
+
+def frequency_response(
+    model: Model | str,
+    recordings: Sequence[Recording],
+    *,
+    excitation: str = "",
+    support: float | None = None,
+    window: float | None = None,
+    detrend: Detrend | str = Detrend.NONE,
+    joint: str = "",
+) -> FrequencyResponse:
+    """The response at `joint` (by default the first), direct, or joint where a channel `excitation` is named.
+
+    `window` s long are the windows, by default a quarter of the record, LONGEST_WINDOW at most. Raises DataError where
+    the data cannot be used, EstimationError where the joint has no known force.
+    """
+    balance = split(sought(model, None), joint)
+    spectra = force_spectra(balance, recordings, excitation=excitation, support=support, window=window, detrend=detrend)
+    return response(spectra, 0, 1, reference=2 if excitation else None)
+
+
+def known_force(balance: Balance) -> sympy.Expr:
+    """The part of the known force that does not depend on the joint's own motion."""
+    own = set().union(*(each.free_symbols for each in balance.motion))
+    force = balance.known.xreplace({symbol: sympy.Integer(0) for symbol in own})
+    if not force.free_symbols:
+        remedy = "frequency methods need a measured or commanded input at the joint."
+        raise EstimationError(f"joint {balance.joint.name}", "has no known force", remedy=remedy)
+    return force
+
+
+def force_spectra(
+    balance: Balance,
+    recordings: Sequence[Recording],
+    *,
+    excitation: str = "",
+    support: float | None = None,
+    window: float | None = None,
+    detrend: Detrend | str = Detrend.NONE,
+) -> CrossSpectra:
+    """Spectra of known force, coordinate, the excitation where it is named, and what the force changes by with each
+    anchor's standard deviation, in this order. Raises DataError, EstimationError."""
+    if detrend not in tuple(Detrend):
+        raise EstimationError(f"detrend {detrend}", "there is no such way", remedy=f"use one of: {', '.join(Detrend)}.")
+    deviations = [balance.model.parameter(name).std for name in balance.anchors]
+    changes = [sympy.Integer(0)] * len(balance.anchors)
+    own = set().union(*(each.free_symbols for each in balance.motion))
+    for anchor, place, expression in balance.anchored:
+        if place < 0:
+            without = expression.xreplace({symbol: sympy.Integer(0) for symbol in own})
+            changes[anchor] -= deviations[anchor] * without
+    evaluate = evaluator((known_force(balance), balance.motion[0], *changes))
+    tables, span = [], 0.0
+    spacing = 0.0
+    for recording in recordings:
+        for segment in segments(balance.model, [recording], support=support):
+            spacing = spacing or float(np.median(np.diff(segment.time)))
+            span += segment.duration
+            pieces = evaluate(channel_signals(balance, segment))
+            time, values = evenly(pieces, spacing)
+            if excitation:
+                injected = np.interp(time, segment.time, _injection(recording, segment, excitation))
+                values = np.concatenate((values[:, :2], injected[:, None], values[:, 2:]), axis=1)
+            tables.append(values)
+    if not tables:
+        raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
+    window = window if window is not None else min(LONGEST_WINDOW, span / WINDOWS)
+    return cross_spectra(tables, spacing, window, Detrend(detrend))
+
+
+def _injection(recording: Recording, segment: Segment, excitation: str) -> Array:
+    remedy = "use the direct form, and mind its bias."
+    if excitation not in recording.values:
+        what = f"channel {excitation} is missing, which the joint form needs"
+        raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
+    values = recording[excitation][np.searchsorted(recording.time, segment.time)]
+    if not np.all(np.isfinite(values)):
+        what = f"channel {excitation} is unknown in {int(np.sum(~np.isfinite(values)))} rows"
+        raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
+    return values
+
+
+def evenly(pieces: Pieces, spacing: float) -> tuple[Array, Array]:
+    """Terms at even instants `spacing` s apart: time (n,), values (n, terms). A jump counts half on either side."""
+    values = np.concatenate((pieces.left, pieces.right[-1:]))
+    values[1:-1] = 0.5 * (pieces.left[1:] + pieces.right[:-1])
+    time = np.arange(pieces.time[0], pieces.time[-1], spacing)
+    return time, np.stack([np.interp(time, pieces.time, column) for column in values.T], axis=1)
+
+
+def cross_spectra(tables: Sequence[Array], spacing: float, window: float, detrend: Detrend) -> CrossSpectra:
+    """Welch's average over all windows of `window` s in the signals `tables`, each (n, k), sampled every `spacing` s.
+
+    Raises DataError where less than two independent windows fit in.
+    """
+    length = round(window / spacing)
+    step = max(1, length // STEPS)
+    frames = [table[first : first + length] for table in tables for first in range(0, len(table) - length + 1, step)]
+    if len(frames) < 2 or length < 16:
+        longest = spacing * max((len(table) for table in tables), default=0)
+        what = f"a window of {window:.3g} s does not fit twice into a longest stretch of {longest:.3g} s"
+        raise DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer, or shorten the window.")
+    hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    stacked = np.stack(frames)
+    if detrend is Detrend.MEAN:
+        stacked = stacked - stacked.mean(axis=1, keepdims=True)
+    elif detrend is Detrend.LINEAR:
+        ramp = np.linspace(-1.0, 1.0, length)[:, None]
+        stacked = stacked - stacked.mean(axis=1, keepdims=True)
+        stacked = stacked - ramp * np.mean(stacked * ramp, axis=1, keepdims=True) / np.mean(ramp**2)
+    samples = sum(map(len, tables))
+    transformed = np.fft.rfft(stacked * hann[:, None], axis=1)
+    matrix = np.einsum("wma,wmb->mab", transformed.conj(), transformed)
+    matrix *= 2.0 / (len(frames) * length * np.sum(hann**2))
+    shared = [
+        (1.0 - lag / len(frames)) * (np.sum(hann[lag * step :] * hann[: -lag * step]) / np.sum(hann**2)) ** 2
+        for lag in range(1, min(STEPS, len(frames)))
+    ]
+    averages = len(frames) / (1.0 + 2.0 * sum(shared))
+    first = 0 if detrend is Detrend.NONE else DETRENDED
+    frequency = np.fft.rfftfreq(length, spacing).astype(np.float64)
+    return CrossSpectra(frequency[first:], matrix[first:], averages, samples, spacing * samples)
+
+
+def response(
+    spectra: CrossSpectra, force: int, coordinate: int, *, reference: int | None = None, change: int | None = None
+) -> FrequencyResponse:
+    """The response between two places of `spectra`, through `reference` where there is one.
+
+    `change`: the place of a signal that is added to the force first.
+    """
+    matrix = spectra.matrix
+    if change is not None:
+        mix = np.eye(matrix.shape[1])
+        mix[change, force] = 1.0
+        matrix = mix.T @ matrix @ mix
+    through = force if reference is None else reference
+    with_force, with_coordinate = matrix[:, through, force], matrix[:, through, coordinate]
+    power = {place: np.maximum(matrix[:, place, place].real, 1e-300) for place in (force, coordinate, through)}
+    safe = np.where(np.abs(with_force) > 0.0, with_force, 1.0)
+    found = np.where(np.abs(with_force) > 0.0, with_coordinate / safe, 0.0)
+    shares = [np.abs(with_coordinate) ** 2 / (power[through] * power[coordinate])]
+    shares.append(np.abs(with_force) ** 2 / (power[through] * power[force]))
+    coherence = np.clip(np.minimum(*shares), 0.0, 1.0)
+    # What of y - G u does not go with the reference, over what of G u does.
+    left = (
+        matrix[:, coordinate, coordinate].real
+        - 2.0 * (found * matrix[:, coordinate, force]).real
+        + np.abs(found) ** 2 * matrix[:, force, force].real
+    )
+    explained = np.maximum(np.abs(found * with_force) ** 2 / power[through], 1e-300)
+    independent = max(spectra.averages - 1.0, 1.0)
+    relative = np.sqrt(np.maximum(left, 0.0) / (2.0 * independent * explained))
+    known = (np.abs(found) > 0.0) & (relative < 1e3)
+    return FrequencyResponse(
+        frequency=spectra.frequency,
+        response=found,
+        coherence=coherence,
+        magnitude_std=np.where(known, np.minimum(relative, 1e3) * np.abs(found), np.inf),
+        phase_std=np.where(known, relative, np.inf),
+        power=matrix[:, force, force].real,
+        averages=spectra.averages,
+        form=DIRECT if reference is None else JOINT,
+    )

@@ -1,0 +1,128 @@
+"""Instrumental variables on a joint's balance: the regression of `least_squares` without the bias of noise.
+
+The instruments are what the balance's regressors would be without noise. An auxiliary model makes them: every channel
+is projected on the injected excitation and on what first-order lags of 1/32 to 1 s make of it (at the default
+bandwidth; in proportion at others), and the regressors are evaluated on these projections, sign() and all, and
+filtered alike. Neither sensor noise nor a disturbance that the controller feeds back reaches them, since neither knows
+the excitation; the result is consistent in closed loop, on unstable plants too. What the excitation does not move has
+no instrument and is said to be unknown, also where the vehicle moved otherwise.
+
+An excitation that alone drives the gimbals, as the step from rest does, acts differently from one within the closed
+loop: where the setpoint equals it, it is projected on lags of its own.
+
+Source: Young, Recursive Estimation and Time-Series Analysis, chapters 6 and 7 (auxiliary model); Soederstroem and
+Stoica, System Identification, chapter 8; Griese et al., section IV, for the bias this removes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.balance_rows import InstrumentBank
+from estimators.contract import Estimate, Status
+from estimators.fit_result import refused
+from estimators.methods.balance import Balance, split
+from estimators.methods.least_squares import balance_rows, checked_bandwidth, regression, sought
+from estimators.segments import DataError, segments
+from estimators.stopwatch import stopwatch
+from models.model import Model
+from models.segment import Segment
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+METHOD = "instrumental_variables"
+SETPOINT = "precession_rate_setpoint"
+"""The channel that tells, where there is one, whether the excitation alone drives the vehicle."""
+
+
+def instrumental_variables(
+    model: Model | str,
+    recordings: Sequence[Recording],
+    *,
+    estimate: Iterable[str] | None = None,
+    support: float | None = None,
+    bandwidth: float | None = None,
+    joint: str = "",
+    excitation: str = "excitation",
+) -> Estimate:
+    """As `least_squares`, with instruments from the channel `excitation`, whatever its unit.
+
+    It has to be known at every row and injected from outside: a reference or a test signal, no measurement. Data that
+    cannot be used give an Estimate without values that says why; errors as `least_squares`.
+    """
+    began = stopwatch()
+    model = sought(model, estimate)
+    balance = split(model, joint)
+    try:
+        data = [(segments(model, [recording], support=support), recording) for recording in recordings]
+        stretches = [segment for found, _ in data for segment in found]
+        if not stretches:
+            raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
+        bandwidth = checked_bandwidth(bandwidth, stretches)
+        injected = [injection(segment, recording, excitation) for found, recording in data for segment in found]
+        banks = [bank(segment, *each, bandwidth) for segment, each in zip(stretches, injected, strict=True)]
+        if not any(np.ptp(values) > 0.0 for values, _ in injected):
+            what = f"channel {excitation} never moves"
+            raise DataError(Status.TOO_LITTLE_EXCITATION, "recordings", what, remedy="run an experiment that excites.")
+    except DataError as error:
+        return refused(model, METHOD, error, stopwatch() - began)
+    rows = balance_rows(balance, stretches, bandwidth)
+    quiet = balance_rows(balance, noise_free(balance, stretches, banks), bandwidth)
+    return regression(METHOD, balance, stretches, rows, bandwidth, began, [each.regressors for each in quiet])
+
+
+def injection(segment: Segment, recording: Recording, excitation: str) -> tuple[Array, NDArray[np.bool_]]:
+    """The excitation at the rows of `segment`, and where it alone drives. Raises DataError where it is not known."""
+    remedy = "it is not on the bus: use the .arrow that was recorded beside the log, or least_squares."
+    if excitation not in recording.values:
+        there = ", ".join(recording.channels.names)
+        what = f"channel {excitation} is missing, and no other is known to be free of noise; there are {there}"
+        raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
+    at = np.searchsorted(recording.time, segment.time)
+    values = recording[excitation][at]
+    unknown = int(np.sum(~np.isfinite(values)))
+    if unknown:
+        what = f"channel {excitation} is unknown in {unknown} of {len(values)} rows"
+        raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
+    alone = np.zeros(len(values), dtype=bool)
+    if SETPOINT in recording.values:
+        alone = np.abs(recording[SETPOINT][at] - values) < InstrumentBank.ALONE
+    return values, alone
+
+
+def bank(segment: Segment, excitation: Array, alone: NDArray[np.bool_], bandwidth: float) -> Array:
+    """Held excitation, its lags, and a constant at the rows of `segment`: (n, instruments)."""
+    rates = InstrumentBank.RATES * bandwidth / (2.0 * np.pi * 5.0)
+    held = np.stack((np.where(alone, 0.0, excitation), np.where(alone, excitation, 0.0)), axis=1)
+    share = -np.expm1(-np.diff(segment.time)[:, None] * rates)
+    lags = np.zeros((len(held), len(rates), 2))
+    for row in range(1, len(held)):
+        lags[row] = lags[row - 1] + share[row - 1][:, None] * (held[row - 1] - lags[row - 1])
+    return np.concatenate((lags.reshape(len(held), -1), held, np.ones((len(held), 1))), axis=1)
+
+
+def noise_free(balance: Balance, data: Sequence[Segment], banks: Sequence[Array]) -> list[Segment]:
+    """`data` with every channel replaced by its projection on `banks`; one projection for all stretches."""
+    tools = np.concatenate(banks)
+    scale = np.sqrt(np.mean(tools**2, axis=0))
+    tools = tools[:, scale > 0.0] / scale[scale > 0.0]
+    width = data[0].measured.shape[1]
+    channels = np.concatenate([np.concatenate((each.measured, each.inputs), axis=1) for each in data])
+    projected = tools @ np.linalg.lstsq(tools, channels, rcond=None)[0]
+    found, first = [], 0
+    for segment in data:
+        part = projected[first : first + len(segment)]
+        first += len(segment)
+        found.append(
+            replace(
+                segment,
+                measured=np.ascontiguousarray(part[:, :width]),
+                inputs=np.ascontiguousarray(part[:, width:]),
+            )
+        )
+    return found

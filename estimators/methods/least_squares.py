@@ -1,0 +1,320 @@
+"""Least squares on a joint's balance, all terms through one state-variable filter: the paper's plain time-domain form.
+
+    known_F = sum_j parameter_j * regressor_j,F         F(s) = w^2 / (s^2 + sqrt(2) w s + w^2)
+
+The filter starts at rest with the stretch, so the balance holds for the filtered terms from the first sample on, and it
+starts anew after every gap. Noise on a regressor biases the result: the differentiated gyro noise makes the inertia too
+small, and all the more the wider the filter (Griese et al., section IV). That belongs to this method and is not mended
+here; `instrumental_variables` and `prediction_error` do not have it. Standard deviations are honest about noise that
+is alike from row to row (estimators.recursive_least_squares), not about the bias.
+
+Source: Griese et al., equations (6) and (7), with the signs set right, every signal filtered, and the solution
+(Psi' Psi)^-1 Psi' y; Isermann and Muenchhof, Identification of Dynamic Systems, section 15.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from estimators.fit_result import asked_std, correlation, refused
+from estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
+from estimators.recursive_least_squares import RecursiveLeastSquares
+from estimators.segments import DataError, segments
+from estimators.stopwatch import stopwatch
+from models import library
+from models.model import Model, Parameter
+from models.segment import Segment
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+METHOD = "least_squares"
+BANDWIDTH = 2.0 * np.pi * 5.0
+"""rad/s, at most a twentieth of the sampling rate: above what vehicles are excited with, below most of the noise."""
+ORDER = 2
+"""Of the filter of the regression; the paper's."""
+WIDE = 10.0
+"""The bandwidth of the filter that differentiates a position, in those of the regression; at most a tenth of the
+sampling rate."""
+ROWS_A_PERIOD = 10
+CORRELATION_TIME = 4.0
+"""s over which a residual can stay alike, at most: the roll filter's corrections do."""
+ASKED_SHARE = 0.1
+"""Of the joint's force scale that a parameter's own term has to move, RMS, independently of the other terms."""
+NOISE = 3.0
+"""Standard deviations by which noise can take a parameter beyond a bound that it is at."""
+FEWEST = 5
+"""Rows a parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The filtered balance of one stretch, n rows: known (n,), regressors (n, p), anchored terms (n, a)."""
+
+    known: Array
+    regressors: Array
+    anchored: Array
+
+
+def least_squares(
+    model: Model | str,
+    recordings: Sequence[Recording],
+    *,
+    estimate: Iterable[str] | None = None,
+    support: float | None = None,
+    bandwidth: float | None = None,
+    joint: str = "",
+) -> Estimate:
+    """The parameters of the balance at `joint` (by default the first), as `estimate` or the model says which.
+
+    `bandwidth` rad/s of the filter (BANDWIDTH); `support` rad: the vehicle is free where its roll is less. Data that
+    cannot be used give an Estimate without values that says why. Raises EstimationError where the balance is not
+    linear in what is sought, ModelError for a name that is not there.
+    """
+    began = stopwatch()
+    model = sought(model, estimate)
+    balance = split(model, joint)
+    try:
+        data = segments(model, recordings, support=support)
+    except DataError as error:
+        return refused(model, METHOD, error, stopwatch() - began)
+    bandwidth = checked_bandwidth(bandwidth, data)
+    rows = balance_rows(balance, data, bandwidth)
+    return regression(METHOD, balance, data, rows, bandwidth, began)
+
+
+def sought(model: Model | str, estimate: Iterable[str] | None) -> Model:
+    """`model`, by name or as it is, with the parameters named in `estimate` to be estimated."""
+    model = library.get(model) if isinstance(model, str) else model
+    return model.change(estimated=estimate) if estimate is not None else model
+
+
+def checked_bandwidth(bandwidth: float | None, data: Sequence[Segment]) -> float:
+    """rad/s of the filter of the regression, by default after the sampling rate. Raises EstimationError."""
+    if bandwidth is None:
+        spacing = float(np.median(np.concatenate([np.diff(segment.time) for segment in data])))
+        return min(BANDWIDTH, 2.0 * np.pi / (20.0 * spacing))
+    if not 0.0 < bandwidth < np.inf:
+        raise EstimationError("bandwidth", f"{bandwidth:g} rad/s makes no filter", remedy="use one above 0.")
+    return bandwidth
+
+
+def balance_rows(balance: Balance, data: Sequence[Segment], bandwidth: float, order: int = ORDER) -> list[Rows]:
+    """The filtered rows of each segment, ROWS_A_PERIOD a period of `bandwidth` rad/s."""
+    first, late = 1 + len(balance.free), 1 + len(balance.names)
+    evaluate = evaluator((balance.known, *balance.regressors, *balance.shifted, *(e for *_, e in balance.anchored)))
+    found = []
+    for segment in data:
+        signals = channel_signals(balance, segment)
+        if balance.position:
+            widest = 2.0 * np.pi / (10.0 * float(np.median(np.diff(segment.time))))
+            wide = max(bandwidth, min(WIDE * bandwidth, widest))
+            signals = widely_filtered(signals, balance.position, wide)
+        if len(signals.time) < 2:
+            continue
+        terms = evaluate(signals)
+        start = terms.left[0].copy()
+        start[:first] = start[late:] = 0.0  # a derivative's jump at the start is no motion
+        smooth = filtered(Pieces(terms.time, terms.left - start, terms.right - start), bandwidth, order, 2)
+        stride = 2.0 * np.pi / (bandwidth * ROWS_A_PERIOD)
+        wanted = np.arange(terms.time[0] + stride, terms.time[-1], stride)
+        at = np.unique(np.searchsorted(terms.time, wanted))
+        regressors = np.concatenate((smooth[0][at, 1:first], smooth[1][at, first:late]), axis=1)
+        found.append(Rows(smooth[0][at, 0], regressors, smooth[0][at, late:]))
+    return found
+
+
+def regression(
+    method: str,
+    balance: Balance,
+    data: Sequence[Segment],
+    rows: Sequence[Rows],
+    bandwidth: float,
+    began: float,
+    instruments: Sequence[Array] = (),
+) -> Estimate:
+    """Solve `rows`, with `instruments` (n, m) for each segment by two-stage least squares, and say what is known."""
+    count, size = sum(len(each.known) for each in rows), len(balance.names)
+    span = sum(segment.duration for segment in data)
+    if count < FEWEST * size:
+        what = f"{span:.2f} s of free motion are {count} independent rows, {FEWEST * size} are needed"
+        error = DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer.")
+        return refused(balance.model, method, error, stopwatch() - began)
+    lags = int(min(CORRELATION_TIME, span / 5.0) * bandwidth * ROWS_A_PERIOD / (2.0 * np.pi))
+    solver = RecursiveLeastSquares(size, instruments=instruments[0].shape[1] if len(instruments) else 0, lags=lags)
+    for place, part in enumerate(rows):
+        solver.interrupt()
+        tools = instruments[place] if len(instruments) else np.zeros((len(part.known), 0))
+        for known, regressors, tool in zip(part.known, part.regressors, tools, strict=True):
+            solver.update(known, regressors, tool)
+    solution = solver.solve()
+    used = np.concatenate([each.regressors for each in rows])
+    if len(instruments):
+        stacked = np.concatenate(instruments)
+        used = stacked @ np.linalg.lstsq(stacked, used, rcond=None)[0]
+    moved = solution.movement > 0.0
+    covariance = np.where(np.outer(moved, moved), solution.covariance, 0.0)
+    whole = covariance + _of_anchors(balance, rows, used, moved, solution.values)
+    told = {}
+    for place, name in enumerate(balance.names):
+        start = balance.model.parameter(name).value if name in balance.shifts else 0.0
+        value = start + float(solution.values[place])
+        told[name] = _told(balance, place, value, covariance, whole, solution.movement, used)
+    told |= absent(balance)
+    return assembled(method, balance, balance.names, told, whole, samples=sum(map(len, data)), span=span, began=began)
+
+
+def absent(balance: Balance) -> dict[str, ParameterEstimate]:
+    """What is told of parameters that are sought and have no part in the balance."""
+    reason = f"it does not occur in the balance of joint {balance.joint.name}"
+    unit = {name: balance.model.parameter(name).unit for name in balance.absent}
+    return {n: ParameterEstimate(None, None, unit[n], Status.UNIDENTIFIABLE, 0.0, reason) for n in balance.absent}
+
+
+def assembled(
+    method: str,
+    balance: Balance,
+    names: Sequence[str],
+    told: Mapping[str, ParameterEstimate],
+    covariance: Array,
+    *,
+    samples: int,
+    span: float,
+    began: float,
+    excused: Collection[str] = (),
+) -> Estimate:
+    """The Estimate of all that is sought. `covariance` (p, p) is that of `names`; `excused` may be unknown."""
+    asked = [p for p in balance.model.parameters if p.estimated]
+    order = [p.name for p in asked]
+    failed = next((told[name] for name in order if not told[name].identifiable and name not in excused), None)
+    pairs = np.full((len(order), len(order)), np.nan)
+    sure = [place for place, name in enumerate(names) if told[name].identifiable]
+    places = [order.index(names[place]) for place in sure]
+    pairs[np.ix_(places, places)] = correlation(covariance[np.ix_(sure, sure)])
+    return Estimate(
+        method=method,
+        parameters={name: told[name] for name in order},
+        status=failed.status if failed else Status.OK,
+        reason=failed.reason if failed else "",
+        samples=samples,
+        span=span,
+        correlation=pairs,
+        bounds_hit=tuple(
+            p.name for p in asked if told[p.name].status is Status.AT_BOUND or told[p.name].value in (p.lower, p.upper)
+        ),
+        seconds=stopwatch() - began,
+    )
+
+
+def _of_anchors(balance: Balance, rows: Sequence[Rows], used: Array, moved: NDArray[np.bool_], values: Array) -> Array:
+    """Covariance (p, p) that the parameters have from those that are taken as known and are not exact."""
+    change = np.zeros((len(used), len(balance.anchors)))
+    stacked = np.concatenate([each.anchored for each in rows])
+    for column, (anchor, place, _) in enumerate(balance.anchored):
+        change[:, anchor] += stacked[:, column] * (values[place] if place >= 0 else 1.0)
+    shift = np.zeros((len(moved), len(balance.anchors)))
+    scale = np.sqrt(np.mean(used[:, moved] ** 2, axis=0))
+    shift[moved] = np.linalg.lstsq(used[:, moved] / scale, -change, rcond=None)[0] / scale[:, None]
+    shift *= [balance.model.parameter(name).std for name in balance.anchors]
+    return shift @ shift.T
+
+
+def _told(
+    balance: Balance, place: int, value: float, covariance: Array, whole: Array, movement: Array, used: Array
+) -> ParameterEstimate:
+    """What is known of one parameter; `covariance` is that of the data alone, `whole` with that of the anchors."""
+    parameter = balance.model.parameter(balance.names[place])
+    variance = float(covariance[place, place])
+    asked, std = asked_std(parameter), float(np.sqrt(variance)) if 0.0 <= variance < np.inf else np.inf
+    own = movement[place] * size_of(parameter) / (ASKED_SHARE * balance.joint.force_scale)
+    if parameter.name in balance.shifts and own > 0.0:  # no noise can take its regressor's place
+        own = asked / max(std, 1e-300)
+    coverage = 100.0 * min(1.0, own)
+
+    def unknown(status: Status, reason: str) -> ParameterEstimate:
+        return ParameterEstimate(None, None, parameter.unit, status, coverage, reason)
+
+    partner = _partner(used, place)
+    if movement[place] == 0.0 or (coverage < 100.0 and parameter.name not in balance.shifts):
+        if partner is not None:
+            reason = f"the terms of {parameter.name} and {balance.names[partner]} go together: hold one of them"
+            return unknown(Status.UNIDENTIFIABLE, reason)
+        reason = f"the term of {parameter.name} moves at {coverage:.0f} % of what is needed"
+        return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite it stronger or wider")
+    if std == np.inf:
+        reason = f"how sure {parameter.name} is cannot be told from {len(used)} rows: record for longer"
+        return unknown(Status.TOO_FEW_SAMPLES, reason)
+    if std > asked:
+        reason = f"the record tells {parameter.name} to +-{std:.3g} {parameter.unit}, +-{asked:.3g} is asked"
+        if partner is not None:
+            reason += f": its term goes together with that of {balance.names[partner]}; hold one of them"
+            return unknown(Status.UNIDENTIFIABLE, reason)
+        return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite it stronger, wider or for longer")
+    bounded = float(np.clip(value, parameter.lower, parameter.upper))
+    if abs(bounded - value) > NOISE * std:
+        reason = f"{parameter.name} comes out as {value:.4g} {parameter.unit}, which is impossible"
+        return unknown(Status.AT_BOUND, f"{reason}: check signs and units")
+    return ParameterEstimate(bounded, float(np.sqrt(whole[place, place])), parameter.unit, Status.OK, coverage)
+
+
+def size_of(parameter: Parameter) -> float:
+    """A typical size of the parameter itself."""
+    return max(abs(parameter.value), parameter.scale, parameter.std) or 1.0
+
+
+def _partner(used: Array, place: int) -> int | None:
+    """The other regressor that does most of what this one does, where that is nearly all of it."""
+    scale = np.sqrt(np.mean(used**2, axis=0))
+    if scale[place] == 0.0 or used.shape[1] == 1:
+        return None
+    scaled = used / np.where(scale > 0.0, scale, 1.0)
+    others = np.delete(scaled, place, axis=1)
+    weights = np.linalg.lstsq(others, scaled[:, place], rcond=None)[0]
+    left = scaled[:, place] - others @ weights
+    if np.mean(left**2) > 0.1:
+        return None
+    alike = np.abs(weights) * np.sqrt(np.mean(others**2, axis=0))
+    return int(np.delete(np.arange(used.shape[1]), place)[np.argmax(alike)])
+
+
+def widely_filtered(signals: Signals, position: str, bandwidth: float) -> Signals:
+    """Every channel through one wide low-pass, which gives the derivatives of the measured `position` on the way."""
+    names = [name for name in signals.left if name != "time"]
+    ends = [np.stack([end[name] for name in names], axis=1) for end in (signals.left, signals.right)]
+    smooth = filtered(Pieces(signals.time, *ends), bandwidth, 4, 3)
+    ready = int(np.searchsorted(signals.time, signals.time[0] + 10.0 / bandwidth))  # it has forgotten its start
+    drawn = {name: smooth[0][ready:, place] for place, name in enumerate(names)}
+    for derivative in (1, 2):
+        drawn[channel(position, derivative).name] = smooth[derivative][ready:, names.index(channel(position).name)]
+    drawn["time"] = signals.time[ready:]
+    left = {name: values[:-1] for name, values in drawn.items()}
+    return Signals(signals.time[ready:], left, {name: values[1:] for name, values in drawn.items()})
+
+
+def filtered(pieces: Pieces, bandwidth: float, order: int, derivatives: int) -> Array:
+    """`pieces` through a Butterworth low-pass from rest, and derivatives up to order - 1: (derivatives, m + 1, terms).
+
+    As estimators.state_variable_filter, for a whole stretch at once: exact for straight lines, at any spacing.
+    """
+    angles = np.pi * (2 * np.arange(order) + order + 1) / (2 * order)
+    poles = bandwidth * np.exp(1j * angles)
+    residues = np.array([bandwidth**order / np.prod(pole - np.delete(poles, i)) for i, pole in enumerate(poles)])
+    upper = poles.imag > -1e-9 * bandwidth
+    pairs = np.where(poles[upper].imag > 1e-9 * bandwidth, 2.0, 1.0)
+    poles, residues = poles[upper], pairs * residues[upper]
+    exponent = np.diff(pieces.time)[:, None] * poles
+    growth = np.expm1(exponent)
+    held, ramp = growth / poles, (growth - exponent) / (poles * exponent)
+    modes = np.zeros((len(pieces.time), len(poles), pieces.left.shape[1]), dtype=np.complex128)
+    modes[1:] = held[:, :, None] * pieces.left[:, None] + ramp[:, :, None] * (pieces.right - pieces.left)[:, None]
+    decay = (growth + 1.0)[:, :, None]
+    for step in range(1, len(modes)):
+        modes[step] += decay[step - 1] * modes[step - 1]
+    readout = residues * poles ** np.arange(derivatives)[:, None]
+    smooth: Array = np.einsum("dp,npc->dnc", readout, modes).real
+    return smooth

@@ -1,0 +1,233 @@
+"""Output error: the parameters whose simulation, from a fitted initial state on, comes nearest to what was measured.
+
+    minimise  sum over rows of (measured - simulated)^2 / variance of the channel                     (4), (5) of the paper
+
+An unstable plant can be simulated for a short while only: an error at the start grows as exp(pole * time). There the
+record is cut into windows, each with an initial state of its own. Two optimisers on the same problem: a trust region
+(Levenberg-Marquardt with bounds) with exact sensitivities, and the simplex search of the paper, which needs none.
+
+The errors of a simulation are alike from row to row, so standard deviations are taken from how the gradient really
+varies between windows (or, in one long window, over time), not from assuming independent rows.
+Source: Griese et al., section III-A; Nelder and Mead as in Lagarias et al. (1998); sandwich covariance: White (1982),
+Newey and West (1987).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from estimators.contract import Estimate, EstimationError
+from estimators.fit_result import assemble, inverse, refused, with_known
+from estimators.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.problem import Problem, jacobian, problem
+from estimators.segments import DataError
+from estimators.stopwatch import stopwatch
+from models import library
+from models.kernel import Progress, compile_model
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+METHOD = "output_error"
+SIMPLEX = "output_error_simplex"
+GROWTH = 4.5
+"""Natural logarithm by which an error of the start may grow within a window."""
+ROUNDS = 3
+"""Times that parameters and the channels' variances are estimated in turn."""
+CLUSTERS = 8
+"""Windows from which on the gradient's variance is taken from window to window."""
+
+
+def output_error(
+    model: Model | str,
+    recordings: Sequence[Recording],
+    *,
+    estimate: Iterable[str] | None = None,
+    support: float | None = None,
+    window: float | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Fit by the trust region. `window` s is the length of a simulation; by default it follows from the unstable pole.
+
+    `estimate` names the parameters sought, by default those the model says; `support` rad: the vehicle is free where
+    its roll is less. Data that cannot be used give an Estimate without values that says why. Raises ModelError and
+    EstimationError for a model, names or a window that cannot be.
+    """
+    return _output_error(METHOD, model, recordings, estimate, support, window, progress)
+
+
+def output_error_simplex(
+    model: Model | str,
+    recordings: Sequence[Recording],
+    *,
+    estimate: Iterable[str] | None = None,
+    support: float | None = None,
+    window: float | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Fit by the simplex search, as in the paper. Arguments and errors as for `output_error`."""
+    return _output_error(SIMPLEX, model, recordings, estimate, support, window, progress)
+
+
+def _output_error(
+    method: str,
+    model: Model | str,
+    recordings: Sequence[Recording],
+    estimate: Iterable[str] | None,
+    support: float | None,
+    window: float | None,
+    progress: Progress | None,
+) -> Estimate:
+    began = stopwatch()
+    model = library.get(model) if isinstance(model, str) else model
+    if window is not None and not window > 0.0:
+        raise EstimationError("window", f"{window:g} s is no length", remedy="give a positive one, or none.")
+    try:
+        task = problem(model, recordings, estimate=estimate, support=support, longest=window, progress=progress)
+        if window is None and (length := longest_window(task)) is not None:
+            task = problem(model, recordings, estimate=estimate, support=support, longest=length, progress=progress)
+    except DataError as error:
+        return refused(model, method, error, stopwatch() - began)
+    minimum, weights = fit(task, simplex=method == SIMPLEX)
+    return _result(task, method, minimum, weights, began)
+
+
+def longest_window(task: Problem) -> float | None:
+    """s that a simulation can be trusted for with the model's values; None for a stable plant."""
+    kernel = compile_model(task.model)
+    pole = float(np.max(np.linalg.eigvals(jacobian(kernel, kernel.vector(), task.segments)).real))
+    return GROWTH / pole if pole > 0.01 / task.span else None
+
+
+def fit(task: Problem, *, simplex: bool = False) -> tuple[Minimum, Array]:
+    """The minimum and the outputs' weights (ny, ny) there. Raises ArithmeticError where the start runs away."""
+    lower, upper = task.bounds
+    common, own = task.start, task.own_start
+    weights = np.diag([1.0 / output.noise for output in task.model.outputs])
+    minimum: Minimum | None = None
+    for turn in range(ROUNDS):
+        evaluate = partial(task.evaluate, weights=weights)
+        if simplex:
+            common, own = _simplex(task, weights, common, own)
+        last = turn == ROUNDS - 1
+        minimum = minimise(
+            evaluate,
+            common,
+            own,
+            scale=task.scale,
+            lower=common if simplex else lower,
+            upper=common if simplex else upper,
+            tolerance=1e-6 if last else 1e-3,
+        )
+        if minimum is None:
+            raise ArithmeticError("the simulation runs away from the start values: use prediction_error")
+        common, own = minimum.common, list(minimum.own)
+        if not last:
+            weights = weights @ np.diag(1.0 / _spread(minimum.blocks, task))
+    assert minimum is not None
+    return minimum, weights
+
+
+def _spread(blocks: Sequence[Block], task: Problem) -> Array:
+    """Root mean square of each output's weighted error, (ny,)."""
+    outputs = len(task.model.outputs)
+    errors = [
+        block.residual[: len(segment) * outputs].reshape(-1, outputs)
+        for block, segment in zip(blocks, task.segments, strict=True)
+    ]
+    return np.asarray(np.maximum(np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)), 1e-9))
+
+
+def _simplex(task: Problem, weights: Array, common: Array, own: list[Array]) -> tuple[Array, list[Array]]:
+    """Nelder-Mead over the parameters; at each point the initial states are the best ones, by one linear step."""
+    lower, upper = task.bounds
+    starts = own
+
+    def cost(scaled: Array) -> float:
+        trial = common + scaled * task.scale
+        if np.any(trial < lower) or np.any(trial > upper):
+            return np.inf
+        blocks = task.evaluate(trial, starts, True, weights=weights)
+        if blocks is None:
+            return np.inf
+        return sum(float(residual @ residual) for residual, _ in map(eliminate, blocks))
+
+    size = len(common)
+    corners = np.vstack((np.zeros(size), 0.5 * np.eye(size)))
+    options = {"initial_simplex": corners, "xatol": 1e-5, "fatol": 1e-7, "maxiter": 400 * size}
+    found = minimize(cost, np.zeros(size), method="Nelder-Mead", options=options)
+    return common + found.x * task.scale, own
+
+
+def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began: float) -> Estimate:
+    held = task.uncertain
+    blocks = task.evaluate(minimum.common, minimum.own, True, weights=weights, also=held)
+    assert blocks is not None
+    size = len(task.free)
+    reduced = [eliminate(block) for block in blocks]
+    total = sum((columns.T @ columns for _, columns in reduced), np.zeros((size + len(held),) * 2))
+    information = total[:size, :size]
+    spread = inverse(information)
+    varied = _score_covariance([columns[:, :size] * residual[:, None] for residual, columns in reduced])
+    data = spread @ np.where(np.isfinite(varied), varied, information) @ spread
+    # Never surer than independent rows would be.
+    data *= max(1.0, float(np.max(np.diag(spread) / np.maximum(np.diag(data), 1e-300))))
+    deviations = np.array([task.model.parameters[place].std for place in held])
+    covariance = with_known(data, information, total[:size, size:], deviations)
+    if method == SIMPLEX:
+        lower, upper = task.bounds
+        minimum = Minimum(
+            common=minimum.common,
+            own=minimum.own,
+            cost=minimum.cost,
+            blocks=minimum.blocks,
+            information=minimum.information,
+            iterations=minimum.iterations,
+            converged=True,
+            at_bound=(minimum.common <= lower) | (minimum.common >= upper),
+        )
+    return assemble(
+        task,
+        method,
+        minimum,
+        covariance=covariance,
+        data_covariance=data,
+        fit_percent=simulated_percent(task, minimum),
+        seconds=stopwatch() - began,
+    )
+
+
+def _score_covariance(scores: Sequence[Array]) -> Array:
+    """Covariance (p, p) of the sum of all score rows, (n, p) each, which are alike within a window."""
+    if len(scores) >= CLUSTERS:
+        sums = np.array([np.sum(rows, axis=0) for rows in scores])
+        return np.asarray(sums.T @ sums * len(sums) / (len(sums) - 1))
+    total = np.zeros((scores[0].shape[1],) * 2)
+    for rows in scores:
+        lags = max(1, len(rows) // 20)
+        total += rows.T @ rows
+        for lag in range(1, lags):
+            across = rows[lag:].T @ rows[:-lag]
+            total += (1.0 - lag / lags) * (across + across.T)
+    return total
+
+
+def simulated_percent(task: Problem, minimum: Minimum) -> dict[str, float]:
+    """Percent of each output's movement that the simulation explains."""
+    errors, shown = [], []
+    values = task.values(minimum.common)
+    for segment, initial, part in zip(task.segments, task.initials, minimum.own, strict=True):
+        start = initial.copy()
+        start[list(task.own)] = part
+        run = task.kernel.run(segment, values, start, substeps=task.substeps)
+        errors.append(segment.measured - run.predicted)
+        shown.append(segment.measured)
+    error, measured = np.concatenate(errors), np.concatenate(shown)
+    share = np.sqrt(np.nanmean(error**2, axis=0)) / np.maximum(np.nanstd(measured, axis=0), 1e-300)
+    return {name: float(100.0 * (1.0 - each)) for name, each in zip(task.kernel.outputs, share, strict=True)}

@@ -1,0 +1,208 @@
+"""A model, its kernel and the data it is fitted to, in the shape that the fits share.
+
+Common unknowns are the estimated parameters; each stretch's own are the initial states that are not exactly known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import EstimationError
+from estimators.gauss_newton import Block
+from estimators.segments import segments
+from models import library
+from models.expressions import number
+from models.kernel import Kernel, Progress, compile_model
+from models.model import Model, Parameter
+from models.segment import Segment
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+FINEST = 0.35
+"""Step times fastest pole that Runge-Kutta is trusted with; a step is divided until it is less."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """`free` are the places of the estimated parameters, `own` the states whose start each stretch fits for itself."""
+
+    model: Model
+    kernel: Kernel
+    segments: tuple[Segment, ...]
+    free: tuple[int, ...]
+    own: tuple[int, ...]
+    initials: tuple[Array, ...]
+    substeps: int
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The estimated ones."""
+        return tuple(self.model.parameters[place] for place in self.free)
+
+    @property
+    def start(self) -> Array:
+        return np.array([parameter.value for parameter in self.parameters])
+
+    @property
+    def scale(self) -> Array:
+        return np.array([parameter.typical for parameter in self.parameters])
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        return (
+            np.array([parameter.lower for parameter in self.parameters]),
+            np.array([parameter.upper for parameter in self.parameters]),
+        )
+
+    @property
+    def rows(self) -> int:
+        return sum(map(len, self.segments))
+
+    @property
+    def span(self) -> float:
+        """s of data."""
+        return sum(segment.duration for segment in self.segments)
+
+    @property
+    def own_start(self) -> list[Array]:
+        return [initial[list(self.own)] for initial in self.initials]
+
+    @property
+    def uncertain(self) -> tuple[int, ...]:
+        """Places of parameters that are not estimated and not exactly known either."""
+        return tuple(place for place, p in enumerate(self.model.parameters) if place not in self.free and p.std > 0.0)
+
+    def values(self, common: Array) -> Array:
+        """All parameter values (np,) where the estimated ones are `common`."""
+        values = self.kernel.vector()
+        values[list(self.free)] = common
+        return values
+
+    def evaluate(
+        self,
+        common: Array,
+        own: Sequence[Array],
+        derivatives: bool,
+        *,
+        weights: Array,
+        gain: Array | None = None,
+        slopes: Array | None = None,
+        also: Sequence[int] = (),
+    ) -> list[Block] | None:
+        """Weighted errors of every stretch, and the rows that say how far its start may be off.
+
+        `weights` (ny, ny) turns an output error into independent ones of unit variance. `also`: places of parameters
+        to differentiate by beside the estimated ones, after them. `slopes` (nx * ny, p + q) are derivatives of the gain
+        by the same and by q further unknowns that act through the gain alone. None where the model runs away.
+        """
+        values = self.values(common)
+        blocks = []
+        columns, states = len(self.free) + len(also), len(self.kernel.states)
+        further = 0 if slopes is None else slopes.shape[1] - columns
+        active: tuple[int, ...] = ()
+        if derivatives:
+            starts = tuple(len(self.kernel.parameters) + state for state in self.own)
+            gains = range(len(slopes)) if slopes is not None else ()
+            active = (*self.free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
+        spread = np.array([self.model.states[state].initial_std for state in self.own])
+        for segment, initial, part in zip(self.segments, self.initials, own, strict=True):
+            start = initial.copy()
+            start[list(self.own)] = part
+            run = self.kernel.run(segment, values, start, gain=gain, active=active, substeps=self.substeps)
+            if not np.all(np.isfinite(run.predicted)):
+                return None
+            error = segment.measured - run.predicted
+            residual = (np.nan_to_num(error) @ weights.T).ravel()
+            residual = np.concatenate((residual, (part - initial[list(self.own)]) / spread))
+            jacobian = np.zeros((len(residual), columns + further + len(self.own) if derivatives else 0))
+            if derivatives:
+                sensitivity = np.where(np.isfinite(error)[:, :, None], run.sensitivity, 0.0)
+                moved = np.einsum("ij,njc->nic", -weights, sensitivity).reshape(error.size, len(active))
+                ends = columns + len(self.own)
+                jacobian[: error.size, :columns] = moved[:, :columns]
+                if slopes is not None:
+                    jacobian[: error.size, : columns + further] += moved[:, ends:] @ slopes
+                jacobian[: error.size, columns + further :] = moved[:, columns:ends]
+                jacobian[error.size :, columns + further :] = np.diag(1.0 / spread)
+            blocks.append(Block(residual, jacobian[:, : columns + further], jacobian[:, columns + further :]))
+        return blocks
+
+
+def problem(
+    model: Model | str,
+    recordings: Sequence[Recording],
+    *,
+    estimate: Iterable[str] | None = None,
+    support: float | None = None,
+    longest: float | None = None,
+    progress: Progress | None = None,
+) -> Problem:
+    """The fit of `model` to `recordings`; `estimate` names the parameters sought, by default those the model says.
+
+    Raises DataError where the data are not fit for it, ModelError for an unknown name, EstimationError where nothing
+    is sought.
+    """
+    if isinstance(model, str):
+        model = library.get(model)
+    model = model.change(estimated=estimate) if estimate is not None else model
+    free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
+    if not free:
+        raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
+    for place in free:
+        parameter = model.parameters[place]
+        if not parameter.lower <= parameter.value <= parameter.upper:
+            what = f"{parameter.value:g} {parameter.unit} is outside {parameter.lower:g} to {parameter.upper:g}"
+            raise EstimationError(f"parameter {parameter.name}", what, remedy="start inside the bounds.")
+        if not parameter.lower < parameter.upper:
+            what = f"its bounds cross: {parameter.lower:g} and {parameter.upper:g}"
+            raise EstimationError(f"parameter {parameter.name}", what, remedy="mend them in the model.")
+    data = segments(model, recordings, support=support, longest=longest)
+    kernel = compile_model(model, progress=progress)
+    initials = tuple(_initial(model, segment) for segment in data)
+    own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
+    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, kernel.vector(), data)))))
+    spacing = float(np.median(np.diff(data[0].time)))
+    substeps = int(np.clip(np.ceil(spacing * fastest / FINEST), 1, 50))
+    return Problem(model, kernel, tuple(data), free, own, initials, substeps)
+
+
+def _initial(model: Model, segment: Segment) -> Array:
+    """The state at the first row as it is measured."""
+    first = np.array([column[np.isfinite(column)][0] for column in segment.measured.T])
+    known: Mapping[str, float] = {
+        **model.values,
+        **{each.name: float(value) for each, value in zip(model.outputs, first, strict=True)},
+    }
+    return np.array([number(state.initial, known, f"state {state.name}, initial") for state in model.states])
+
+
+def jacobian(kernel: Kernel, values: Array, data: Sequence[Segment]) -> Array:
+    """The continuous system matrix (nx, nx) at the middle of the data."""
+    short = 1e-6
+    transition, _ = linearise(kernel, values, data, short)
+    return (transition - np.eye(len(kernel.states))) / short
+
+
+def linearise(kernel: Kernel, values: Array, data: Sequence[Segment], spacing: float) -> tuple[Array, Array]:
+    """Transition matrix over `spacing` s (nx, nx) and output matrix (ny, nx) where inputs and outputs have their mean.
+
+    The state there is what the model's own `initial` makes of the mean outputs; derivatives of a linear model are the
+    same everywhere.
+    """
+    states = len(kernel.states)
+    mean = np.mean([np.mean(segment.inputs, axis=0) for segment in data], axis=0)
+    time = float(data[0].time[0]) + spacing * np.arange(2.0)
+    held = np.repeat(mean[None, :], 2, axis=0)
+    knots = np.repeat((time - 1.0)[:, None], len(kernel.inputs), axis=1)
+    segment = Segment(time, np.ascontiguousarray(knots), held, np.full((2, len(kernel.outputs)), np.nan))
+    active = [len(kernel.parameters) + place for place in range(states)]
+    memory = kernel.memory(np.zeros(states), active)
+    predicted = np.empty((2, len(kernel.outputs)))
+    sensitivity = np.empty((2, len(kernel.outputs), states))
+    kernel.proceed(segment, values, memory, None, active, predicted, sensitivity)
+    return memory.S.copy(), sensitivity[0].copy()

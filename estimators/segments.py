@@ -1,0 +1,225 @@
+"""From recordings to the gapless stretches a compiled model takes, and whether the data are fit for it at all.
+
+A row is used where every input and the outputs are known and, where the model has a support angle to keep clear of, the
+vehicle is free. Inputs keep the instants at which they were sampled; outputs of a device that is sampled at other
+instants than the row (`age`) are read by straight lines.
+
+What makes a fit look good and be wrong is refused here, with the channel and the reason: a channel that is missing, one
+that never moves, that is clipped, and an angle and a rate that do not belong together (degrees for radians, a swapped
+sign or channel).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import EstimationError, Status
+from models.expressions import names_in
+from models.model import Model
+from models.segment import Segment
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+SHORTEST = 50
+"""Rows of a stretch that is worth using."""
+SUPPORT_MARGIN = float(np.radians(0.3))
+"""rad inside the support angle within which a vehicle counts as free."""
+LONGEST_GAP = 2.5
+"""Sampling periods after which a stretch ends."""
+AGREEMENT = (0.5, 2.0)
+"""Factors between a rate and the derivative of its angle that sensor errors can explain."""
+
+
+class DataError(EstimationError):
+    """The data cannot be used for what is asked. `status` is what a result says then."""
+
+    def __init__(self, status: Status, what: str, message: str, *, remedy: str) -> None:
+        super().__init__(what, message, remedy=remedy)
+        self.status = status
+
+
+def segments(
+    model: Model, recordings: Sequence[Recording], *, support: float | None = None, longest: float | None = None
+) -> list[Segment]:
+    """The usable stretches of all `recordings`, none longer than `longest` s.
+
+    `support` is the coordinate's size (rad) at which the vehicle is carried and the model does not hold; without it,
+    that of the recording's metadata, where it has one. Raises DataError.
+    """
+    found: list[Segment] = []
+    for recording in recordings:
+        _check(model, recording)
+        limit = support if support is not None else _recorded_support(recording)
+        free = _free(model, recording, limit)
+        if not free.any():
+            raise DataError(
+                Status.TOO_FEW_SAMPLES,
+                recording.source,
+                "at no row are all channels known and the vehicle free of its supports",
+                remedy="record it upright.",
+            )
+        _check_free(model, recording, free)
+        for part in _stretches(recording, free, longest):
+            found.append(_segment(model, recording, part))
+    if not found:
+        raise DataError(
+            Status.TOO_FEW_SAMPLES,
+            "recording",
+            f"no gapless stretch of free motion is as long as {SHORTEST} rows",
+            remedy="record for longer, with the vehicle upright.",
+        )
+    return found
+
+
+def _recorded_support(recording: Recording) -> float | None:
+    text = recording.metadata.get("support")
+    return float(text) if text else None
+
+
+def _channels(model: Model) -> tuple[str, ...]:
+    """The channels the model's equations really use, and the ages with them."""
+    used = _used_names(model)
+    inputs = [each for each in model.inputs if each.name in used or f"{each.name}_slope" in used]
+    names = [each.name for each in (*inputs, *model.outputs)]
+    return (*names, *dict.fromkeys(each.age for each in (*inputs, *model.outputs) if each.age))
+
+
+def _used_names(model: Model) -> frozenset[str]:
+    texts = [state.derivative for state in model.base_states] + [each.expression for each in model.outputs]
+    texts += list(model.definitions.values())
+    for joint in model.joints:
+        texts += [joint.coordinate, joint.rate, joint.inertia, joint.load]
+    if model.effects:
+        texts += [text for actuator in model.actuators for text in (actuator.rate, actuator.angle) if text]
+    return frozenset().union(*(names_in(text) for text in texts))
+
+
+def _check(model: Model, recording: Recording) -> None:
+    try:
+        recording.require(*_channels(model))
+    except RecordingError as error:
+        raise DataError(
+            Status.MISSING_CHANNEL, recording.source, str(error).rstrip("."), remedy="record it, or use another model."
+        ) from error
+
+
+def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:
+    known = np.all([np.isfinite(recording[name]) for name in _channels(model)], axis=0)
+    coordinate = model.joints[0].coordinate if model.joints else ""
+    if support is not None and coordinate in recording.values:
+        known &= np.abs(np.where(known, recording[coordinate], np.inf)) < support - SUPPORT_MARGIN
+    return np.asarray(known)
+
+
+def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> None:
+    """Raises DataError for channels that cannot be what they are called."""
+    used = _used_names(model)
+    measured = [each.name for each in model.outputs]
+    measured += [each.name for each in model.inputs if each.hold.value == "first_order" and each.name in used]
+    for name in measured:
+        values = recording[name][free]
+        if name in {each.name for each in model.outputs} and np.ptp(values) == 0.0:
+            remedy = "check the sensor and its scaling."
+            raise DataError(Status.BAD_DATA, f"channel {name}", "never moves", remedy=remedy)
+        share = clipped_share(values)
+        if share > 0.0:
+            raise DataError(
+                Status.BAD_DATA,
+                f"channel {name}",
+                f"is cut off at {np.max(np.abs(values)):.4g} for {100.0 * share:.1f} % of the time",
+                remedy="widen the sensor's range or excite less.",
+            )
+    pairs = [(sensor.angle, sensor.rate) for sensor in model.sensors]
+    pairs += [(actuator.angle, actuator.rate) for actuator in model.actuators]
+    for angle, rate in pairs:
+        if angle in recording.values and rate in recording.values:
+            _check_pair(recording, angle, rate, free)
+
+
+def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_]) -> None:
+    """An angle moves by the integral of its rate."""
+    values, rates, time = recording[angle], recording[rate], recording.time
+    # Over a tenth of a second: short against the motion, long against noise and quantisation.
+    ahead = max(1, round(0.1 * recording.rate))
+    whole = np.convolve(free, np.ones(ahead + 1), "valid") > ahead
+    turned = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
+    moved, expected = (values[ahead:] - values[:-ahead])[whole], (turned[ahead:] - turned[:-ahead])[whole]
+    if len(moved) < SHORTEST or not np.all(np.isfinite(expected)) or np.std(expected) == 0.0 or np.std(moved) == 0.0:
+        return
+    together = float(np.corrcoef(moved, expected)[0, 1])
+    factor = float(np.std(expected) / np.std(moved)) * (1.0 if together > 0.0 else -1.0)
+    if abs(together) < 0.5 or AGREEMENT[0] < factor < AGREEMENT[1]:
+        return
+    degrees = 0.5 < abs(factor) * np.pi / 180.0 < 2.0 or 0.5 < abs(factor) * 180.0 / np.pi < 2.0
+    unit = "; one of them is in degrees" if degrees else ""
+    raise DataError(
+        Status.BAD_DATA,
+        f"channel {rate}",
+        f"is {factor:.3g} times the derivative of {angle}{unit}",
+        remedy="convert both to SI units (rad, rad/s) and check signs and scaling.",
+    )
+
+
+def clipped_share(values: Array) -> float:
+    """The share of `values`, (n,), that is cut off at their largest or smallest: flat there, and entered at speed."""
+    step = np.abs(np.diff(values))
+    usual = float(np.sqrt(np.mean(step**2)))
+    clipped = 0
+    for extreme in (np.max(values), np.min(values)):
+        at = np.concatenate(([False], values == extreme, [False]))
+        starts = np.flatnonzero(at[1:] & ~at[:-1])
+        ends = np.flatnonzero(~at[1:] & at[:-1])
+        for start, end in zip(starts, ends, strict=True):
+            if end - start >= 5 and start >= 3 and np.mean(step[start - 3 : start]) > 0.5 * usual:
+                clipped += end - start
+    return clipped / len(values)
+
+
+def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | None) -> Iterator[slice]:
+    spacing = np.diff(recording.time)
+    follows = np.zeros(len(free), dtype=bool)
+    follows[1:] = free[1:] & free[:-1] & (spacing < LONGEST_GAP * float(np.median(spacing)))
+    starts = np.flatnonzero(free & ~follows)
+    ends = np.flatnonzero(free & ~np.append(follows[1:], False)) + 1
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        count = 1
+        if longest is not None:
+            count = max(1, round((recording.time[end - 1] - recording.time[start]) / longest))
+        edges = np.linspace(start, end, count + 1).round().astype(int).tolist()
+        for first, last in zip(edges[:-1], edges[1:], strict=True):
+            if last - first >= SHORTEST:
+                yield slice(first, last)
+
+
+def _segment(model: Model, recording: Recording, part: slice) -> Segment:
+    time = recording.time
+    used = _channels(model)
+    zeros = np.zeros(len(time))
+
+    def sampled(age: str) -> Array:
+        return time - recording[age] if age else time
+
+    inputs = [recording[each.name] if each.name in used else zeros for each in model.inputs]
+    knots = [sampled(each.age if each.name in used else "") for each in model.inputs]
+    measured = [
+        np.interp(time, sampled(each.age), recording[each.name]) if each.age else recording[each.name]
+        for each in model.outputs
+    ]
+    return Segment(
+        time=np.ascontiguousarray(time[part]),
+        knots=_columns(knots, part),
+        inputs=_columns(inputs, part),
+        measured=_columns(measured, part),
+        source=recording.source,
+    )
+
+
+def _columns(columns: Sequence[Array], part: slice) -> Array:
+    if not columns:
+        return np.zeros((part.stop - part.start, 0))
+    return np.ascontiguousarray(np.stack([column[part] for column in columns], axis=1))

@@ -1,0 +1,285 @@
+"""What a named effect is: a term at a joint, on an actuator or on a sensor, neutral where its amplitudes are zero.
+
+An effect knows no machine. Its expressions use the names of the place it is attached to:
+
+* at a joint: `coordinate`, `rate`, `inertia`, `load` (the force there without the effect, so that load / inertia is the
+  acceleration), `time`, `smooth_rate` (a number); where the joint has an actuator also `actuator_rate`,
+  `actuator_angle` and `gain` (force a unit of actuator rate). `force` is added to the joint's load.
+* on an actuator: `command`, `time`, and `actuator_rate` and `actuator_angle` where the model knows them. `command` (the
+  attribute) replaces the command; `delay` and `lag` name the parameters (s) by which it acts later or goes through a
+  first-order lag.
+* on a sensor: `angle`, `rate` (what the sensor would show), their time derivatives `angle_1`, `angle_2`, `rate_1`,
+  `rate_2`, and `time`. `angle_reading` and `rate_reading` replace what it shows; one that the sensor does not measure
+  is left out.
+
+States and parameters go by their local names. In a model a parameter is called EFFECT.NAME (EFFECT@PLACE.NAME at
+another than the first place that can have the effect).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from models.expressions import check, names_in, number
+from models.model import Actuator, Joint, Model, ModelError, Parameter, Sensor, State
+from models.place import VOCABULARY, offer
+from models.place import Place as Place
+from models.place import places_of as places_of
+
+BELONGING: Mapping[Place, tuple[str, ...]] = {
+    Place.JOINT: ("force",),
+    Place.ACTUATOR: ("command", "delay", "lag"),
+    Place.SENSOR: ("angle_reading", "rate_reading"),
+}
+"""Which attributes of an effect say what it does at its place."""
+
+_ARTICLE = {Place.JOINT: "a joint", Place.ACTUATOR: "an actuator", Place.SENSOR: "a sensor"}
+
+
+class Family(StrEnum):
+    """Kinds of effects that look alike in a record."""
+
+    BIAS = "bias"
+    DRY_FRICTION = "dry_friction"
+    SPEED_DRAG = "speed_drag"
+    STIFFNESS = "stiffness"
+    TIME_SHIFT = "time_shift"
+    GAIN = "gain"
+    COUPLING = "coupling"
+    PERIODIC = "periodic"
+    MEMORY = "memory"
+    STRUCTURE = "structure"
+    SENSOR = "sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """A parameter of an effect.
+
+    An `amplitude` is zero where the effect is absent; all others shape it and keep `value`. `value`, `scale`, `lower`,
+    `upper` and `starts` are expressions of numbers and of the place's scales, and `unit` may use the place's units:
+
+    * joint: force_scale, coordinate_scale, rate_scale, smooth_rate; {force}, {coordinate}
+    * joint with an actuator, and actuator: these and command_scale, angle_scale; {command}, {angle}
+    * sensor: angle_scale, rate_scale; {angle}, {rate}
+
+    `starts` are further values to start from where the error has several minima.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    amplitude: bool = False
+    value: str = "0"
+    scale: str = ""
+    lower: str = ""
+    upper: str = ""
+    starts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class EffectState:
+    """A state of an effect with memory, at rest at 0."""
+
+    name: str
+    unit: str
+    derivative: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One physical effect that a model may lack.
+
+    `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
+    experiment tells them apart. `dissipative`: it never adds energy. `in_radians`: names that are an angle in rad, or
+    the effect makes no sense. `source` is where the equation is from.
+    """
+
+    name: str
+    family: Family
+    title: str
+    place: Place
+    equation: str
+    """As one would write it in a text, for people; the expressions below are what is computed."""
+    parameters: tuple[EffectParameter, ...]
+    signature: str
+    confused_with: tuple[str, ...]
+    separated_by: str
+    force: str = ""
+    command: str = ""
+    delay: str = ""
+    lag: str = ""
+    angle_reading: str = ""
+    rate_reading: str = ""
+    states: tuple[EffectState, ...] = ()
+    dissipative: bool = False
+    in_radians: tuple[str, ...] = ()
+    source: str = ""
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Local names of the parameters that are zero where the effect is absent."""
+        return tuple(parameter.name for parameter in self.parameters if parameter.amplitude)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Local names of its parameters and states."""
+        return tuple(parameter.name for parameter in self.parameters) + tuple(state.name for state in self.states)
+
+    @property
+    def expressions(self) -> dict[str, str]:
+        """Key to text of the expressions it has, its states' included; `delay` and `lag` are names, not expressions."""
+        texts = {key: getattr(self, key) for key in ("force", "command", "angle_reading", "rate_reading")}
+        texts |= {f"{state.name}.derivative": state.derivative for state in self.states}
+        return {key: text for key, text in texts.items() if text}
+
+
+@dataclass(frozen=True, slots=True)
+class AttachedEffect:
+    """An effect in a model: `name` is EFFECT, or EFFECT@PLACE; parameters and states go by their names in the model."""
+
+    effect: Effect
+    name: str
+    at: str
+    parameters: tuple[Parameter, ...]
+    states: tuple[State, ...]
+
+    def qualified(self, local: str) -> str:
+        """The name in the model of what the effect calls `local`."""
+        return f"{self.name}.{local}"
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Names in the model of the parameters that are zero where the effect is absent."""
+        return tuple(map(self.qualified, self.effect.amplitudes))
+
+
+def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
+    """`effect` as part of `model` at the place `at`, by default the first that can have it.
+
+    Raises ModelError where there is no such effect or place, the place lacks what the effect needs, an expression uses
+    a name that does not exist, or the effect is there already.
+    """
+    if isinstance(effect, str):
+        from models.effects import find
+
+        effect = find(effect)
+    check_names(effect)
+    place, first = _place(model, effect, at)
+    name = effect.name if place.name == first else f"{effect.name}@{place.name}"
+    if any(attached.name == name for attached in model.effects):
+        remedy = "change its parameters instead."
+        raise ModelError(f"effect {name}", f"model {model.name} has it already", remedy=remedy)
+    offered = offer(model, place)
+    bare = AttachedEffect(effect, name, place.name, (), ())
+    parameters = []
+    for parameter in effect.parameters:
+        where = f"effect {effect.name}, parameter {parameter.name}"
+        parameters.append(
+            Parameter(
+                name=bare.qualified(parameter.name),
+                unit=_unit(parameter.unit, offered.units, where),
+                value=number(parameter.value, offered.scales, f"{where}, value"),
+                scale=number(parameter.scale, offered.scales, f"{where}, scale") if parameter.scale else 0.0,
+                lower=number(parameter.lower, offered.scales, f"{where}, lower") if parameter.lower else -math.inf,
+                upper=number(parameter.upper, offered.scales, f"{where}, upper") if parameter.upper else math.inf,
+                estimated=parameter.amplitude,
+                meaning=parameter.meaning,
+            )
+        )
+    states = tuple(
+        State(
+            bare.qualified(state.name),
+            _unit(state.unit, offered.units, f"effect {effect.name}, state {state.name}"),
+            state.derivative,
+            meaning=state.meaning,
+        )
+        for state in effect.states
+    )
+    return replace(bare, parameters=tuple(parameters), states=states)
+
+
+def starts(model: Model, attached: AttachedEffect, name: str) -> tuple[float, ...]:
+    """Values to start its parameter (local `name`) from: its own value first, then those of `starts`, in its unit.
+
+    Raises ModelError where the effect has no such parameter.
+    """
+    for parameter in attached.effect.parameters:
+        if parameter.name == name:
+            place = next(each for each in places_of(model, attached.effect.place) if each.name == attached.at)
+            scales = offer(model, place).scales
+            where = f"effect {attached.effect.name}, parameter {name}, starts"
+            return tuple(number(text, scales, where) for text in (parameter.value, *parameter.starts))
+    there = ", ".join(parameter.name for parameter in attached.effect.parameters)
+    raise ModelError(f"effect {attached.name}", f"there is no parameter {name!r}", remedy=f"use one of: {there}.")
+
+
+def check_names(effect: Effect) -> None:
+    """Raises ModelError unless the expressions belong to the effect's kind of place and use only what that offers."""
+    own = frozenset(effect.own_names)
+    belonging = BELONGING[effect.place]
+    strange = [key for keys in BELONGING.values() for key in keys if getattr(effect, key) and key not in belonging]
+    if effect.states and effect.place is not Place.JOINT:
+        strange.append("states")
+    if strange:
+        what = f"is on {_ARTICLE[effect.place]}, where {strange[0]} means nothing"
+        raise ModelError(f"effect {effect.name}", what, remedy=f"there it has {' or '.join(belonging)}.")
+    if not any(getattr(effect, key) for key in belonging):
+        raise ModelError(f"effect {effect.name}", "does nothing", remedy=f"give it {' or '.join(belonging)}.")
+    for key, text in effect.expressions.items():
+        more = {"force"} if key.endswith(".derivative") else set()
+        check(text, VOCABULARY[effect.place] | own | more, f"effect {effect.name}, {key}")
+    for key, name in (("delay", effect.delay), ("lag", effect.lag)):
+        if name and name not in own:
+            remedy = f"name one of its parameters: {', '.join(effect.own_names)}."
+            raise ModelError(f"effect {effect.name}, {key}", f"there is no parameter {name!r}", remedy=remedy)
+
+
+def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Sensor, str]:
+    """Where the effect goes, and the first place that could have it. Raises ModelError."""
+    places = {place.name: place for place in places_of(model, effect.place)}
+    if not places:
+        remedy = f"model {model.name} cannot have this effect."
+        what = f"needs {_ARTICLE[effect.place]}, and the model has none"
+        raise ModelError(f"effect {effect.name}", what, remedy=remedy)
+    if at and at not in places:
+        there = ", ".join(places)
+        raise ModelError(
+            f"effect {effect.name}", f"there is no {effect.place.value} {at!r}", remedy=f"use one of: {there}."
+        )
+    lacking = {name: ", ".join(_lacks(model, effect, place)) for name, place in places.items()}
+    able = [name for name, lack in lacking.items() if not lack]
+    asked = at or (able[0] if able else next(iter(places)))
+    if lacking[asked]:
+        remedy = f"attach it at {' or '.join(able)}." if able else f"model {model.name} cannot have this effect."
+        what = f"needs {lacking[asked]}, which {effect.place.value} {asked} does not have"
+        raise ModelError(f"effect {effect.name}", what, remedy=remedy)
+    return places[asked], able[0]
+
+
+def _lacks(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Iterator[str]:
+    """What the effect needs and `place` does not have."""
+    offered = offer(model, place)
+    texts = effect.expressions
+    if isinstance(place, Sensor):
+        readings = {"angle_reading": place.angle, "rate_reading": place.rate}
+        texts = {key: text for key, text in texts.items() if readings.get(key)}
+        if not texts:
+            yield " or ".join(sorted(key.removesuffix("_reading") for key in effect.expressions))
+    needed = {name for text in texts.values() for name in names_in(text)} & VOCABULARY[effect.place]
+    yield from sorted(needed - offered.names)
+    for name in effect.in_radians:
+        if name in offered.names and name not in offered.in_radians:
+            yield f"{name} in rad"
+
+
+def _unit(template: str, units: Mapping[str, str], where: str) -> str:
+    try:
+        return template.format_map(units)
+    except (KeyError, ValueError, IndexError, AttributeError) as error:
+        there = ", ".join(f"{{{name}}}" for name in units)
+        raise ModelError(where, f"unit {template!r} cannot be filled in ({error})", remedy=f"use {there}.") from error

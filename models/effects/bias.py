@@ -1,0 +1,74 @@
+"""Torques that do not depend on the motion: constant, stepping or creeping. N m, or N where a joint slides."""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, Family, Place
+
+STATIC_TORQUE = Effect(
+    name="static_torque",
+    family=Family.BIAS,
+    title="constant torque, as from a centre of gravity beside the middle",
+    place=Place.JOINT,
+    equation="F = torque",
+    parameters=(EffectParameter("torque", "{force}", "constant force", amplitude=True, scale="force_scale"),),
+    force="torque",
+    signature="The mean of the missing torque is not zero. A balanced vehicle stands at another angle, or its "
+    "actuator drifts away at a steady rate.",
+    confused_with=("torque_step", "torque_drift", "asymmetric_friction", "gimbal_imbalance", "sensor_offset"),
+    separated_by="A square wave of the angle's reference: a constant torque stays where friction changes its sign. "
+    "Weigh it: a known payload at a known place adds to it, not to an offset of the sensor.",
+    source="Griese et al. (MONOCAB): the static torque that their model lacked",
+)
+
+TORQUE_STEP = Effect(
+    name="torque_step",
+    family=Family.BIAS,
+    title="torque that sets in during the record, as when a person sits down",
+    place=Place.JOINT,
+    equation="F = torque (1 + tanh(2.65 ((t - start) / rise - 1/2))) / 2",
+    parameters=(
+        EffectParameter("torque", "{force}", "size of the step", amplitude=True, scale="force_scale"),
+        EffectParameter(
+            "start",
+            "s",
+            "when it begins, from the first row of the record on",
+            value="1",
+            scale="0.1",
+            lower="0",
+            starts=("2", "3", "5", "7", "10", "13", "16", "20", "25", "30", "40", "50"),
+        ),
+        EffectParameter("rise", "s", "how long it takes", value="0.3", scale="0.1", lower="0.02", upper="5"),
+    ),
+    force="torque * 0.5 * (1 + tanh(2.65 * ((time - start) / rise - 0.5)))",
+    signature="The missing torque has one mean before an instant and another one after it.",
+    confused_with=("static_torque", "torque_drift"),
+    separated_by="A longer record, in which what came before and what came after each last longer than the slowest "
+    "motion of the vehicle.",
+    source="Griese et al. (MONOCAB): side load; tanh is the best fit to a straight ramp, to 7 % of the step",
+)
+
+TORQUE_DRIFT = Effect(
+    name="torque_drift",
+    family=Family.BIAS,
+    title="torque that creeps up, as from a load that settles or a part that warms up",
+    place=Place.JOINT,
+    equation="F = torque (1 - exp(-t / time_constant))",
+    parameters=(
+        EffectParameter("torque", "{force}", "where it settles", amplitude=True, scale="force_scale"),
+        EffectParameter(
+            "time_constant",
+            "s",
+            "of the creep",
+            value="30",
+            scale="10",
+            lower="1",
+            upper="3600",
+            starts=("5", "100", "600"),
+        ),
+    ),
+    force="torque * (1 - exp(-time / time_constant))",
+    signature="The missing torque grows slowly from the start of the record and levels off.",
+    confused_with=("static_torque", "torque_step"),
+    separated_by="A record that is several time constants long; a second one without a pause does not start again.",
+    source="first-order creep; Lakes, Viscoelastic Materials (2009), standard linear solid",
+)

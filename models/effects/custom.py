@@ -1,0 +1,172 @@
+"""An effect of the user's own, from a file; `Model.add` takes it, and it is screened and ranked like the others.
+
+A TOML file has the attributes of models.effect.Effect as keys, and `[[parameters]]` and `[[states]]` have those of
+EffectParameter and EffectState. Needed are name, family, title, place, a parameter that is an amplitude, and what the
+place takes (force; command, delay or lag; angle_reading or rate_reading):
+
+    name = "rail_bump"
+    family = "stiffness"
+    title = "a dent in the rail head"
+    place = "joint"
+    force = "-torque * exp(-(coordinate / width) ** 2)"
+
+    [[parameters]]
+    name = "torque"
+    unit = "{force}"
+    meaning = "at the dent"
+    amplitude = true
+    scale = "force_scale"
+
+    [[parameters]]
+    name = "width"
+    unit = "{coordinate}"
+    meaning = "of the dent"
+    value = "coordinate_scale / 4"
+    scale = "coordinate_scale / 20"
+
+A Python file assigns `EFFECT = Effect(...)`. It is code, and reading it runs it with the rights of whoever reads it:
+read none that you would not run. A TOML file runs nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import runpy
+import tomllib
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from models.effect import BELONGING, Effect, EffectParameter, EffectState, Family, Place
+from models.effects import CATALOGUE
+from models.effects.validation import validate
+from models.model import ModelError
+
+_OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by"))
+"""Attributes without a default that a file may leave out; the equation is then the expressions themselves."""
+
+Table = Mapping[str, object]
+
+
+def load_effect(path: str | Path) -> Effect:
+    """The effect that the file at `path` describes: TOML, or Python, which is run.
+
+    Raises ModelError, which names file, key and remedy, where it cannot be read, a key is missing, unknown or of the
+    wrong type, an expression is none, the effect is not neutral at zero amplitudes, or the catalogue has its name.
+    """
+    path = Path(path)
+    if path.suffix not in (".toml", ".py"):
+        raise ModelError(str(path), "is no effect file", remedy="give it the ending .toml or .py.")
+    try:
+        effect = _from_python(path) if path.suffix == ".py" else _from_toml(path)
+    except OSError as error:
+        raise ModelError(str(path), f"cannot be read ({error.strerror or error})", remedy="check the path.") from error
+    if effect.name in CATALOGUE:
+        remedy = "choose another name, or use that one."
+        raise ModelError(f"{path}: name", f"the catalogue has an effect {effect.name}", remedy=remedy)
+    try:
+        validate(effect)
+    except ModelError as error:
+        raise _in_file(path, error) from error
+    return effect
+
+
+def _in_file(path: Path, error: ModelError) -> ModelError:
+    """The same error, which says in which file it is."""
+    what = error.args[0].removeprefix(f"{error.where}: ").removesuffix(".")
+    return ModelError(f"{path}: {error.where}", what, remedy=error.remedy)
+
+
+def _from_python(path: Path) -> Effect:
+    try:
+        effect = runpy.run_path(str(path)).get("EFFECT")
+    except OSError:
+        raise
+    except (Exception, SystemExit) as error:
+        what = f"fails when it is run ({type(error).__name__}: {error})"
+        raise ModelError(str(path), what, remedy="correct the Python code.") from error
+    if not isinstance(effect, Effect):
+        what = "does not define EFFECT" if effect is None else f"EFFECT is a {type(effect).__name__}, no Effect"
+        raise ModelError(f"{path}: EFFECT", what, remedy="write EFFECT = Effect(...), from models.effect.")
+    return effect
+
+
+def _from_toml(path: Path) -> Effect:
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ModelError(str(path), f"is no TOML ({error})", remedy="correct the line.") from error
+    where = str(path)
+    _check_keys(document, Effect, where, _OPTIONAL)
+    family = _one_of(Family, document["family"], f"{where}: family")
+    place = _one_of(Place, document["place"], f"{where}: place")
+    parts: dict[str, Any] = {
+        key: tuple(_part(kind, entry, f"{where}: {key}.{i}") for i, entry in enumerate(_tables(document, key, where)))
+        for key, kind in (("parameters", EffectParameter), ("states", EffectState))
+    }
+    plain = {key: value for key, value in document.items() if key not in ("family", "place", *parts)}
+    entries = _values(plain, Effect, where)
+    if "equation" not in entries:
+        does = [key for key in BELONGING[place] if key in entries]
+        entries["equation"] = ",  ".join(f"{key} = {entries[key]}" for key in does)
+    entries = {**dict.fromkeys(("signature", "separated_by"), ""), "confused_with": (), **entries}
+    return Effect(family=family, place=place, **entries, **parts)
+
+
+def _tables(document: Table, key: str, where: str) -> list[Table]:
+    entries = document.get(key, [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise ModelError(f"{where}: {key}", "is no list of tables", remedy=f"write each below a line [[{key}]].")
+    return entries
+
+
+def _part(kind: type[EffectParameter] | type[EffectState], entry: Table, where: str) -> Any:
+    """A parameter or a state."""
+    _check_keys(entry, kind, where, frozenset())
+    return kind(**_values(entry, kind, where))
+
+
+def _check_keys(entry: Table, kind: type[Any], where: str, optional: Collection[str]) -> None:
+    """All keys are attributes of `kind`, and those without a default are there."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    for key in entry:
+        if key not in fields:
+            close = difflib.get_close_matches(key, fields, n=1)
+            remedy = f"did you mean {close[0]}?" if close else f"use: {', '.join(fields)}."
+            raise ModelError(f"{where}: {key}", "there is no such key", remedy=remedy)
+    for name, field in fields.items():
+        if field.default is dataclasses.MISSING and name not in entry and name not in optional:
+            raise ModelError(f"{where}: {name}", "is missing", remedy=f"add {name} = ...")
+
+
+def _values(entry: Table, kind: type[Any], where: str) -> dict[str, Any]:
+    """`entry` with the types of the attributes of `kind`: text, true or false, or a list of texts."""
+    types = {field.name: str(field.type) for field in dataclasses.fields(kind)}
+    return {key: _value(value, types[key], f"{where}: {key}") for key, value in entry.items()}
+
+
+def _value(value: object, wanted: str, where: str) -> object:
+    if wanted == "bool":
+        if not isinstance(value, bool):
+            raise ModelError(where, f"{value!r} is neither true nor false", remedy="write true or false.")
+        return value
+    if wanted == "tuple[str, ...]":
+        if not isinstance(value, list):
+            raise ModelError(where, f"{value!r} is no list", remedy='write ["...", "..."].')
+        return tuple(_text(each, where) for each in value)
+    return _text(value, where)
+
+
+def _text(value: object, where: str) -> str:
+    """Numbers may be written without quotes."""
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise ModelError(where, f"{value!r} is no text", remedy='write it in quotes: "...".')
+    return str(value)
+
+
+def _one_of(kind: type[Family] | type[Place], value: object, where: str) -> Any:
+    names = [str(each) for each in kind]
+    if value not in names:
+        raise ModelError(where, f"there is no {value!r}", remedy=f"use one of: {', '.join(names)}.")
+    return kind(value)

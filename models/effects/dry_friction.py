@@ -1,0 +1,115 @@
+"""Dry friction: a force against the motion whose size does not depend on how fast the motion is, or falls with it.
+
+sign(rate) is drawn as tanh(rate / smooth_rate); a positive size always takes energy out.
+"""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, Family, Place
+
+COULOMB_FRICTION = Effect(
+    name="coulomb_friction",
+    family=Family.DRY_FRICTION,
+    title="dry friction of constant size",
+    place=Place.JOINT,
+    equation="F = -torque sgn(rate)",
+    parameters=(EffectParameter("torque", "{force}", "size", amplitude=True, scale="force_scale", lower="0"),),
+    force="-torque * tanh(rate / smooth_rate)",
+    signature="The missing torque is a square wave that turns with the sign of the rate, whatever the amplitude.",
+    confused_with=(
+        "viscous_friction",
+        "stribeck_friction",
+        "asymmetric_friction",
+        "load_dependent_friction",
+        "hysteresis",
+    ),
+    separated_by="The same square or sine wave at two amplitudes: dry friction keeps its size, viscous friction "
+    "doubles with the rate.",
+    dissipative=True,
+    source="Coulomb; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083, section 2",
+)
+
+STRIBECK_FRICTION = Effect(
+    name="stribeck_friction",
+    family=Family.DRY_FRICTION,
+    title="dry friction that is strongest at rest and falls as the motion gets faster",
+    place=Place.JOINT,
+    equation="F = -torque (sliding + (1 - sliding) exp(-(rate / stribeck_rate)^2)) sgn(rate)",
+    parameters=(
+        EffectParameter("torque", "{force}", "breakaway size", amplitude=True, scale="force_scale", lower="0"),
+        EffectParameter(
+            "sliding",
+            "1",
+            "share of it that is left in fast motion; 1 is Coulomb friction",
+            value="0.5",
+            scale="0.1",
+            lower="0",
+            upper="1",
+            starts=("0",),
+        ),
+        EffectParameter(
+            "stribeck_rate",
+            "{coordinate}/s",
+            "rate at which most of what falls is gone",
+            value="rate_scale / 5",
+            scale="rate_scale / 20",
+            lower="smooth_rate",
+            upper="10 * rate_scale",
+            starts=("rate_scale / 15", "rate_scale / 2"),
+        ),
+    ),
+    force="-torque * (sliding + (1 - sliding) * exp(-(rate / stribeck_rate) ** 2)) * tanh(rate / smooth_rate)",
+    signature="The missing torque turns with the sign of the rate and is largest just after a reversal: stick and "
+    "slip.",
+    confused_with=("coulomb_friction", "viscous_friction", "asymmetric_friction", "load_dependent_friction"),
+    separated_by="Slow and fast motion in one record, as a triangle wave of the angle at two frequencies: friction "
+    "falls with the rate where Coulomb friction stays and viscous friction grows.",
+    dissipative=True,
+    source="Stribeck; Armstrong-Helouvry et al., Automatica 30 (1994) 1083; Olsson et al., Eur. J. Control 4 (1998) "
+    "176",
+)
+
+LOAD_DEPENDENT_FRICTION = Effect(
+    name="load_dependent_friction",
+    family=Family.DRY_FRICTION,
+    title="dry friction that grows with the force the actuator passes on",
+    place=Place.JOINT,
+    equation="F = -share |gain actuator_rate| sgn(rate)",
+    parameters=(
+        EffectParameter(
+            "share", "1", "friction a unit of actuator force", amplitude=True, scale="0.1", lower="0", upper="1"
+        ),
+    ),
+    force="-share * abs(gain * actuator_rate) * tanh(rate / smooth_rate)",
+    signature="The missing torque turns with the sign of the rate and is large where the actuator works hard.",
+    confused_with=("coulomb_friction", "stribeck_friction", "viscous_friction"),
+    separated_by="The same slow motion with a small and a large actuator force, as with and without a known side load.",
+    dissipative=True,
+    source="Armstrong-Helouvry et al., Automatica 30 (1994) 1083; Hamon, Gautier, Garrec, IROS 2010",
+)
+
+ASYMMETRIC_FRICTION = Effect(
+    name="asymmetric_friction",
+    family=Family.DRY_FRICTION,
+    title="dry friction that differs between the two directions",
+    place=Place.JOINT,
+    equation="F = -torque_forward for rate > 0, +torque_backward for rate < 0",
+    parameters=(
+        EffectParameter(
+            "torque_forward", "{force}", "size at a positive rate", amplitude=True, scale="force_scale", lower="0"
+        ),
+        EffectParameter(
+            "torque_backward", "{force}", "size at a negative rate", amplitude=True, scale="force_scale", lower="0"
+        ),
+    ),
+    force=(
+        "-0.5 * (torque_forward * (1 + tanh(rate / smooth_rate)) + torque_backward * (1 - tanh(rate / smooth_rate)))"
+        " * tanh(rate / smooth_rate)"
+    ),
+    signature="The missing torque turns with the sign of the rate and has a mean that is there only while it moves.",
+    confused_with=("coulomb_friction", "stribeck_friction", "static_torque"),
+    separated_by="Motion and long rests in one record: at rest the mean of friction is gone, that of a static torque "
+    "is not.",
+    dissipative=True,
+    source="Armstrong-Helouvry, Control of Machines with Friction (1991)",
+)

@@ -1,0 +1,67 @@
+"""Torques that repeat: in time, or over the coordinate. Sine and cosine, so that any phase is a point of a plane."""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, Family, Place
+
+PERIODIC_DISTURBANCE = Effect(
+    name="periodic_disturbance",
+    family=Family.PERIODIC,
+    title="torque that repeats in time, as of machinery on board",
+    place=Place.JOINT,
+    equation="F = amplitude_sin sin(2 pi frequency t) + amplitude_cos cos(2 pi frequency t)",
+    parameters=(
+        EffectParameter("amplitude_sin", "{force}", "of the sine", amplitude=True, scale="force_scale"),
+        EffectParameter("amplitude_cos", "{force}", "of the cosine", amplitude=True, scale="force_scale"),
+        EffectParameter(
+            "frequency",
+            "Hz",
+            "to be found where the spectrum of the innovations has its peak",
+            value="1",
+            scale="0.01",
+            lower="0.02",
+            upper="200",
+            starts=("0.2", "0.5", "1.5", "2", "3", "5", "7", "10", "15", "20"),
+        ),
+    ),
+    force="amplitude_sin * sin(2 * pi * frequency * time) + amplitude_cos * cos(2 * pi * frequency * time)",
+    signature="One line in the spectrum of the missing torque, at the same frequency whatever the vehicle does.",
+    confused_with=("position_cogging", "flexible_mode"),
+    separated_by="A record without excitation: the line stays. It has one phase throughout, a lightly damped mode has "
+    "not.",
+    source="Ljung, System Identification (1999), section 2.3",
+)
+
+POSITION_COGGING = Effect(
+    name="position_cogging",
+    family=Family.PERIODIC,
+    title="torque that repeats over the coordinate, as of magnets, teeth or a worn rail",
+    place=Place.JOINT,
+    equation="F = amplitude_sin sin(2 pi coordinate / pitch) + amplitude_cos cos(2 pi coordinate / pitch)",
+    parameters=(
+        EffectParameter("amplitude_sin", "{force}", "of the sine", amplitude=True, scale="force_scale"),
+        EffectParameter("amplitude_cos", "{force}", "of the cosine", amplitude=True, scale="force_scale"),
+        EffectParameter(
+            "pitch",
+            "{coordinate}",
+            "after which it repeats",
+            value="coordinate_scale / 4",
+            scale="coordinate_scale / 200",
+            lower="coordinate_scale / 1000",
+            upper="10 * coordinate_scale",
+            starts=(
+                "coordinate_scale / 10",
+                "coordinate_scale / 7",
+                "coordinate_scale / 5",
+                "coordinate_scale / 3",
+                "coordinate_scale / 2",
+                "coordinate_scale",
+            ),
+        ),
+    ),
+    force="amplitude_sin * sin(2 * pi * coordinate / pitch) + amplitude_cos * cos(2 * pi * coordinate / pitch)",
+    signature="The missing torque over the coordinate is a wave; its frequency in time grows with the speed.",
+    confused_with=("periodic_disturbance",),
+    separated_by="Slow motion through the same range at two speeds: the line in the spectrum moves with the speed.",
+    source="Hanselman, Brushless Permanent Magnet Motor Design (2003), cogging torque",
+)

@@ -1,0 +1,125 @@
+"""The page docs/reference/effects.md, written from the catalogue: `python -m models.effects.reference > PAGE`."""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, Family, Place
+from models.effects import CATALOGUE, custom, families
+from models.place import SCALES, UNITS, VOCABULARY
+
+_INTRODUCTION = """\
+# Effects
+
+What a model may lack, by canonical name. An effect is a term at a joint, on an actuator or on a sensor, and is exactly
+absent where its amplitudes are zero. `upright model add` adds one to a model, `upright diagnose` ranks them all, and
+`upright simulate --hide EFFECT` hides one in the virtual vehicle.
+
+In a model a parameter is called `EFFECT.NAME`, as in `coulomb_friction.torque`; at another place than the first that
+can have the effect, `EFFECT@PLACE.NAME`. Units and start values depend on the place: `{force}` is N m where a joint
+turns and N where it slides, `{coordinate}` rad or m; `{command}` and `{angle}` are the actuator's, `{angle}` and
+`{rate}` the sensor's. `force_scale`, `coordinate_scale`, `rate_scale`, `command_scale` and `angle_scale` are typical
+sizes that the model states for its joints, actuators and sensors. `smooth_rate` is the rate below which sgn(rate) is
+drawn as a slope, tanh(rate / smooth_rate).
+
+F is a force at the joint, inertia * rate' = load + F, u a command, t the time in s from the first row of a record on.
+"Amplitude" marks the parameters that are zero where the effect is absent.
+
+"""
+
+_KEYS = """\
+Its keys are those of `models.effect.Effect`. `equation`, `signature`, `confused_with`, `separated_by`, `source`,
+`dissipative`, `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`) may be left out. A parameter has
+`name`, `unit`, `meaning`, `amplitude`, `value`, `scale` (a typical size), `lower`, `upper` and `starts`. An expression
+may contain numbers, + - * / **, brackets, the functions sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, exp, log,
+sqrt, abs, sign, min and max, `pi`, its own parameters and states, and the names of its place:
+"""
+
+_RULES = """\
+`load` is the force at the joint without the effect, so that `load / inertia` is its acceleration; the derivative of a
+state may use `force`, too. `angle_1` and `angle_2` are time derivatives. A place that does not know a name that is
+used, as an actuator whose angle is not measured, cannot have the effect.
+
+A Python file assigns `EFFECT = Effect(...)`. It is code: reading it runs it, with all the rights of whoever reads it.
+Read none that you would not run.
+"""
+
+_FAMILIES = {
+    Family.BIAS: "Bias",
+    Family.DRY_FRICTION: "Dry friction",
+    Family.SPEED_DRAG: "Drag that grows with speed",
+    Family.STIFFNESS: "Stiffness",
+    Family.TIME_SHIFT: "Time shift",
+    Family.GAIN: "Gain",
+    Family.COUPLING: "Coupling",
+    Family.PERIODIC: "Periodic",
+    Family.MEMORY: "Memory",
+    Family.STRUCTURE: "Structure",
+    Family.SENSOR: "Sensor",
+}
+
+_PLACES = {
+    Place.JOINT: "`force`, and `states` where it has a memory",
+    Place.ACTUATOR: "`command`, or the name of a parameter in s as `delay` or `lag`",
+    Place.SENSOR: "`angle_reading`, `rate_reading`",
+}
+
+
+def markdown() -> str:
+    """The whole page."""
+    parts = [_INTRODUCTION, _overview()]
+    for family, effects in families().items():
+        parts.append(f"## {_FAMILIES[family]}\n\n")
+        parts += [_section(effect) for effect in effects]
+    return "".join([*parts, _own()]).rstrip() + "\n"
+
+
+def _overview() -> str:
+    rows = [
+        f"| [`{effect.name}`](#{effect.name}) | {effect.family} | {effect.place} | {effect.title} |"
+        for effect in CATALOGUE.values()
+    ]
+    return "\n".join(["| effect | family | at a | what it is |", "|---|---|---|---|", *rows]) + "\n\n"
+
+
+def _section(effect: Effect) -> str:
+    lines = [f"### `{effect.name}`", "", f"{_sentence(effect.title)}", "", "```", effect.equation, "```", ""]
+    lines += ["| parameter | unit | meaning | value | bounds |", "|---|---|---|---|---|"]
+    lines += map(_row, effect.parameters)
+    lines += ["", f"**In a record:** {effect.signature}", ""]
+    lines += [f"**Confused with:** {', '.join(f'[`{name}`](#{name})' for name in effect.confused_with)}.", ""]
+    lines += [f"**Told apart by:** {effect.separated_by}", ""]
+    more = "It never adds energy. " if effect.dissipative else ""
+    if effect.in_radians:
+        more += f"It needs {' and '.join(f'`{name}`' for name in effect.in_radians)} in rad. "
+    return "\n".join([*lines, f"{more}Source: {effect.source}.", "", ""])
+
+
+def _row(parameter: EffectParameter) -> str:
+    value = "0, amplitude" if parameter.amplitude else parameter.value
+    starts = f", then {', '.join(parameter.starts)}" if parameter.starts else ""
+    bounds = f"{parameter.lower or '-inf'} to {parameter.upper or 'inf'}" if parameter.lower or parameter.upper else ""
+    return f"| `{parameter.name}` | {parameter.unit} | {parameter.meaning} | {value}{starts} | {bounds} |"
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _own() -> str:
+    documentation = custom.__doc__ or ""
+    example = "\n".join(line[4:] for line in documentation.split("\n") if line.startswith("    ") or not line)
+    lines = ["## An effect of your own", ""]
+    lines += ["A TOML file describes an effect and runs nothing. `upright model add` adds it to a model.", ""]
+    lines += ["```toml", example.strip(), "```", "", _KEYS]
+    lines += ["| place | says what it does in | names | for values and bounds | in units |", "|---|---|---|---|---|"]
+    for place, does in _PLACES.items():
+        columns = [_code(VOCABULARY[place]), _code(SCALES[place]), _code({f"{{{unit}}}" for unit in UNITS[place]})]
+        lines.append(f"| {place} | {does} | {' | '.join(columns)} |")
+    return "\n".join([*lines, "", _RULES])
+
+
+def _code(names: frozenset[str] | set[str]) -> str:
+    return ", ".join(f"`{name}`" for name in sorted(names))
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")

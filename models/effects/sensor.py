@@ -1,0 +1,104 @@
+"""Readings that are not what is measured. They leave the motion alone and change what is shown.
+
+Lag and delay are expansions to the second order in time, right for frequencies below 0.3 / lag.
+"""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, Family, Place
+
+GYRO_BIAS = Effect(
+    name="gyro_bias",
+    family=Family.SENSOR,
+    title="rate reading that is off by a constant",
+    place=Place.SENSOR,
+    equation="rate_shown = rate + bias",
+    parameters=(EffectParameter("bias", "{rate}", "what it shows at rest", amplitude=True, scale="rate_scale / 10"),),
+    rate_reading="rate + bias",
+    signature="The innovation of the rate has a mean; the angle does not move as the rate says.",
+    confused_with=("sensor_offset",),
+    separated_by="Seconds at rest on a support.",
+    source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
+)
+
+SENSOR_OFFSET = Effect(
+    name="sensor_offset",
+    family=Family.SENSOR,
+    title="angle reading that is off by a constant: a sensor that is mounted askew",
+    place=Place.SENSOR,
+    equation="angle_shown = angle + offset",
+    parameters=(
+        EffectParameter("offset", "{angle}", "what it shows at zero", amplitude=True, scale="angle_scale / 2"),
+    ),
+    angle_reading="angle + offset",
+    signature="A balanced vehicle stands at a reading that is not zero; its dynamics stay as they are.",
+    confused_with=("static_torque", "gyro_bias"),
+    separated_by="Both supports in turn, whose angles are known to be alike, or a spirit level.",
+    source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
+)
+
+
+def _shift(name: str, meaning: str) -> tuple[EffectParameter, ...]:
+    return (
+        EffectParameter(
+            name,
+            "s",
+            meaning,
+            amplitude=True,
+            scale="0.005",
+            lower="0",
+            upper="0.05",
+            starts=("0.005", "0.015", "0.03"),
+        ),
+    )
+
+
+SENSOR_LAG = Effect(
+    name="sensor_lag",
+    family=Family.SENSOR,
+    title="readings that go through a first-order low pass",
+    place=Place.SENSOR,
+    equation="x_shown = x - lag x' + lag^2 x'' for angle and rate, which is x / (1 + lag s)",
+    parameters=_shift("lag", "time constant"),
+    angle_reading="angle - lag * angle_1 + lag ** 2 * angle_2",
+    rate_reading="rate - lag * rate_1 + lag ** 2 * rate_2",
+    signature="Readings come late and are damped at high frequencies.",
+    confused_with=("sensor_delay", "input_delay", "actuator_lag"),
+    separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "
+    "measured motion of the actuator.",
+    source="data sheets' bandwidth; Titterton, Weston (2004), chapter 4",
+)
+
+SENSOR_DELAY = Effect(
+    name="sensor_delay",
+    family=Family.SENSOR,
+    title="readings of the past",
+    place=Place.SENSOR,
+    equation="x_shown = x - delay x' + delay^2 x'' / 2 for angle and rate, which is x(t - delay)",
+    parameters=_shift("delay", "age of the readings"),
+    angle_reading="angle - delay * angle_1 + 0.5 * delay ** 2 * angle_2",
+    rate_reading="rate - delay * rate_1 + 0.5 * delay ** 2 * rate_2",
+    signature="Readings come late at their full size.",
+    confused_with=("sensor_lag", "input_delay", "actuator_lag"),
+    separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "
+    "measured motion of the actuator.",
+    source="Åström, Wittenmark, Computer-Controlled Systems (1997), section 2.4",
+)
+
+SENSOR_SCALE = Effect(
+    name="sensor_scale",
+    family=Family.SENSOR,
+    title="rate reading whose scale is off",
+    place=Place.SENSOR,
+    equation="rate_shown = (1 + scale) rate",
+    parameters=(
+        EffectParameter(
+            "scale", "1", "relative error of the scale", amplitude=True, scale="0.02", lower="-0.5", upper="1"
+        ),
+    ),
+    rate_reading="rate * (1 + scale)",
+    signature="The rate reading is a multiple of the slope of the angle reading.",
+    confused_with=("input_gain",),
+    separated_by="Large motion with angle and rate both measured: the angle's slope is the rate.",
+    source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
+)

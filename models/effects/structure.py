@@ -1,0 +1,52 @@
+"""A body that is not rigid: part of the inertia hangs on a spring and a damper."""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, EffectState, Family, Place
+
+_SPRING = "((2 * pi * frequency) ** 2 * twist + 4 * pi * frequency * damping_ratio * twist_rate)"
+
+FLEXIBLE_MODE = Effect(
+    name="flexible_mode",
+    family=Family.STRUCTURE,
+    title="part of the inertia on a spring: a cabin on its frame",
+    place=Place.JOINT,
+    equation="F = share / (1 - share) (load + inertia c),  c = (2 pi frequency)^2 twist + 4 pi frequency "
+    "damping_ratio twist',  twist'' = -c - (load + F) / inertia",
+    parameters=(
+        EffectParameter(
+            "share", "1", "of the inertia that is sprung", amplitude=True, scale="0.1", lower="0", upper="0.95"
+        ),
+        EffectParameter(
+            "frequency",
+            "Hz",
+            "of the sprung part on a frame that is held",
+            value="5",
+            scale="0.2",
+            lower="0.1",
+            upper="60",
+            starts=("1", "2", "3.5", "7", "10", "14", "20"),
+        ),
+        EffectParameter(
+            "damping_ratio",
+            "1",
+            "of the sprung part on a frame that is held",
+            value="0.03",
+            scale="0.02",
+            lower="1e-3",
+            upper="1",
+            starts=("0.15",),
+        ),
+    ),
+    states=(
+        EffectState("twist", "{coordinate}", "twist_rate", "of the sprung part beyond the rest"),
+        EffectState("twist_rate", "{coordinate}/s", f"-{_SPRING} - (load + force) / inertia"),
+    ),
+    force=f"share / (1 - share) * (load + inertia * {_SPRING})",
+    signature="The missing torque rings on at one frequency after each hit; the frequency response has a notch and a "
+    "peak.",
+    confused_with=("periodic_disturbance",),
+    separated_by="A chirp through 1 to 20 Hz, then silence: a mode answers to the excitation and dies out, a periodic "
+    "disturbance stays.",
+    source="Craig, Kurdila, Fundamentals of Structural Dynamics (2006), base excitation",
+)

@@ -1,0 +1,58 @@
+"""A command that acts later, all of it (delay) or bit by bit (lag). Both are exact and neutral at 0 s."""
+
+from __future__ import annotations
+
+from models.effect import Effect, EffectParameter, Family, Place
+
+INPUT_DELAY = Effect(
+    name="input_delay",
+    family=Family.TIME_SHIFT,
+    title="command that acts later",
+    place=Place.ACTUATOR,
+    equation="u_acting(t) = u(t - delay)",
+    parameters=(
+        EffectParameter(
+            "delay",
+            "s",
+            "how much later",
+            amplitude=True,
+            scale="0.005",
+            lower="0",
+            upper="0.3",
+            starts=("0.005", "0.015", "0.04", "0.1"),
+        ),
+    ),
+    delay="delay",
+    signature="The missing torque looks like the slope of the command: spikes where it steps. Phase falls in "
+    "proportion to the frequency, the amplitude stays.",
+    confused_with=("actuator_lag", "backlash", "sensor_delay", "sensor_lag"),
+    separated_by="Fast excitation, with frequencies beyond 0.3 / delay, or single steps of the command: after a delay "
+    "the answer starts late at its full slope, after a lag at once and gently.",
+    source="Åström, Wittenmark, Computer-Controlled Systems (1997), section 2.4",
+)
+
+ACTUATOR_LAG = Effect(
+    name="actuator_lag",
+    family=Family.TIME_SHIFT,
+    title="first-order lag between command and actuator",
+    place=Place.ACTUATOR,
+    equation="lag u_acting' = u - u_acting",
+    parameters=(
+        EffectParameter(
+            "lag",
+            "s",
+            "time constant",
+            amplitude=True,
+            scale="0.01",
+            lower="0",
+            upper="1",
+            starts=("0.005", "0.02", "0.06", "0.2"),
+        ),
+    ),
+    lag="lag",
+    signature="Phase falls and so does the amplitude at high frequencies; steps of the command arrive rounded.",
+    confused_with=("input_delay", "backlash", "sensor_delay", "sensor_lag"),
+    separated_by="Fast excitation, with frequencies beyond 0.3 / lag, or single steps of the command: a lag answers "
+    "at once and gently, a delay late and at its full slope.",
+    source="Leonhard, Control of Electrical Drives (2001): closed current and speed loops",
+)

@@ -1,0 +1,245 @@
+"""A model's text equations, with all its effects merged in, as SymPy expressions.
+
+Effects on actuators replace the command; effects at joints add to the joint's force; effects on sensors replace what
+the output shows, last. An effect that asks for `load` (what accelerates the joint) is given all that does not ask.
+Only generation, printing and tests need this module: a kernel that is cached is loaded without SymPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import sympy
+
+from models.effect import AttachedEffect, Place
+from models.expressions import names_in, parse
+from models.model import Actuator, Hold, Joint, Model, ModelError, Sensor
+
+Symbols = Mapping[str, sympy.Expr]
+
+
+class Signum(sympy.Function):  # type: ignore[misc]
+    """sign(x) whose derivative is 0 everywhere, also where SymPy does not know that x is real."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        return sympy.Integer(0)
+
+
+class Magnitude(sympy.Function):  # type: ignore[misc]
+    """abs(x) with the derivative Signum(x)."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        return Signum(self.args[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Equations:
+    """state' = derivatives, output = outputs, in the order of the model's states and outputs.
+
+    `slopes` belong to `inputs`. `delays` and `lags` are, by input, the parameters that shift it in time.
+    `forces` are the terms that effects add, by joint: (effect, expression).
+    """
+
+    time: sympy.Symbol
+    states: tuple[sympy.Symbol, ...]
+    inputs: tuple[sympy.Symbol, ...]
+    slopes: tuple[sympy.Symbol, ...]
+    parameters: tuple[sympy.Symbol, ...]
+    derivatives: tuple[sympy.Expr, ...]
+    outputs: tuple[sympy.Expr, ...]
+    delays: tuple[tuple[str, ...], ...]
+    lags: tuple[str, ...]
+    forces: Mapping[str, tuple[tuple[str, sympy.Expr], ...]]
+
+
+def compose(model: Model) -> Equations:
+    """The equations of `model`. Raises ModelError where an expression uses a name that is not there."""
+    time = _symbol("time")
+    symbols: dict[str, sympy.Expr] = {"time": time}
+    for state in model.states:
+        symbols[state.name] = _symbol(state.name)
+    for each in model.inputs:
+        symbols[each.name] = _symbol(each.name)
+        symbols[f"{each.name}_slope"] = _symbol(f"{each.name}_slope")
+    for parameter in model.parameters:
+        symbols[parameter.name] = _symbol(parameter.name)
+    inputs = tuple(symbols[each.name] for each in model.inputs)
+    slopes = tuple(symbols[f"{each.name}_slope"] for each in model.inputs)
+    states = tuple(symbols[state.name] for state in model.states)
+    parameters = tuple(symbols[parameter.name] for parameter in model.parameters)
+
+    for actuator in model.actuators:
+        symbols[actuator.command] = _command(model, actuator, symbols)
+    for name, text in model.definitions.items():
+        symbols[name] = _real(parse(text, symbols, f"definition {name}"))
+    forces: dict[str, tuple[tuple[str, sympy.Expr], ...]] = {}
+    plain = dict(symbols)
+    memories: dict[str, sympy.Expr] = {}
+    for joint in model.joints:
+        load = _real(parse(joint.load, symbols, f"joint {joint.name}, load"))
+        plain[f"{joint.name}_force"] = load
+        terms = _joint_terms(model, joint, load, symbols, memories)
+        forces[joint.name] = terms
+        symbols[f"{joint.name}_force"] = sympy.Add(load, *(term for _, term in terms))
+    for attached in model.effects:
+        if attached.effect.place is not Place.JOINT:
+            for state in attached.states:
+                remedy = "give it to a joint."
+                raise ModelError(f"effect {attached.name}", f"state {state.name} is not at a joint", remedy=remedy)
+    derivatives, nominal = [], []
+    for state in model.base_states:
+        where = f"state {state.name}"
+        derivatives.append(_real(parse(state.derivative, symbols, where)))
+        nominal.append(_real(parse(state.derivative, plain, where)))
+    for state in model.states[len(model.base_states) :]:
+        derivatives.append(memories[state.name])
+        nominal.append(memories[state.name])
+    outputs = {each.name: _real(parse(each.expression, symbols, f"output {each.name}")) for each in model.outputs}
+    moving = _Flow(states, inputs, slopes, [each.hold is Hold.FIRST_ORDER for each in model.inputs], time)
+    for sensor in model.sensors:
+        _read(model, sensor, outputs, symbols, moving, derivatives, nominal)
+    delays, lags = [], []
+    for each in model.inputs:
+        shifting = [effect for effect in model.effects if _acts_on(model, effect, each.name)]
+        extra = tuple(effect.qualified(effect.effect.delay) for effect in shifting if effect.effect.delay)
+        delays.append(each.delays + extra)
+        lag = [effect.qualified(effect.effect.lag) for effect in shifting if effect.effect.lag]
+        if len(lag) + bool(each.lag) > 1:
+            raise ModelError(f"input {each.name}", "has more than one lag", remedy="remove one of the effects.")
+        lags.append(each.lag or (lag[0] if lag else ""))
+    return Equations(
+        time=time,
+        states=states,
+        inputs=inputs,
+        slopes=slopes,
+        parameters=parameters,
+        derivatives=tuple(derivatives),
+        outputs=tuple(outputs[each.name] for each in model.outputs),
+        delays=tuple(delays),
+        lags=tuple(lags),
+        forces=forces,
+    )
+
+
+def _symbol(name: str) -> sympy.Symbol:
+    return sympy.Symbol(name, real=True)
+
+
+def _real(expression: sympy.Expr) -> sympy.Expr:
+    """With functions whose derivatives are known everywhere."""
+    return expression.replace(sympy.Abs, Magnitude).replace(sympy.sign, Signum)
+
+
+def _acts_on(model: Model, attached: AttachedEffect, name: str) -> bool:
+    return attached.effect.place is Place.ACTUATOR and any(
+        actuator.name == attached.at and actuator.command == name for actuator in model.actuators
+    )
+
+
+def _local(attached: AttachedEffect, symbols: Symbols, names: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
+    """What an effect's expressions may use: the names of its place and its own parameters and states."""
+    own = [parameter.name for parameter in attached.effect.parameters] + [s.name for s in attached.effect.states]
+    return {**names, "time": symbols["time"], **{name: symbols[attached.qualified(name)] for name in own}}
+
+
+def _mover(actuator: Actuator, symbols: Symbols) -> dict[str, sympy.Expr]:
+    """Names of what an actuator moves, as far as the model knows it."""
+    known = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle, "gain": actuator.gain}
+    where = f"actuator {actuator.name}"
+    return {name: _real(parse(text, symbols, where)) for name, text in known.items() if text}
+
+
+def _command(model: Model, actuator: Actuator, symbols: Symbols) -> sympy.Expr:
+    """The command as it acts, after the effects on this actuator."""
+    command = symbols[actuator.command]
+    for attached in model.effects:
+        if attached.at == actuator.name and attached.effect.place is Place.ACTUATOR and attached.effect.command:
+            names = _local(attached, symbols, {**_mover(actuator, symbols), "command": command})
+            command = _real(parse(attached.effect.command, names, f"effect {attached.name}, command"))
+    return command
+
+
+def _joint_terms(
+    model: Model, joint: Joint, load: sympy.Expr, symbols: Symbols, memories: dict[str, sympy.Expr]
+) -> tuple[tuple[str, sympy.Expr], ...]:
+    """The force of each effect at `joint`; the derivatives of their states go into `memories`."""
+    place = {
+        "coordinate": _real(parse(joint.coordinate, symbols, f"joint {joint.name}, coordinate")),
+        "rate": _real(parse(joint.rate, symbols, f"joint {joint.name}, rate")),
+        "inertia": _real(parse(joint.inertia, symbols, f"joint {joint.name}, inertia")),
+        "smooth_rate": sympy.Float(joint.smooth_rate),
+    }
+    for actuator in model.actuators:
+        if actuator.joint == joint.name:
+            place = {**place, **_mover(actuator, symbols)}
+            break
+    here = [a for a in model.effects if a.effect.place is Place.JOINT and a.at == joint.name]
+    asking = [a for a in here if _asks_for_load(a)]
+    terms = []
+    for attached in [a for a in here if a not in asking] + asking:
+        names = _local(attached, symbols, {**place, "load": load})
+        where = f"effect {attached.name}"
+        force = _real(parse(attached.effect.force or "0", names, f"{where}, force"))
+        for state, own in zip(attached.states, attached.effect.states, strict=True):
+            memories[state.name] = _real(parse(own.derivative, {**names, "force": force}, f"{where}, {own.name}"))
+        terms.append((attached.name, force))
+        load = load + force
+    return tuple(terms)
+
+
+def _asks_for_load(attached: AttachedEffect) -> bool:
+    texts = [attached.effect.force, *(state.derivative for state in attached.effect.states)]
+    return any("load" in names_in(text) for text in texts if text)
+
+
+@dataclass(frozen=True, slots=True)
+class _Flow:
+    """How an expression of states and inputs changes with time."""
+
+    states: Sequence[sympy.Symbol]
+    inputs: Sequence[sympy.Symbol]
+    slopes: Sequence[sympy.Symbol]
+    moving: Sequence[bool]
+    time: sympy.Symbol
+
+    def rate(self, expression: sympy.Expr, derivatives: Sequence[sympy.Expr]) -> sympy.Expr:
+        """Time derivative along `derivatives`; held inputs do not move."""
+        terms = [expression.diff(x) * f for x, f in zip(self.states, derivatives, strict=True)]
+        terms += [expression.diff(u) * s for u, s, m in zip(self.inputs, self.slopes, self.moving, strict=True) if m]
+        return sympy.Add(*terms, expression.diff(self.time))
+
+
+def _read(
+    model: Model,
+    sensor: Sensor,
+    outputs: dict[str, sympy.Expr],
+    symbols: Symbols,
+    flow: _Flow,
+    derivatives: Sequence[sympy.Expr],
+    nominal: Sequence[sympy.Expr],
+) -> None:
+    """Replace what the outputs of `sensor` show by what its effects make of it.
+
+    The second time derivative is that of the model without effects: it only carries terms that are small already.
+    """
+    effects = [a for a in model.effects if a.effect.place is Place.SENSOR and a.at == sensor.name]
+    for attached in effects:
+        names: dict[str, sympy.Expr] = {}
+        for local, output in (("angle", sensor.angle), ("rate", sensor.rate)):
+            if output:
+                shown = outputs[output]
+                names[local] = shown
+                names[f"{local}_1"] = flow.rate(shown, derivatives)
+                names[f"{local}_2"] = flow.rate(flow.rate(shown, nominal), nominal)
+        local_names = _local(attached, symbols, names)
+        for text, output in (
+            (attached.effect.angle_reading, sensor.angle),
+            (attached.effect.rate_reading, sensor.rate),
+        ):
+            if text and output:
+                outputs[output] = _real(parse(text, local_names, f"effect {attached.name}, reading"))

@@ -1,0 +1,204 @@
+"""The MONOCAB as grey-box models: roll alone, reduced, full. Signs and channels as in telemetry.channels, SI units.
+
+    inertia roll'' = gravity_stiffness roll + angular_momentum precession' + trim_mass (g y - trim_height y'') + effects
+
+MONOCAB_ROLL takes the measured motion of gimbals and trim mass as its inputs: equation (3), for identification, since
+neither the speed loops nor their coupling to roll matter then. MONOCAB_REDUCED is equation (2): the precession rate
+follows its setpoint with `speed_loop_lag`. MONOCAB_FULL is (1), with the trim mass and the precession angle.
+
+The roll filter's error is no white noise but the gyro's, integrated, and a slow correction; so each model has it as a
+state, `roll_error`, which has no part in the motion. From row to row the recorded roll is the integrated roll rate to
+1e-6 rad, which says nothing about the vehicle but all about the filter: 1e-5 rad are put down as its noise, so that no
+fit builds on it. Source: Griese et al., with the gravity term's sign set right
+and the static torque left to an effect.
+"""
+
+from __future__ import annotations
+
+import math
+
+from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+
+GRAVITY = 9.81
+SUPPORT = math.radians(4.0)
+
+_PARAMETERS = (
+    Parameter("inertia", "kg m^2", 1450.0, std=200.0, lower=0.0, meaning="about the rail head"),
+    Parameter(
+        "gravity_stiffness", "N m/rad", 12600.0, std=1800.0, lower=0.0, meaning="mass x g x height of the centre"
+    ),
+    Parameter(
+        "angular_momentum", "N m s", 3300.0, std=15.0, lower=0.0, estimated=False, meaning="of both flywheels together"
+    ),
+    Parameter("trim_mass", "kg", 500.0, std=5.0, lower=0.0, estimated=False),
+    Parameter("trim_height", "m", 0.4, std=0.05, estimated=False, meaning="of the trim mass over the rail head"),
+)
+_LAG = Parameter("speed_loop_lag", "s", 0.04, std=0.01, lower=1e-3, upper=1.0, meaning="of the closed speed loops")
+_ERROR_TIME = Parameter(
+    "roll_error_time", "s", 10.0, lower=0.01, upper=100.0, estimated=False, meaning="in which the roll filter forgets"
+)
+
+
+def _offset(name: str, meaning: str) -> Parameter:
+    return Parameter(name, "s", 0.0, std=0.002, lower=-0.05, upper=0.05, meaning=meaning)
+
+
+_ROLL = State(
+    "roll",
+    "rad",
+    "roll_rate",
+    initial="roll",
+    initial_std=1e-3,
+    meaning="0 upright, positive right side down",
+)
+_ROLL_RATE = State(
+    "roll_rate", "rad/s", "roll_force / inertia", initial="roll_rate", initial_std=2e-3, process_noise=1e-4
+)
+_ROLL_ERROR = State(
+    "roll_error",
+    "rad",
+    "-roll_error / roll_error_time",
+    initial_std=1e-3,
+    process_noise=3e-5,
+    noise_of="roll_rate",
+    meaning="error of the roll filter: the gyro's noise integrated, and slow corrections",
+)
+_OUTPUTS = (
+    Output("roll", "rad", "roll + roll_error", noise=1e-5, noise_known=True),
+    Output("roll_rate", "rad/s", "roll_rate", noise=4e-4),
+)
+_IMU = Sensor("imu", angle="roll", rate="roll_rate", angle_scale=0.02, rate_scale=0.05)
+
+
+def _joint(trim_position: str, trim_acceleration: str) -> Joint:
+    return Joint(
+        name="roll",
+        coordinate="roll",
+        rate="roll_rate",
+        inertia="inertia",
+        load=(
+            "gravity_stiffness * roll + angular_momentum * precession_rate"
+            f" + trim_mass * ({GRAVITY} * {trim_position} - trim_height * {trim_acceleration})"
+        ),
+        force_unit="N m",
+        coordinate_unit="rad",
+        force_scale=100.0,
+        coordinate_scale=0.02,
+        rate_scale=0.05,
+        smooth_rate=1e-3,
+    )
+
+
+def _gimbals(command: str) -> Actuator:
+    return Actuator(
+        name="gimbals",
+        command=command,
+        joint="roll",
+        rate="precession_rate",
+        angle="precession",
+        gain="angular_momentum",
+        command_scale=0.1,
+        angle_scale=0.3,
+    )
+
+
+MONOCAB_ROLL = Model(
+    name="monocab_roll",
+    title="MONOCAB, roll alone: the measured motion of gimbals and trim mass is its input",
+    source="Griese et al., equation (3)",
+    base_states=(_ROLL, _ROLL_RATE, _ROLL_ERROR),
+    inputs=(
+        Input("precession_rate", "rad/s", age="drive_age", delays=("drive_offset",)),
+        Input("precession", "rad", age="drive_age", delays=("drive_offset",)),
+        Input("trim_position", "m", age="drive_age", delays=("drive_offset",)),
+        Input("trim_rate", "m/s", age="drive_age", delays=("drive_offset",)),
+    ),
+    outputs=_OUTPUTS,
+    base_parameters=(
+        *_PARAMETERS,
+        _offset("drive_offset", "how much later than their time stamps say the drives' values were true"),
+        _ERROR_TIME,
+    ),
+    joints=(_joint("trim_position", "trim_rate_slope"),),
+    actuators=(_gimbals("precession_rate"),),
+    sensors=(_IMU,),
+)
+
+MONOCAB_REDUCED = Model(
+    name="monocab_reduced",
+    title="MONOCAB, reduced: the gimbals follow their rate setpoint with a lag, the trim mass is measured",
+    source="Griese et al., equation (2)",
+    base_states=(
+        _ROLL,
+        _ROLL_RATE,
+        State(
+            "precession_rate",
+            "rad/s",
+            "(precession_rate_setpoint - precession_rate) / speed_loop_lag",
+            initial="precession_rate",
+            initial_std=1e-2,
+            process_noise=1e-2,
+        ),
+        _ROLL_ERROR,
+    ),
+    inputs=(
+        Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
+        Input("precession", "rad", age="drive_age"),
+        Input("trim_position", "m", age="drive_age"),
+        Input("trim_rate", "m/s", age="drive_age"),
+    ),
+    outputs=(*_OUTPUTS, Output("precession_rate", "rad/s", "precession_rate", noise=1e-5, age="drive_age")),
+    base_parameters=(
+        *_PARAMETERS,
+        _LAG,
+        _offset("setpoint_offset", "how much later than its row a setpoint begins to act"),
+        _ERROR_TIME,
+    ),
+    joints=(_joint("trim_position", "trim_rate_slope"),),
+    actuators=(_gimbals("precession_rate_setpoint"),),
+    sensors=(_IMU,),
+)
+
+_TRIM_ACCELERATION = "(trim_rate_setpoint - trim_rate) / speed_loop_lag"
+
+MONOCAB_FULL = Model(
+    name="monocab_full",
+    title="MONOCAB, full: gimbals and trim mass follow their rate setpoints",
+    source="Griese et al., equation (1); its z_M is minus trim_height",
+    base_states=(
+        _ROLL,
+        _ROLL_RATE,
+        State("trim_position", "m", "trim_rate", initial="trim_position", initial_std=1e-3),
+        State("trim_rate", "m/s", _TRIM_ACCELERATION, initial="trim_rate", initial_std=1e-2, process_noise=1e-2),
+        State("precession", "rad", "precession_rate", initial="precession", initial_std=1e-3),
+        State(
+            "precession_rate",
+            "rad/s",
+            "(precession_rate_setpoint - precession_rate) / speed_loop_lag",
+            initial="precession_rate",
+            initial_std=1e-2,
+            process_noise=1e-2,
+        ),
+        _ROLL_ERROR,
+    ),
+    inputs=(
+        Input("trim_rate_setpoint", "m/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
+        Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
+    ),
+    outputs=(
+        *_OUTPUTS,
+        Output("precession", "rad", "precession", noise=1e-5, age="drive_age"),
+        Output("precession_rate", "rad/s", "precession_rate", noise=1e-5, age="drive_age"),
+        Output("trim_position", "m", "trim_position", noise=1e-5, age="drive_age"),
+        Output("trim_rate", "m/s", "trim_rate", noise=1e-5, age="drive_age"),
+    ),
+    base_parameters=(
+        *_PARAMETERS,
+        _LAG,
+        _offset("setpoint_offset", "how much later than its row a setpoint begins to act"),
+        _ERROR_TIME,
+    ),
+    joints=(_joint("trim_position", _TRIM_ACCELERATION),),
+    actuators=(_gimbals("precession_rate_setpoint"),),
+    sensors=(_IMU,),
+)

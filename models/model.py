@@ -1,0 +1,257 @@
+"""What a grey-box model is: equations as text, with the names, units, start values and bounds of all that is in them.
+
+    state' = derivative(states, inputs, parameters, time),    output = expression(states, inputs, parameters, time)
+
+Expressions are text (see models.expressions for what they may contain), so that a model is plain data: it can be read
+from a TOML file, hashed, compared and printed, and it costs nothing to import. `models.kernel` compiles it.
+
+Besides states, inputs, parameters and `time` (s) an expression may use a name from `definitions`, `INPUT_slope` (the
+slope of an input that is read as straight lines) and `JOINT_force`, the whole generalised force at a joint: its own
+`load` and whatever the effects add (models.effect).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from telemetry.errors import UprightError
+
+if TYPE_CHECKING:
+    from models.effect import AttachedEffect, Effect
+
+
+class ModelError(UprightError):
+    """A model, an effect or one of their expressions is not what it should be. `where` names the part."""
+
+    def __init__(self, where: str, message: str, *, remedy: str) -> None:
+        super().__init__(f"{where}: {message}.", remedy=remedy)
+        self.where = where
+
+
+class Hold(StrEnum):
+    """What an input does between its samples."""
+
+    ZERO_ORDER = "zero_order"
+    """A command: each value acts until the next one comes."""
+    FIRST_ORDER = "first_order"
+    """A measurement: a straight line from value to value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A number in the equations. `value` is where estimation starts (CAD), `std` how far off it may be (0: exact).
+
+    `estimated` is False for what a record is not asked for unless told so. A value outside `lower` and `upper` is
+    physically impossible. `scale` is a typical size, for what has the value 0.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    estimated: bool = True
+    scale: float = 0.0
+    meaning: str = ""
+
+    @property
+    def typical(self) -> float:
+        """A positive size to measure changes of the parameter by."""
+        return self.std or self.scale or abs(self.value) or 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A state and its time derivative.
+
+    `initial` is its value at the first row of a record: an expression in the measured outputs of that row and the
+    parameters. `initial_std`: how far off that may be, 0 for exactly known. `process_noise`: standard deviation of the
+    white noise on the derivative, unit/sqrt(s), where its estimation starts; 0 for none. `noise_of` names an output
+    whose sensor noise is integrated in this state: what a filter makes of its sensor, a trapezoid a row.
+    """
+
+    name: str
+    unit: str
+    derivative: str
+    initial: str = "0"
+    initial_std: float = 0.0
+    process_noise: float = 0.0
+    noise_of: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A channel that drives the model. `age`: the channel that says how much older, s, its samples are than the row.
+
+    `delays` name the parameters (s) by which it acts later, `lag` the one (s) of a first-order lag it goes through.
+    """
+
+    name: str
+    unit: str
+    hold: Hold = Hold.FIRST_ORDER
+    age: str = ""
+    delays: tuple[str, ...] = ()
+    lag: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A measured channel and what the model says it shows. `noise`: standard deviation of a sample, where its
+    estimation starts, or, with `noise_known`, what it is. `age` as for an input."""
+
+    name: str
+    unit: str
+    expression: str
+    noise: float
+    age: str = ""
+    noise_known: bool = False
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A degree of freedom where forces or torques enter: inertia * rate' = load + effects.
+
+    The equations use `NAME_force` for the right side. Scales are typical sizes, with which effects that know nothing
+    of the machine choose starts and bounds; `smooth_rate` is the rate below which a sign() is drawn as a slope.
+    """
+
+    name: str
+    coordinate: str
+    rate: str
+    inertia: str
+    load: str
+    force_unit: str
+    coordinate_unit: str
+    force_scale: float
+    coordinate_scale: float
+    rate_scale: float
+    smooth_rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions of what
+    it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives."""
+
+    name: str
+    command: str
+    joint: str
+    rate: str = ""
+    angle: str = ""
+    gain: str = ""
+    rate_unit: str = "rad/s"
+    angle_unit: str = "rad"
+    command_scale: float = 1.0
+    angle_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Outputs of one device: `angle` (or position) and `rate` are output names, "" where it does not measure it."""
+
+    name: str
+    angle: str = ""
+    rate: str = ""
+    angle_unit: str = "rad"
+    rate_unit: str = "rad/s"
+    angle_scale: float = 1.0
+    rate_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A grey-box model. `base_parameters` and `base_states` are its own, `effects` what was added to it."""
+
+    name: str
+    title: str
+    base_states: tuple[State, ...]
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    base_parameters: tuple[Parameter, ...]
+    joints: tuple[Joint, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    definitions: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+    effects: tuple[AttachedEffect, ...] = ()
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """All states, those of effects with memory last."""
+        return self.base_states + tuple(state for attached in self.effects for state in attached.states)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, those of effects last."""
+        return self.base_parameters + tuple(p for attached in self.effects for p in attached.parameters)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter name to value."""
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+    def parameter(self, name: str) -> Parameter:
+        """Parameter `name`. Raises ModelError that lists the names there are."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        names = ", ".join(p.name for p in self.parameters)
+        raise ModelError(f"parameter {name}", f"model {self.name} has none", remedy=f"use one of: {names}.")
+
+    def change(
+        self,
+        values: Mapping[str, float] | None = None,
+        *,
+        deviations: Mapping[str, float] | None = None,
+        estimated: Iterable[str] | None = None,
+    ) -> Model:
+        """The model with other parameter values, prior standard deviations, or another set of estimated parameters.
+
+        Raises ModelError for a name that the model does not have.
+        """
+        values, deviations = values or {}, deviations or {}
+        asked = None if estimated is None else frozenset(estimated)
+        for name in {*values, *deviations, *(asked or ())}:
+            self.parameter(name)
+
+        def changed(parameter: Parameter) -> Parameter:
+            name = parameter.name
+            return replace(
+                parameter,
+                value=float(values.get(name, parameter.value)),
+                std=float(deviations.get(name, parameter.std)),
+                estimated=parameter.estimated if asked is None else name in asked,
+            )
+
+        return replace(
+            self,
+            base_parameters=tuple(map(changed, self.base_parameters)),
+            effects=tuple(
+                replace(attached, parameters=tuple(map(changed, attached.parameters))) for attached in self.effects
+            ),
+        )
+
+    def add(self, effect: Effect | str, at: str = "") -> Model:
+        """The model with `effect` (by name, one of the catalogue) at joint, actuator or sensor `at`, its first by default.
+
+        Raises ModelError where there is no such effect, it is there already, or the model has no place for it.
+        """
+        from models.effect import attach
+
+        return replace(self, effects=(*self.effects, attach(self, effect, at)))
+
+    def remove(self, name: str) -> Model:
+        """The model without the effect `name`. Raises ModelError where it is not there."""
+        kept = tuple(attached for attached in self.effects if attached.name != name)
+        if len(kept) == len(self.effects):
+            there = ", ".join(attached.name for attached in self.effects) or "none"
+            raise ModelError(f"effect {name}", f"model {self.name} does not have it", remedy=f"its effects: {there}.")
+        return replace(self, effects=kept)

@@ -1,0 +1,194 @@
+"""Model files: a model, the effects that were added to it, and what each of them did, as TOML. Units are SI.
+
+`load_model("monocab_reduced")` gives a shipped model, `load_model("mine.toml")` one from a file. `read` and `write`
+also handle the history. Writing keeps the comments and the order of a file that is there already, where it can.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models import library
+from models.model import Model, ModelError
+from models.model_sections import EffectSection, HistorySection, sections
+from models.own_equations import base_model, given
+
+if TYPE_CHECKING:
+    from models.effect import AttachedEffect, Effect
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFile:
+    """A model and its history, oldest first: one mapping an entry, with `action` and what else there is to say.
+
+    `effect_files`: for effects of the user's own, by their name in the model, the path from the model file's folder.
+    """
+
+    model: Model
+    history: tuple[Mapping[str, Any], ...] = ()
+    effect_files: Mapping[str, str] = field(default_factory=dict)
+
+
+def load_model(name_or_path: str | Path) -> Model:
+    """A shipped model by its name, or one from a file that ends in .toml. Raises ModelError."""
+    if str(name_or_path).endswith(".toml"):
+        return read(name_or_path).model
+    if str(name_or_path) not in library.MODELS and Path(name_or_path).exists():
+        raise ModelError(str(name_or_path), "is no model file", remedy="its name has to end in .toml.")
+    return library.get(str(name_or_path))
+
+
+def read(path: str | Path) -> ModelFile:
+    """The model file at `path`.
+
+    Raises:
+        ModelError: no such file, not TOML, or anything in it that is not as it should be; names file, key and remedy.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        remedy = f"give a path, or a shipped model: {', '.join(library.MODELS)}."
+        raise ModelError(str(path), f"cannot be read: {error.strerror}", remedy=remedy) from error
+    except UnicodeDecodeError as error:
+        raise ModelError(str(path), f"is no text in UTF-8 ({error})", remedy="save it as UTF-8.") from error
+    return parse(text, path)
+
+
+def parse(text: str, path: str | Path) -> ModelFile:
+    """The model file with the content `text`; `path` is where it is or will be. Raises ModelError as `read` does."""
+    file = str(path)
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        remedy = "mend that line; a name can be given only once."
+        raise ModelError(file, f"is not valid TOML: {error}", remedy=remedy) from error
+    tables = sections(table, file)
+    model = base_model(tables, file, tables.name or _name(file))
+    effect_files = {}
+    for place, entry in enumerate(tables.effects):
+        model, attached = _attach(model, entry, file, f"{file}: effects.{place}")
+        if entry.file:
+            effect_files[attached.name] = entry.file
+    return ModelFile(model, tuple(map(_entry, tables.history)), effect_files)
+
+
+def write(file: ModelFile, path: str | Path) -> None:
+    """Write `file` to `path`, at once or not at all. What stands there already keeps its comments where it can.
+
+    Raises:
+        ModelError: `file` cannot be said in a model file (an own effect without a file), or it cannot be written.
+    """
+    from models import model_writing
+
+    path = Path(os.path.realpath(path))
+    for attached in file.model.effects:
+        _check_origin(attached, file, path)
+    text = None
+    if path.exists():
+        before = path.read_text(encoding="utf-8")
+        try:
+            text = model_writing.edited(before, parse(before, path), file)
+            text = text if text is not None and parse(text, path) == file else None
+        except ModelError:
+            text = None  # what stands there is no model file, or too unusual to be edited
+    if text is None:
+        text = model_writing.fresh(file)
+        if parse(text, path) != file:
+            what = f"the model {file.model.name} cannot be written so that reading gives it again"
+            raise ModelError(str(path), what, remedy="build it from a shipped model, or from equations in a file.")
+    _replace(path, text)
+
+
+def _attach(model: Model, entry: EffectSection, file: str, where: str) -> tuple[Model, AttachedEffect]:
+    """`model` with the effect of `entry` and its values."""
+    try:
+        model = model.add(_effect(entry, file), entry.at)
+    except ModelError as error:
+        raise ModelError(where, str(error.args[0]).rstrip("."), remedy=error.remedy) from error
+    *others, attached = model.effects
+    prefix = f"{attached.name}."
+    local = {parameter.name: parameter.name.removeprefix(prefix) for parameter in attached.parameters}
+    parameters = given(attached.parameters, entry.parameters, f"{where}.parameters", local.__getitem__)
+    attached = replace(attached, parameters=parameters)
+    return replace(model, effects=(*others, attached)), attached
+
+
+def _effect(entry: EffectSection, file: str) -> Effect | str:
+    if not entry.file:
+        if not entry.name:
+            what = "has neither name nor file"
+            raise ModelError("effect", what, remedy="name an effect; `upright model list-effects` lists them.")
+        return entry.name
+    from models.effects.custom import load_effect
+
+    effect = load_effect(Path(file).parent / entry.file)
+    if entry.name and effect.name != entry.name:
+        remedy = f"write name = {effect.name!r}, or leave it out."
+        raise ModelError(f"effect {entry.name}", f"{entry.file} describes {effect.name}", remedy=remedy)
+    return effect
+
+
+def _entry(section: HistorySection) -> dict[str, Any]:
+    return section.model_dump(exclude_none=True)
+
+
+def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None:
+    """Every effect can be found again: in the catalogue, or in a file."""
+    from models.effects import find
+
+    own = file.effect_files.get(attached.name)
+    where = f"{path}: effect {attached.name}"
+    if own is not None:
+        from models.effects.custom import load_effect
+
+        if load_effect(path.parent / own) != attached.effect:
+            raise ModelError(where, f"{own} describes another effect by now", remedy="read the model file again.")
+        return
+    try:
+        known = find(attached.effect.name)
+    except ModelError:
+        known = None
+    if known != attached.effect:
+        remedy = "write it into a file of its own and name that in `effect_files`."
+        raise ModelError(where, "is not in the catalogue, and no file is known for it", remedy=remedy)
+
+
+def _name(file: str) -> str:
+    """A model's name where its file gives none: the file's, as far as it is one."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(file).stem)[:64] or "model"
+
+
+def _replace(path: Path, text: str) -> None:
+    """A reader, or a machine that is switched off, finds either the old file or the new one."""
+    temporary = None
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask()
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fchmod(stream.fileno(), mode)
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+        temporary = None
+    except OSError as error:
+        what = f"cannot be written: {error.strerror}"
+        raise ModelError(str(path), what, remedy="check the folder, its permissions and the free space.") from error
+    finally:
+        if temporary is not None:
+            os.unlink(temporary)
+
+
+def _umask() -> int:
+    """There is no way to ask for it but to set it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,199 @@
+"""The model that the tables of a model file describe: a shipped one with other values, or equations of the user's own.
+
+Own equations are checked here, so that whatever is wrong is named by file and key: names that are taken or unknown,
+references that lead nowhere, values out of bounds. Effects come after it (models.model_file).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from models import library
+from models.expressions import check, length, name_problem, names_in
+from models.model import Actuator, Hold, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
+from models.model_sections import ModelSection, ParameterSection, Section, one_of
+
+Build = TypeVar("Build")
+
+LARGEST = 20_000
+"""Terms and operations of an equation when all definitions are put in; beyond it, generating code takes minutes."""
+
+
+EQUATIONS = ("states", "inputs", "outputs", "joints", "actuators", "sensors", "definitions")
+"""Tables that only a file without a base has."""
+
+
+def base_model(tables: ModelSection, file: str, name: str) -> Model:
+    """The model called `name` that `tables` describe, without effects. Raises ModelError."""
+    own = [key for key in EQUATIONS if getattr(tables, key)]
+    if tables.base is None:
+        if not own:
+            remedy = f"give base = one of {', '.join(library.MODELS)}, or states and outputs of your own."
+            raise ModelError(f"{file}: base", "is missing, and there are no equations either", remedy=remedy)
+        return _own_equations(tables, file, name)
+    if own:
+        remedy = f"remove `base`, or {', '.join(own)}."
+        raise ModelError(f"{file}: {own[0]}", f"the base {tables.base} has equations already", remedy=remedy)
+    if tables.base not in library.MODELS:
+        what = f"there is no shipped model {tables.base!r}"
+        raise ModelError(f"{file}: base", what, remedy=one_of(tables.base, library.MODELS))
+    base = library.MODELS[tables.base]
+    return replace(
+        base,
+        name=name,
+        title=base.title if tables.title is None else tables.title,
+        source=base.source if tables.source is None else tables.source,
+        base_parameters=given(base.base_parameters, tables.parameters, f"{file}: parameters"),
+    )
+
+
+def given(
+    parameters: tuple[Parameter, ...],
+    entries: Mapping[str, ParameterSection],
+    where: str,
+    local: Callable[[str], str] = str,
+) -> tuple[Parameter, ...]:
+    """`parameters` with what a file gives for them, by their `local` names. Raises ModelError."""
+    names = [local(parameter.name) for parameter in parameters]
+    for name in entries:
+        if name not in names:
+            raise ModelError(f"{where}.{name}", "there is no such parameter", remedy=one_of(name, names))
+    return tuple(
+        _with(parameter, entries[name], f"{where}.{name}") if name in entries else parameter
+        for name, parameter in zip(names, parameters, strict=True)
+    )
+
+
+def _with(parameter: Parameter, entry: ParameterSection, where: str) -> Parameter:
+    if entry.unit is not None and entry.unit != parameter.unit:
+        what = f"{entry.unit!r} is not the unit of this parameter"
+        raise ModelError(f"{where}.unit", what, remedy=f"give the value in {parameter.unit!r}.")
+    return _in_bounds(replace(parameter, **entry.model_dump(exclude_none=True)), where)
+
+
+def _in_bounds(parameter: Parameter, where: str) -> Parameter:
+    lower, value, upper = parameter.lower, parameter.value, parameter.upper
+    if not lower < upper:
+        what = f"its bounds cross: lower is {lower:.6g}, upper is {upper:.6g}"
+        raise ModelError(where, what, remedy="make lower the smaller one.")
+    if not lower <= value <= upper:
+        what = f"{value:.6g} {parameter.unit} is out of its bounds, {lower:.6g} to {upper:.6g}"
+        raise ModelError(f"{where}.value", what, remedy="correct the value, or give lower and upper with it.")
+    return parameter
+
+
+def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
+    for key in ("states", "outputs"):
+        if not getattr(tables, key):
+            remedy = f"add a table [{key}.NAME]; a model needs at least one state and one output."
+            raise ModelError(f"{file}: {key}", "there are none", remedy=remedy)
+    for key in ("value", "unit"):
+        for each, entry in tables.parameters.items():
+            if getattr(entry, key) is None:
+                what = "is missing, and there is no base to take it from"
+                raise ModelError(f"{file}: parameters.{each}.{key}", what, remedy="add it.")
+    _check_names(tables, file)
+    _check_references(tables, file)
+    _check_expressions(tables, file)
+
+    def built(
+        kind: Callable[..., Build], entries: Mapping[str, Section], **more: Callable[[Any], Any]
+    ) -> tuple[Build, ...]:
+        plain = [(each, entry.model_dump(exclude_none=True)) for each, entry in entries.items()]
+        return tuple(
+            kind(name=each, **(values | {key: make(values[key]) for key, make in more.items()}))
+            for each, values in plain
+        )
+
+    parameters = built(Parameter, tables.parameters)
+    return Model(
+        name=name,
+        title=tables.title or name,
+        source=tables.source or "",
+        base_states=built(State, tables.states),
+        inputs=built(Input, tables.inputs, hold=Hold, delays=tuple),
+        outputs=built(Output, tables.outputs),
+        base_parameters=tuple(_in_bounds(each, f"{file}: parameters.{each.name}") for each in parameters),
+        joints=built(Joint, tables.joints),
+        actuators=built(Actuator, tables.actuators),
+        sensors=built(Sensor, tables.sensors),
+        definitions=dict(tables.definitions),
+    )
+
+
+def _check_names(tables: ModelSection, file: str) -> None:
+    """Every name can stand in an equation, and stands for one thing."""
+    taken = {f"{each}_slope": f"the slope of input {each}" for each in tables.inputs}
+    taken |= {f"{each}_force": f"the force at joint {each}" for each in tables.joints}
+    for key in ("states", "inputs", "parameters", "definitions", "outputs", "joints", "actuators", "sensors"):
+        for name in getattr(tables, key):
+            problem = name_problem(name)
+            if problem:
+                raise ModelError(f"{file}: {key}.{name}", f"{name!r} {problem}", remedy="choose another name.")
+            if key in ("states", "inputs", "parameters", "definitions"):
+                if name in taken:
+                    what = f"{name!r} is {taken[name]} already"
+                    raise ModelError(f"{file}: {key}.{name}", what, remedy="give each its own name.")
+                taken[name] = f"in {key}"
+
+
+def _check_references(tables: ModelSection, file: str) -> None:
+    """What names an input, an output, a joint or a parameter names one that is there."""
+    references = [(f"states.{name}.noise_of", state.noise_of, "outputs") for name, state in tables.states.items()]
+    for name, each in tables.inputs.items():
+        references += [(f"inputs.{name}.delays", delay, "parameters") for delay in each.delays]
+        references += [(f"inputs.{name}.lag", each.lag, "parameters")]
+    for name, actuator in tables.actuators.items():
+        references += [(f"actuators.{name}.command", actuator.command or "''", "inputs")]
+        references += [(f"actuators.{name}.joint", actuator.joint or "''", "joints")]
+    for name, sensor in tables.sensors.items():
+        references += [(f"sensors.{name}.angle", sensor.angle, "outputs")]
+        references += [(f"sensors.{name}.rate", sensor.rate, "outputs")]
+        if not (sensor.angle or sensor.rate):
+            remedy = f"name the output that it measures: {', '.join(tables.outputs)}."
+            raise ModelError(f"{file}: sensors.{name}", "has neither angle nor rate", remedy=remedy)
+    for where, name, key in references:
+        if name and name not in getattr(tables, key):
+            what = f"there is no {name!r} in {key}"
+            raise ModelError(f"{file}: {where}", what, remedy=one_of(name, getattr(tables, key)))
+
+
+def _check_expressions(tables: ModelSection, file: str) -> None:
+    """Every equation uses names that are known where it is worked out, and is of a reasonable size."""
+    names = {"time", *tables.states, *tables.inputs, *tables.parameters}
+    names |= {f"{each}_slope" for each in tables.inputs}
+    later = {*tables.definitions, *(f"{each}_force" for each in tables.joints)}
+    lengths: dict[str, int] = {}
+
+    def looked_at(text: str, where: str, allowed: Iterable[str] = names) -> int:
+        where = f"{file}: {where}"
+        early = names_in(text, where) & later - set(allowed)
+        if early:
+            what = f"uses {min(early)!r}, which is not known here yet"
+            remedy = "move that definition up; forces at joints follow the definitions, in the order of the joints."
+            raise ModelError(where, what, remedy=remedy)
+        check(text, allowed, where)
+        size = length(text, lengths, where)
+        if size > LARGEST:
+            what = f"has {size} terms when definitions are put in, more than {LARGEST}"
+            raise ModelError(where, what, remedy="make it simpler.")
+        return size
+
+    for name, actuator in tables.actuators.items():
+        for key in ("rate", "angle", "gain"):
+            if getattr(actuator, key):
+                looked_at(getattr(actuator, key), f"actuators.{name}.{key}")
+    for name, text in tables.definitions.items():
+        lengths[name] = looked_at(text, f"definitions.{name}")
+        names.add(name)
+    for name, joint in tables.joints.items():
+        for key in ("coordinate", "rate", "inertia", "load"):
+            lengths[f"{name}_force"] = looked_at(getattr(joint, key), f"joints.{name}.{key}")
+        names.add(f"{name}_force")
+    for name, state in tables.states.items():
+        looked_at(state.derivative, f"states.{name}.derivative")
+        looked_at(state.initial, f"states.{name}.initial", {*tables.outputs, *tables.parameters})
+    for name, output in tables.outputs.items():
+        looked_at(output.expression, f"outputs.{name}.expression")

@@ -1,0 +1,104 @@
+"""The places of a model where an effect can act: joints, actuators, sensors, and what each offers to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from models.model import Actuator, Joint, Model, Sensor
+
+
+class Place(StrEnum):
+    """Where an effect acts."""
+
+    JOINT = "joint"
+    ACTUATOR = "actuator"
+    SENSOR = "sensor"
+
+
+_ANYWHERE = ("time",)
+_JOINT = ("coordinate", "rate", "inertia", "load", "smooth_rate")
+_MOVED = ("actuator_rate", "actuator_angle")
+_READINGS = {each: (each, f"{each}_1", f"{each}_2") for each in ("angle", "rate")}
+
+VOCABULARY: Mapping[Place, frozenset[str]] = {
+    Place.JOINT: frozenset((*_ANYWHERE, *_JOINT, *_MOVED, "gain")),
+    Place.ACTUATOR: frozenset((*_ANYWHERE, "command", *_MOVED)),
+    Place.SENSOR: frozenset((*_ANYWHERE, *_READINGS["angle"], *_READINGS["rate"])),
+}
+"""What the expressions of an effect may use besides its own parameters and states, where its place has it."""
+
+_JOINT_SCALES = ("force_scale", "coordinate_scale", "rate_scale", "smooth_rate")
+SCALES: Mapping[Place, frozenset[str]] = {
+    Place.JOINT: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale")),
+    Place.ACTUATOR: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale")),
+    Place.SENSOR: frozenset(("angle_scale", "rate_scale")),
+}
+"""Numbers that the values, scales, bounds and starts of an effect's parameters may use, where its place has them."""
+
+UNITS: Mapping[Place, frozenset[str]] = {
+    Place.JOINT: frozenset(("force", "coordinate", "command", "angle")),
+    Place.ACTUATOR: frozenset(("force", "coordinate", "command", "angle")),
+    Place.SENSOR: frozenset(("angle", "rate")),
+}
+"""Units that the units of an effect's parameters may contain, in curly brackets, where its place has them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What one place has: `names` of its vocabulary, those of them that are angles `in_radians`, scales and units."""
+
+    names: frozenset[str]
+    in_radians: frozenset[str]
+    scales: Mapping[str, float]
+    units: Mapping[str, str]
+
+
+def places_of(model: Model, place: Place) -> tuple[Joint | Actuator | Sensor, ...]:
+    """The places of a kind that `model` has."""
+    match place:
+        case Place.JOINT:
+            return model.joints
+        case Place.ACTUATOR:
+            return model.actuators
+        case Place.SENSOR:
+            return model.sensors
+
+
+def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
+    """What `place`, one of `model`'s, has."""
+    if isinstance(place, Sensor):
+        return _sensor(place)
+    if isinstance(place, Actuator):
+        joint = next(joint for joint in model.joints if joint.name == place.joint)
+        actuator: Actuator | None = place
+        names = {*_ANYWHERE, "command"}
+    else:
+        joint = place
+        actuator = next((each for each in model.actuators if each.joint == joint.name), None)
+        names = {*_ANYWHERE, *_JOINT}
+    scales = {name: float(getattr(joint, name)) for name in _JOINT_SCALES}
+    units = {"force": joint.force_unit, "coordinate": joint.coordinate_unit}
+    measured_in = {"coordinate": joint.coordinate_unit}
+    if actuator is not None:
+        moved = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle}
+        if isinstance(place, Joint):
+            moved["gain"] = actuator.gain
+        names |= {name for name, text in moved.items() if text}
+        scales |= {"command_scale": actuator.command_scale, "angle_scale": actuator.angle_scale}
+        units |= {"command": actuator.rate_unit, "angle": actuator.angle_unit}
+        measured_in["actuator_angle"] = actuator.angle_unit
+    radians = frozenset(name for name, unit in measured_in.items() if unit == "rad" and name in names)
+    return Offer(frozenset(names), radians, scales, units)
+
+
+def _sensor(sensor: Sensor) -> Offer:
+    measured = {"angle": sensor.angle, "rate": sensor.rate}
+    names = {name for each, output in measured.items() if output for name in _READINGS[each]}
+    return Offer(
+        frozenset((*_ANYWHERE, *names)),
+        frozenset({"angle"} & names) if sensor.angle_unit == "rad" else frozenset(),
+        {"angle_scale": sensor.angle_scale, "rate_scale": sensor.rate_scale},
+        {"angle": sensor.angle_unit, "rate": sensor.rate_unit},
+    )

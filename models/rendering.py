@@ -1,0 +1,281 @@
+"""A model's equations for people (text), papers (LaTeX) and programs (JSON), with its effects merged in by name.
+
+Nothing is put into anything else: each line is as it was written, and an effect's force stands in the joint's equation
+under the effect's name. What an effect replaces (a command, a reading) is marked with :=, in the order in which it
+acts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from models.effect import AttachedEffect
+from models.expressions import names_in, parse, renamed
+from models.model import Actuator, Joint, Model
+from models.place import Place
+
+
+class Kind(StrEnum):
+    """What a line says of its `name`."""
+
+    DELAY = "delay"
+    """Input `name` acts later by `expression`, s."""
+    LAG = "lag"
+    """Input `name` goes through a first-order lag of `expression`, s."""
+    COMMAND = "command"
+    """An effect makes `expression` of the command `name`."""
+    DEFINITION = "definition"
+    FORCE = "force"
+    """The force at a joint, or its part without effects."""
+    EFFECT = "effect"
+    """The force that the effect `name` adds."""
+    DERIVATIVE = "derivative"
+    """`expression` is the time derivative of `name`."""
+    OUTPUT = "output"
+    READING = "reading"
+    """An effect makes `expression` of what the output `name` shows, `name_measured`, and of its time derivatives,
+    `name_measured@1` and `name_measured@2`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One equation. `effect` is the effect that it comes from, "" for the model's own."""
+
+    kind: Kind
+    name: str
+    expression: str
+    effect: str = ""
+
+
+def equations(model: Model) -> tuple[Line, ...]:
+    """The equations of `model` in the order in which they are worked out. Raises ModelError."""
+    return (
+        *_shifts(model),
+        *_commands(model),
+        *(Line(Kind.DEFINITION, name, _tidy(text)) for name, text in model.definitions.items()),
+        *(line for joint in model.joints for line in _forces(model, joint)),
+        *(Line(Kind.DERIVATIVE, state.name, _tidy(state.derivative)) for state in model.base_states),
+        *(line for attached in model.effects for line in _memories(model, attached)),
+        *(Line(Kind.OUTPUT, output.name, _tidy(output.expression)) for output in model.outputs),
+        *_readings(model),
+    )
+
+
+def text(model: Model) -> str:
+    """The equations as plain text, a line each, what an effect does with its name behind it."""
+    rows = []
+    for line in equations(model):
+        right = line.expression.replace("@1", "'").replace("@2", "''") if line.kind is Kind.READING else line.expression
+        match line.kind:
+            case Kind.DELAY:
+                rows.append((line.name, f"acts later by {right}", ""))
+            case Kind.LAG:
+                rows.append((line.name, f"goes through a lag of {right}", line.effect))
+            case Kind.COMMAND:
+                rows.append((line.name, f":= {right}", line.effect))
+            case Kind.READING:
+                rows.append((_measured(line.name), f":= {right}", line.effect))
+            case Kind.DERIVATIVE:
+                rows.append((f"{line.name}'", f"= {right}", line.effect))
+            case Kind.OUTPUT:
+                rows.append((_measured(line.name), f"= {right}", ""))
+            case _:
+                rows.append((line.name, f"= {right}", ""))
+    width = max(len(left) for left, _, _ in rows)
+    return "\n".join(f"{left:<{width}} {right}" + (f"   [{effect}]" if effect else "") for left, right, effect in rows)
+
+
+def latex(model: Model) -> str:
+    """The equations as a LaTeX align* environment (needs amsmath)."""
+    import sympy
+
+    rows = []
+    for line in equations(model):
+        readable = line.expression.replace("@1", ".dot").replace("@2", ".ddot").replace("@", "_at_")
+        symbols = {name: sympy.Symbol(name, real=True) for name in names_in(readable)}
+        right = sympy.latex(
+            parse(readable, symbols, line.name),
+            symbol_names={symbol: _latex_name(name) for name, symbol in symbols.items()},
+            mul_symbol=r" \, ",
+            order="none",
+        )
+        shown = _measured(line.name) if line.kind in (Kind.OUTPUT, Kind.READING) else line.name
+        left = _latex_name(shown.replace("@", "_at_"))
+        match line.kind:
+            case Kind.DELAY:
+                rows.append(rf"{left}(t) &\leftarrow {left}\left(t - ({right})\right)")
+            case Kind.LAG:
+                rows.append(rf"{left} &\leftarrow \frac{{1}}{{1 + {right} \, s}} \, {left}")
+            case Kind.COMMAND | Kind.READING:
+                rows.append(rf"{left} &\leftarrow {right}")
+            case Kind.DERIVATIVE:
+                rows.append(rf"\dot{{{left}}} &= {right}")
+            case _:
+                rows.append(f"{left} &= {right}")
+    return "\\begin{align*}\n  " + " \\\\\n  ".join(rows) + "\n\\end{align*}"
+
+
+def to_json(model: Model) -> dict[str, Any]:
+    """Everything about `model`, as plain data; a bound that is not there is infinite."""
+    return {
+        "name": model.name,
+        "title": model.title,
+        "source": model.source,
+        "states": [asdict(state) for state in model.states],
+        "inputs": [asdict(each) for each in model.inputs],
+        "outputs": [asdict(output) for output in model.outputs],
+        "equations": [asdict(line) for line in equations(model)],
+        "parameters": {
+            parameter.name: {key: value for key, value in asdict(parameter).items() if key != "name"}
+            for parameter in model.parameters
+        },
+        "effects": [
+            {
+                "name": attached.name,
+                "at": attached.at,
+                "place": attached.effect.place.value,
+                "family": attached.effect.family.value,
+                "title": attached.effect.title,
+                "equation": attached.effect.equation,
+                "parameters": [parameter.name for parameter in attached.parameters],
+            }
+            for attached in model.effects
+        ],
+    }
+
+
+def _shifts(model: Model) -> Iterator[Line]:
+    for each in model.inputs:
+        shifting = [(a, a.effect) for a in _acting(model, Place.ACTUATOR) if _actuator(model, a).command == each.name]
+        delays = [*each.delays, *(a.qualified(effect.delay) for a, effect in shifting if effect.delay)]
+        if delays:
+            yield Line(Kind.DELAY, each.name, " + ".join(delays))
+        if each.lag:
+            yield Line(Kind.LAG, each.name, each.lag)
+        for a, effect in shifting:
+            if effect.lag:
+                yield Line(Kind.LAG, each.name, a.qualified(effect.lag), a.name)
+
+
+def _commands(model: Model) -> Iterator[Line]:
+    for attached in _acting(model, Place.ACTUATOR):
+        actuator = _actuator(model, attached)
+        if attached.effect.command:
+            names = {**_moved(actuator), "command": actuator.command, **_own(attached)}
+            yield Line(Kind.COMMAND, actuator.command, renamed(attached.effect.command, names), attached.name)
+
+
+def _forces(model: Model, joint: Joint) -> Iterator[Line]:
+    """Effects that ask for `load` come last, and are given all that acts before them."""
+    total = f"{joint.name}_force"
+    here = [a for a in _acting(model, Place.JOINT) if a.at == joint.name]
+    if not here:
+        yield Line(Kind.FORCE, total, _tidy(joint.load))
+        return
+    load = _free(model, f"{joint.name}_load")
+    yield Line(Kind.FORCE, load, _tidy(joint.load))
+    for attached in sorted(here, key=_asks_for_load):
+        names = {**_at_joint(model, joint), "load": load, **_own(attached)}
+        symbol = _free(model, attached.name)
+        yield Line(Kind.EFFECT, symbol, renamed(attached.effect.force or "0", names), attached.name)
+        load = f"{load} + {symbol}"
+    yield Line(Kind.FORCE, total, load)
+
+
+def _memories(model: Model, attached: AttachedEffect) -> Iterator[Line]:
+    """How the states of an effect at a joint change."""
+    if attached.effect.place is not Place.JOINT:
+        return
+    joint = next(each for each in model.joints if each.name == attached.at)
+    *parts, _ = _forces(model, joint)
+    before = [line.name for line in parts][: [line.effect for line in parts].index(attached.name)]
+    force = _free(model, attached.name)
+    names = {**_at_joint(model, joint), "load": " + ".join(before), "force": force, **_own(attached)}
+    for state, own in zip(attached.states, attached.effect.states, strict=True):
+        yield Line(Kind.DERIVATIVE, state.name, renamed(own.derivative, names), attached.name)
+
+
+def _readings(model: Model) -> Iterator[Line]:
+    for sensor in model.sensors:
+        for attached in _acting(model, Place.SENSOR):
+            if attached.at != sensor.name:
+                continue
+            names: dict[str, str] = {}
+            for local, output in (("angle", sensor.angle), ("rate", sensor.rate)):
+                shown = _measured(output)
+                names |= {local: shown, f"{local}_1": f"{shown}@1", f"{local}_2": f"{shown}@2"}
+            names |= _own(attached)
+            readings = ((attached.effect.angle_reading, sensor.angle), (attached.effect.rate_reading, sensor.rate))
+            for reading, output in readings:
+                if reading and output:
+                    yield Line(Kind.READING, output, renamed(reading, names), attached.name)
+
+
+def _acting(model: Model, place: Place) -> list[AttachedEffect]:
+    return [attached for attached in model.effects if attached.effect.place is place]
+
+
+def _actuator(model: Model, attached: AttachedEffect) -> Actuator:
+    return next(actuator for actuator in model.actuators if actuator.name == attached.at)
+
+
+def _own(attached: AttachedEffect) -> dict[str, str]:
+    """An effect's own names as the model has them."""
+    return {name: attached.qualified(name) for name in attached.effect.own_names}
+
+
+def _moved(actuator: Actuator) -> dict[str, str]:
+    known = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle, "gain": actuator.gain}
+    return {name: text for name, text in known.items() if text}
+
+
+def _at_joint(model: Model, joint: Joint) -> dict[str, str]:
+    """What an effect's names mean at `joint`."""
+    actuator = next((each for each in model.actuators if each.joint == joint.name), None)
+    here = {"coordinate": joint.coordinate, "rate": joint.rate, "inertia": joint.inertia}
+    return {**here, "smooth_rate": repr(joint.smooth_rate), **(_moved(actuator) if actuator is not None else {})}
+
+
+def _asks_for_load(attached: AttachedEffect) -> bool:
+    texts = [attached.effect.force, *(state.derivative for state in attached.effect.states)]
+    return any("load" in names_in(text) for text in texts if text)
+
+
+def _measured(output: str) -> str:
+    """What an output shows, which is not always what the state of the same name is."""
+    return f"{output}_measured"
+
+
+def _free(model: Model, name: str) -> str:
+    """`name`, or one like it that stands for nothing else in the model."""
+    taken = {state.name for state in model.base_states} | {each.name for each in model.inputs} | {*model.definitions}
+    while name in taken | {parameter.name for parameter in model.base_parameters}:
+        name += "_"
+    return name
+
+
+def _tidy(expression: str) -> str:
+    return " ".join(expression.split())
+
+
+def _latex_name(name: str) -> str:
+    """roll_rate -> roll with the subscript rate; friction.torque -> torque with the subscript friction; t' as a dot."""
+    if name == "time":
+        return "t"
+    *owner, local = name.split(".")
+    if local in ("dot", "ddot") and owner:
+        return rf"\{local}{{{_latex_name('.'.join(owner))}}}"
+    first, *rest = [word for word in re.split("_+", local) if word] or ["_"]
+    subscripts = [_upright(rest)] if rest else []
+    subscripts += [_upright([word for part in owner for word in re.split("_+", part)])] if owner else []
+    return _upright([first]) + (f"_{{{', '.join(subscripts)}}}" if subscripts else "")
+
+
+def _upright(words: list[str]) -> str:
+    """A single letter in italics, as usual; words upright."""
+    single = len(words) == 1 and len(words[0]) == 1
+    return words[0] if single else r"\mathrm{" + r"\,".join(words) + "}"

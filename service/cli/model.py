@@ -1,0 +1,230 @@
+"""Commands about models: model show, model list-effects, model new, model add, model remove."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.cli.output import page, print_json
+
+model = typer.Typer(
+    help="Models: their equations, and the physical effects that can be added to them.", no_args_is_help=True
+)
+
+ModelArgument = Annotated[str, typer.Argument(help="A shipped model (monocab_reduced) or a path to a model file.")]
+FileArgument = Annotated[Path, typer.Argument(help="A model file, .toml.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+
+
+class Format(StrEnum):
+    """How `model show` prints."""
+
+    TEXT = "text"
+    LATEX = "latex"
+    JSON = "json"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.add_typer(model, name="model")
+
+
+@model.command(epilog="Example: `upright model show monocab_reduced --effect coulomb_friction --format latex`")
+def show(
+    name: Annotated[str, typer.Argument(metavar="MODEL", help="A shipped model (monocab_reduced) or a model file.")],
+    effect: Annotated[
+        list[str] | None,
+        typer.Option("--effect", help="Show it with this effect, EFFECT or EFFECT@PLACE; may be given several times."),
+    ] = None,
+    format: Annotated[Format, typer.Option("--format", help="How to print it.")] = Format.TEXT,
+    json: JsonOption = False,
+) -> None:
+    """Show a model: states, inputs, outputs, equations, parameters and effects.
+
+    An effect's force stands in the equation of its joint under the effect's name. `:=` marks a command or a reading
+    that an effect replaces.
+    """
+    from models import rendering
+    from models.model_file import ModelFile, load_model, read
+
+    file = read(name) if name.endswith(".toml") else ModelFile(load_model(name))
+    shown = file.model
+    for each in effect or []:
+        wanted, _, at = each.partition("@")
+        shown = shown.add(wanted, at)
+    if json or format is Format.JSON:
+        print_json({**rendering.to_json(shown), "history": file.history})
+    elif format is Format.LATEX:
+        typer.echo(rendering.latex(shown))
+    else:
+        from service.cli.model_page import print_model
+
+        print_model(shown, file.history)
+
+
+@model.command(name="list-effects", epilog="Example: `upright model list-effects --family dry_friction`")
+def list_effects(
+    family: Annotated[
+        str | None, typer.Option("--family", help="Only effects that look alike in a record.", show_default="all")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """List the physical effects that a model may lack: equation, parameters, and what separates look-alikes."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    from models.effect import Family
+    from models.effects import CATALOGUE
+
+    families = [each.value for each in Family]
+    if family is not None and family not in families:
+        raise typer.BadParameter(f"{family!r} is none of {', '.join(families)}.", param_hint="--family")
+    effects = [each for each in CATALOGUE.values() if family is None or each.family == family]
+    if json:
+        document = [
+            {
+                "name": each.name,
+                "family": each.family.value,
+                "title": each.title,
+                "place": each.place.value,
+                "equation": each.equation,
+                "parameters": [
+                    {"name": p.name, "unit": p.unit, "meaning": p.meaning, "amplitude": p.amplitude}
+                    for p in each.parameters
+                ],
+                "signature": each.signature,
+                "confused_with": list(each.confused_with),
+                "separated_by": each.separated_by,
+                "source": each.source,
+            }
+            for each in effects
+        ]
+        print_json({"effects": document})
+        return
+    for each in effects:
+        page.print(f"[bold]{each.name}[/bold] ({each.family.value}, at a {each.place.value}): {each.title}")
+        entries = {
+            "equation": each.equation,
+            "parameters": ", ".join(f"{p.name} ({_unit(p.unit)})" for p in each.parameters),
+            "leaves": each.signature,
+            "confused with": ", ".join(each.confused_with),
+            "separated by": each.separated_by,
+        }
+        for heading, text in entries.items():
+            if text:
+                page.print(Padding(Text(f"{heading}: {text}"), (0, 0, 0, 2)))
+
+
+@model.command(epilog="Example: `upright model new mine.toml --base monocab_reduced --vehicle monocab`")
+def new(
+    file: FileArgument,
+    base: Annotated[str, typer.Option("--base", help="The shipped model to start from.")],
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            "--vehicle", "-v", help="A vehicle file whose parameter values to take.", show_default="the base's own"
+        ),
+    ] = None,
+) -> None:
+    """Write a model file to start from: a shipped model with the parameter values of a vehicle. Overwrites nothing."""
+    from dataclasses import replace
+
+    from models import library
+    from models.model import ModelError
+    from models.model_file import ModelFile, parse, write
+
+    if file.suffix != ".toml":
+        raise ModelError(str(file), "is no name for a model file", remedy="let it end in .toml.")
+    if file.exists():
+        raise ModelError(str(file), "is there already", remedy="choose another name, or remove it first.")
+    start = library.get(base)
+    entry = {"action": "new", "date": _now()}
+    if vehicle is not None:
+        from service.vehicle_file import load
+
+        parameters = load(vehicle).parameters
+        known = {parameter.name for parameter in start.parameters}
+        values = {name: value for name, value in parameters.values.items() if name in known}
+        start = start.change(values, deviations={name: parameters.deviations[name] for name in values})
+        entry["vehicle"] = vehicle
+    own_name = parse(f'base = "{base}"', file).model.name
+    write(ModelFile(replace(start, name=own_name), (entry,)), file)
+    page.print(f"{file}: {start.title}.", markup=False, soft_wrap=True)
+    page.print(f"Add an effect with `upright model add {file} EFFECT`.", markup=False, soft_wrap=True)
+
+
+@model.command(epilog="Example: `upright model add mine.toml coulomb_friction --at roll`")
+def add(
+    file: FileArgument,
+    effect: Annotated[str, typer.Argument(help="A named effect, or the file of an effect of your own (.toml, .py).")],
+    at: Annotated[
+        str, typer.Option("--at", help="Joint, actuator or sensor.", show_default="the first that can have it")
+    ] = "",
+    json: JsonOption = False,
+) -> None:
+    """Add an effect to a model file, with a history entry. Its amplitudes start at zero, where it changes nothing."""
+    import os
+    from dataclasses import replace
+
+    from models.model_file import read, write
+    from service.cli.model_page import print_parameters
+
+    before = read(file)
+    files = dict(before.effect_files)
+    if effect.endswith((".toml", ".py")):
+        from models.effects.custom import load_effect
+
+        changed = before.model.add(load_effect(Path(effect)), at)
+        files[changed.effects[-1].name] = os.path.relpath(effect, file.resolve().parent)
+    else:
+        changed = before.model.add(effect, at)
+    added = changed.effects[-1]
+    entry = {"action": "add", "effect": added.name, "date": _now()}
+    write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), file)
+    if json:
+        print_json({
+            "file": str(file),
+            "effect": added.name,
+            "at": added.at,
+            "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in added.parameters},
+        })  # fmt: skip
+        return
+    page.print(f"{file}: {added.name} added at {added.at}: {added.effect.equation}", markup=False, soft_wrap=True)
+    print_parameters(added.parameters)
+
+
+@model.command(epilog="Example: `upright model remove mine.toml coulomb_friction`")
+def remove(
+    file: FileArgument,
+    effect: Annotated[str, typer.Argument(help="One of the model's effects: EFFECT, or EFFECT@PLACE.")],
+    json: JsonOption = False,
+) -> None:
+    """Remove an effect from a model file, with a history entry."""
+    from dataclasses import replace
+
+    from models.model_file import read, write
+
+    before = read(file)
+    changed = before.model.remove(effect)
+    files = {name: path for name, path in before.effect_files.items() if name != effect}
+    entry = {"action": "remove", "effect": effect, "date": _now()}
+    write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), file)
+    left = [attached.name for attached in changed.effects]
+    if json:
+        print_json({"file": str(file), "removed": effect, "effects": left})
+        return
+    page.print(f"{file}: {effect} removed. Its effects: {', '.join(left) or 'none'}.", markup=False)
+
+
+def _now() -> Any:
+    from datetime import UTC, datetime
+
+    return datetime.now(UTC).replace(microsecond=0)
+
+
+def _unit(template: str) -> str:
+    """An effect's unit depends on where it acts: `{force}` is shown as `force`."""
+    return template.replace("{", "").replace("}", "")

@@ -1,0 +1,95 @@
+"""How `upright model` prints a model for people: tables of its parts, and its equations as they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import isinf
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from models.model import Hold, Model, Parameter
+from models.rendering import text
+from service.cli.output import page
+
+WIDE = 110
+"""Columns that a table of parameters with their meaning takes."""
+_BETWEEN = {Hold.ZERO_ORDER: "held", Hold.FIRST_ORDER: "straight line"}
+
+
+def print_model(shown: Model, history: Iterable[Mapping[str, Any]]) -> None:
+    """Everything about `shown`, and what was done to it."""
+    page.print(f"{shown.name}: {shown.title}", markup=False, style="bold", soft_wrap=True)
+    if shown.source:
+        page.print(f"Source: {shown.source}", markup=False, soft_wrap=True)
+    _print("states", ("unit", "starts at", "meaning"), [(s.name, s.unit, s.initial, s.meaning) for s in shown.states])
+    inputs = [(each.name, each.unit, _BETWEEN[each.hold], each.meaning) for each in shown.inputs]
+    _print("inputs", ("unit", "between samples", "meaning"), inputs)
+    outputs = [(each.name, each.unit, f"{each.noise:.2g}", each.meaning) for each in shown.outputs]
+    _print("outputs", ("unit", "noise", "meaning"), outputs)
+    page.print("\nequations", style="bold")
+    page.print(text(shown), markup=False, soft_wrap=True)
+    page.print()
+    print_parameters(shown.parameters)
+    effects = [(each.name, each.at, each.effect.family.value, each.effect.equation) for each in shown.effects]
+    _print("effects", ("at", "family", "equation"), effects)
+    entries = [(str(each.get("date", "")), each["action"], each.get("effect", ""), _rest(each)) for each in history]
+    _print("history", ("action", "effect", ""), entries)
+
+
+def print_parameters(parameters: Sequence[Parameter]) -> None:
+    """Parameters with bounds, whether a record is asked for them, and what they mean, beside or below."""
+    rows = [
+        (
+            each.name,
+            f"{each.value:.6g}",
+            f"{each.std:.3g}" if each.std else "",
+            each.unit,
+            _bounds(each),
+            "estimated" if each.estimated else "known",
+        )
+        for each in parameters
+    ]
+    headings, meanings = ("value", "±", "unit", "bounds", ""), [each.meaning for each in parameters]
+    if page.width >= WIDE:
+        rows_with_meaning = [(*row, meaning) for row, meaning in zip(rows, meanings, strict=True)]
+        page.print(_table("parameters", (*headings, "meaning"), rows_with_meaning))
+    else:
+        page.print(_table("parameters", headings, rows))
+        _print("parameters", ("meaning",), [(e.name, e.meaning) for e in parameters if e.meaning])
+
+
+def _bounds(parameter: Parameter) -> str:
+    lower, upper = f"{parameter.lower:.4g}", f"{parameter.upper:.4g}"
+    match isinf(parameter.lower), isinf(parameter.upper):
+        case True, True:
+            return ""
+        case False, True:
+            return f">= {lower}"
+        case True, False:
+            return f"<= {upper}"
+        case _:
+            return f"{lower} .. {upper}"
+
+
+def _rest(entry: Mapping[str, Any]) -> str:
+    shown = {key: value for key, value in entry.items() if key not in ("date", "action", "effect")}
+    return ", ".join(f"{key} {value}" for key, value in shown.items())
+
+
+def _print(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+    if rows:
+        page.print()
+        page.print(_table(title, headings, rows))
+
+
+def _table(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
+    """A table whose last column alone is broken into lines."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in (title, *headings[:-1]):
+        table.add_column(heading, no_wrap=True, justify="right" if heading in ("value", "±") else "left")
+    table.add_column(headings[-1])
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table

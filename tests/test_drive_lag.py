@@ -1,0 +1,247 @@
+"""The drives' speed loops, of synthetic records with known truth and of the virtual vehicle; the apparent inertia."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
+from estimators.methods.drive_lag import drive_lag
+from estimators.speed_loop import MODES, Loop, predict, windows_of
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.config import PlantTruth
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording, describe
+
+CHANNELS = ("precession_rate_setpoint", "precession_rate", "drive_age", "roll_rate")
+FINE = 1e-4
+"""s, the grid that everything of the synthetic loop falls on."""
+LAG, OFFSET, REACTION, AGE, PERIOD = 0.032, 0.0013, 0.05, 0.0029, 0.004
+TRUTH = PlantTruth()
+MOMENTUM = (TRUTH.angular_momentum, 15.0)
+INERTIA = ParameterEstimate(1650.0, 3.0, "kg m^2", Status.OK, 100.0)
+
+
+def recording_of(time: np.ndarray, *columns: np.ndarray) -> Recording:
+    values = dict(zip(CHANNELS, columns, strict=True))
+    units = dict.fromkeys(CHANNELS, "")
+    return Recording(describe(units), np.round(time * 1e9).astype(np.int64), values)
+
+
+def matrices(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
+    """The loop in controllable form, x' = A x + b input; the first of x answers the setpoint."""
+    if loop is Loop.FIRST_ORDER:
+        return np.array([[-1.0 / LAG]]), np.array([1.0 / LAG])
+    tau = LAG / 4.0
+    last = -np.array([1.0, 4.0 * tau, 8.0 * tau**2]) / (8.0 * tau**3)
+    shape = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], last])
+    return shape, np.array([0.0, 0.0, -last[0]])
+
+
+def synthetic(loop: Loop, seconds: float = 6.0) -> Recording:
+    """Three steps and a swinging vehicle, by matrix exponentials on the fine grid."""
+    steps = round(seconds / FINE)
+    fine = FINE * np.arange(steps + 1)
+    every = round(PERIOD / FINE)
+    time = fine[::every]
+    setpoint = 0.4 * ((time > 2.0).astype(float) - 2.0 * (time > 2.8) + 1.0 * (time > 3.5))
+    roll_rate = 0.1 * np.sin(9.0 * time) + 0.02 * np.cos(31.0 * time)
+    shape, drives = matrices(loop)
+    held = np.interp(fine - OFFSET, time, np.arange(len(time)))
+    held = setpoint[np.clip(np.floor(held + 1e-9).astype(int), 0, len(time) - 1)]
+    slope = np.append(np.diff(roll_rate) / PERIOD, 0.0)[np.minimum(np.arange(steps + 1) // every, len(time) - 1)]
+    size = len(shape)
+    transition = expm(np.block([[shape, drives[:, None]], [np.zeros((1, size + 1))]]) * FINE)
+    rate = np.empty(steps + 1)
+    to_setpoint, to_load = np.zeros(size), np.zeros(size)
+    for step in range(steps + 1):
+        # The load's answer is that of (1 + tau s) / (...) to the roll acceleration: x1 + tau x2 of a copy of the loop.
+        load = to_load[0] + (LAG / 4.0 * to_load[1] if size == 3 else 0.0)
+        rate[step] = to_setpoint[0] - REACTION * load
+        to_setpoint = transition[:size] @ np.append(to_setpoint, held[step])
+        to_load = transition[:size] @ np.append(to_load, slope[step])
+    sampled = np.interp(time - AGE, fine, rate)
+    return recording_of(time, setpoint, sampled, np.full(len(time), AGE), roll_rate)
+
+
+def with_rate(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    return replace(recording, values={**recording.values, "precession_rate": change(recording["precession_rate"])})
+
+
+@pytest.fixture(scope="module")
+def clean() -> Recording:
+    return synthetic(Loop.SYMMETRIC_OPTIMUM)
+
+
+@pytest.fixture(scope="module")
+def step() -> Recording:
+    """The virtual vehicle's own step from rest."""
+    return record("monocab", "step")
+
+
+@pytest.mark.parametrize("loop", Loop)
+def test_an_exact_record_gives_the_exact_values(loop: Loop) -> None:
+    estimate = drive_lag([synthetic(loop)], loop=loop)
+    assert estimate.status is Status.OK
+    # Both sides are exact but for sampling between two points of the fine grid.
+    assert estimate.values == pytest.approx(
+        {"speed_loop_lag": LAG, "setpoint_offset": OFFSET, "roll_reaction": REACTION}, rel=1e-3, abs=1e-6
+    )
+    assert estimate.fit_percent["precession_rate"] > 99.95
+
+
+@pytest.mark.parametrize("loop", Loop)
+def test_derivatives_are_those_of_finite_differences(clean: Recording, loop: Loop) -> None:
+    windows = windows_of(clean, CHANNELS, 0.04)
+    values = np.array((0.021, 0.0017, 0.03))
+    _, slopes = predict(windows, MODES[loop], values)
+    for place, size in enumerate((1e-6, 1e-7, 1e-5)):
+        step = np.zeros(3)
+        step[place] = size
+        above, below = (predict(windows, MODES[loop], values + sign * step)[0] for sign in (1.0, -1.0))
+        difference = (above - below) / (2.0 * size)
+        scale = np.max(np.abs(slopes[:, place]))
+        # A first-order response has a corner where the setpoint jumps: a row that it passes has two slopes.
+        smooth = np.abs(difference - slopes[:, place]) < 1e-4 * scale
+        assert smooth.mean() > (0.999 if loop is Loop.SYMMETRIC_OPTIMUM else 0.98)
+
+
+def test_deviations_are_honest_for_residuals_that_are_alike(clean: Recording) -> None:
+    """40 records, noise that is alike for 20 ms. Squares of normalised errors average 1 +- 0.45 (chi squared, 95 %).
+
+    Three quarters of a second show that noise only some 20 times over, so the deviations come out up to 25 % small.
+    """
+    errors = []
+    for seed in range(40):
+        noise = lfilter([0.002], [1.0, -0.8], np.random.default_rng(seed).standard_normal(len(clean)))
+        found = drive_lag([with_rate(clean, lambda rate, noise=noise: rate + noise)]).parameters
+        truths = (("speed_loop_lag", LAG), ("roll_reaction", REACTION))
+        errors.append([(found[name].value - truth) / found[name].std for name, truth in truths])
+    variance = np.mean(np.square(errors), axis=0)
+    assert (variance > 0.55).all()
+    assert (variance < 1.45 * 1.25**2).all()
+
+
+def test_a_drive_at_its_torque_limit_does_not_bend_the_result(clean: Recording) -> None:
+    time = clean.time
+    stuck = (time > 2.83) & (time < 2.98)
+    limited = with_rate(clean, lambda rate: np.where(stuck, 0.15, rate) + 2e-4 * np.sin(1e3 * time))
+    values = drive_lag([limited]).values
+    assert values["speed_loop_lag"] == pytest.approx(LAG, rel=0.01)
+    assert values["roll_reaction"] == pytest.approx(REACTION, rel=0.02)
+
+
+def test_a_gap_is_bridged_by_nothing(clean: Recording) -> None:
+    kept = (clean.time < 2.1) | (clean.time > 2.3)
+    cut = Recording(clean.channels, clean.timestamp_ns[kept], {n: v[kept] for n, v in clean.values.items()})
+    estimate = drive_lag([cut])
+    assert estimate.values["speed_loop_lag"] == pytest.approx(LAG, rel=1e-3)
+    assert estimate.samples < drive_lag([clean]).samples
+
+
+def test_the_virtual_vehicle(step: Recording) -> None:
+    """4 tau = 40 ms, the rest is the drives' own sampling. The reaction is what the formula says."""
+    estimate = drive_lag([step])
+    values = estimate.values
+    lag = 4.0 * TRUTH.gimbal_time_constant
+    assert values["speed_loop_lag"] == pytest.approx(lag, rel=0.02)
+    assert values["setpoint_offset"] == pytest.approx(1e-3, abs=4e-4)
+    added = TRUTH.angular_momentum * values["roll_reaction"]
+    assert added == pytest.approx(1795.2 - 1650.0, rel=0.05)
+    # A first-order lag is another shape: half of the lag goes into the offset.
+    first_order = drive_lag([step], roll_rate="", loop=Loop.FIRST_ORDER).values
+    assert first_order["speed_loop_lag"] < 0.6 * lag
+    assert first_order["setpoint_offset"] > 0.5 * lag
+
+
+def test_apparent_inertia_of_the_virtual_vehicle(step: Recording) -> None:
+    estimate, cad = drive_lag([step]), load("monocab").parameters.gimbal_inertia
+    assert cad is not None
+    lag, reaction = estimate.parameters["speed_loop_lag"], estimate.parameters["roll_reaction"]
+    by_formula = apparent_inertia_estimate(INERTIA, lag, MOMENTUM, (TRUTH.gimbal_inertia, 0.0))
+    assert by_formula.value == pytest.approx(1795.2, rel=0.005)
+    by_cad = apparent_inertia_estimate(INERTIA, lag, MOMENTUM, (cad.value, cad.std))
+    assert by_cad.value is not None
+    assert by_cad.std is not None
+    assert abs(by_cad.value - 1795.2) < 2.0 * by_cad.std
+    measured = measured_apparent_inertia(INERTIA, reaction, MOMENTUM)
+    assert measured.value == pytest.approx(1795.2, rel=0.005)
+    assert measured.std is not None
+    assert measured.std < by_cad.std
+
+
+def test_the_deviation_of_the_apparent_inertia_is_propagated() -> None:
+    lag = ParameterEstimate(0.04, 0.002, "s", Status.OK, 80.0)
+    found = apparent_inertia_estimate(INERTIA, lag, (3300.0, 30.0), (60.0, 6.0))
+    draws = np.random.default_rng(0).standard_normal((4, 200_000))
+    tau, momentum = (0.04 + 0.002 * draws[0]) / 4.0, 3300.0 + 30.0 * draws[1]
+    sampled = 1650.0 + 3.0 * draws[2] + 8.0 * tau**2 * momentum**2 / (60.0 + 6.0 * draws[3])
+    assert found.value == pytest.approx(1795.2, abs=1e-9)
+    # To first order; 10 % of gimbal inertia make the second 1.5 %.
+    assert found.std == pytest.approx(np.std(sampled), rel=0.03)
+    assert found.coverage_percent == 80.0
+
+
+def test_what_is_not_known_makes_the_apparent_inertia_unknown() -> None:
+    unknown = ParameterEstimate(None, None, "s", Status.TOO_LITTLE_EXCITATION, 12.0, "the setpoint never moves")
+    found = apparent_inertia_estimate(INERTIA, unknown, MOMENTUM, (60.0, 6.0))
+    assert (found.value, found.std, found.status) == (None, None, Status.TOO_LITTLE_EXCITATION)
+    assert found.reason == "speed_loop_lag is not known: the setpoint never moves"
+    assert measured_apparent_inertia(INERTIA, unknown, MOMENTUM).reason.startswith("roll_reaction is not known")
+    assert measured_apparent_inertia(unknown, INERTIA, MOMENTUM).reason.startswith("inertia is not known")
+
+
+@pytest.mark.parametrize(
+    ("momentum", "gimbal"), [((0.0, 1.0), (60.0, 6.0)), ((3300.0, 1.0), (60.0, -1.0)), ((3300.0, 1.0), (math.nan, 1.0))]
+)
+def test_impossible_values_are_refused(momentum: tuple[float, float], gimbal: tuple[float, float]) -> None:
+    lag = ParameterEstimate(0.04, 0.002, "s", Status.OK, 100.0)
+    with pytest.raises(EstimationError, match="give it in"):
+        apparent_inertia_estimate(INERTIA, lag, momentum, gimbal)
+
+
+def assert_refused(estimate: Estimate, status: Status, words: str) -> None:
+    assert estimate.status is status
+    assert words in estimate.reason
+    assert all(p.value is None and p.std is None and p.reason for p in estimate.parameters.values())
+
+
+def test_a_setpoint_that_never_moves_tells_nothing(clean: Recording) -> None:
+    still = replace(clean, values={**clean.values, "precession_rate_setpoint": np.full(len(clean), 0.2)})
+    assert_refused(drive_lag([still]), Status.TOO_LITTLE_EXCITATION, "never moves")
+    unknown = replace(clean, values={**clean.values, "precession_rate_setpoint": np.full(len(clean), np.nan)})
+    assert_refused(drive_lag([unknown]), Status.TOO_LITTLE_EXCITATION, "never moves")
+    assert_refused(drive_lag([]), Status.TOO_LITTLE_EXCITATION, "never moves")
+
+
+def test_a_step_without_a_second_before_it_tells_nothing(clean: Recording) -> None:
+    late = clean.time > 3.2
+    cut = Recording(clean.channels, clean.timestamp_ns[late], {n: v[late] for n, v in clean.values.items()})
+    assert_refused(drive_lag([cut]), Status.TOO_FEW_SAMPLES, "1 s before it")
+
+
+def test_a_rate_that_is_noise_alone_is_not_given_a_lag(clean: Recording) -> None:
+    noise = np.random.default_rng(3).standard_normal(len(clean))
+    found = drive_lag([with_rate(clean, lambda rate: noise)])
+    assert found.parameters["speed_loop_lag"].value is None
+    assert found.parameters["speed_loop_lag"].reason
+
+
+def test_a_roll_that_does_not_move_leaves_the_reaction_open(clean: Recording) -> None:
+    quiet = replace(clean, values={**clean.values, "roll_rate": np.zeros(len(clean))})
+    found = drive_lag([quiet])
+    assert found.parameters["roll_reaction"].status is Status.UNIDENTIFIABLE
+    assert drive_lag([quiet], roll_rate="").parameters.keys() == {"speed_loop_lag", "setpoint_offset"}
+
+
+def test_a_missing_channel_is_named(clean: Recording) -> None:
+    with pytest.raises(RecordingError, match="wheel_rate"):
+        drive_lag([clean], rate="wheel_rate")

@@ -1,0 +1,115 @@
+"""Recordings of the virtual vehicle without a bus: as the recorder writes them, the same for a seed, or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service import assembly
+from service.recorder import Recorder
+from service.sequence import Phase
+from service.vehicle_file import load
+from service.virtual_run import ClosedLoop, VirtualRunError, record
+from simulation.config import PlantTruth
+from simulation.hidden import UnknownEffectError
+from telemetry.recording import Recording
+from telemetry.recording import load as load_recording
+
+TRUTH = PlantTruth()
+SHORT = 2.0
+"""s of doublet, for what does not depend on its length."""
+
+
+@pytest.fixture(scope="module")
+def first() -> Recording:
+    return record(experiment="doublet", duration=SHORT)
+
+
+def same(one: Recording, other: Recording) -> bool:
+    return bool(
+        np.array_equal(one.timestamp_ns, other.timestamp_ns)
+        and all(one[name].tobytes() == other[name].tobytes() for name in one.channels.names)
+    )
+
+
+def test_it_is_the_whole_experiment(first: Recording) -> None:
+    assert first.channels == assembly.channels(load("monocab"))
+    assert {Phase(int(phase)) for phase in first["phase"]} >= set(Phase) - {Phase.NONE, Phase.CENTRE}
+    exciting = np.count_nonzero(first["phase"] == Phase.EXCITE)
+    assert exciting == pytest.approx(SHORT * first.rate, abs=1)
+    assert np.ptp(first["excitation"][first["phase"] == Phase.EXCITE]) > 0.0
+    assert all(np.isfinite(first[name][1:]).all() for name in first.channels.names)
+
+
+def test_a_seed_gives_the_same_bits_and_another_one_others(first: Recording) -> None:
+    assert same(first, record(load("monocab"), "doublet", seed=1, duration=SHORT))
+    assert not same(first, record(experiment="doublet", seed=2, duration=SHORT))
+
+
+def test_a_hidden_effect_shows(first: Recording) -> None:
+    loaded = record(experiment="doublet", hide=["static_torque=2"], duration=SHORT)
+
+    def carried(recording: Recording) -> float:
+        """N m, mean of what gravity and the gyroscopes give while the vehicle is up."""
+        up = np.isin(recording["phase"], (Phase.SETTLE, Phase.EXCITE))
+        torque = TRUTH.gravity_stiffness * recording["roll"] + TRUTH.angular_momentum * recording["precession_rate"]
+        return float(torque[up].mean())
+
+    # A roll rate that differs by 40 mrad/s between beginning and end of these 5 s is 13 N m of the mean.
+    assert carried(loaded) - carried(first) == pytest.approx(-240.0, abs=15.0)
+
+
+def test_it_is_what_the_recorder_writes(first: Recording, tmp_path: Path) -> None:
+    closed = ClosedLoop(load("monocab"))
+    closed.run("doublet")
+    (_, start_ns), (reason, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
+    recorder = Recorder(tmp_path / "run", assembly.channels(closed.vehicle), start_ns, closed.witness.metadata[0])
+    recorder.end_ns = end_ns
+    recorder.add(closed.witness.frames)
+    recorder.finish({"end_reason": reason, "dropped_frames": "0"}, {})
+    written, returned = load_recording(recorder.path), closed.recording("here")
+    assert same(written, returned)
+    assert dict(written.metadata) == dict(returned.metadata)
+    assert json.loads(first.metadata["experiment_definition"])["duration"] == SHORT
+    assert first.metadata["end_reason"] == ""
+
+
+def test_progress_rises_to_the_end() -> None:
+    told: list[float] = []
+    record(experiment="hold", duration=0.5, progress=told.append)
+    assert told == sorted(told)
+    assert told[0] == 0.0
+    assert told[-1] == 1.0
+
+
+def test_an_experiment_that_does_not_exist_is_named_with_the_nearest() -> None:
+    with pytest.raises(VirtualRunError, match=r"no such experiment.*Did you mean 'multisine'") as caught:
+        record(experiment="multisin")
+    assert caught.value.experiment == "multisin"
+    assert caught.value.recording is None
+    with pytest.raises(VirtualRunError, match="Use one of: hold, step"):
+        record(experiment="xyz")
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_impossible_duration_is_refused(duration: float) -> None:
+    with pytest.raises(VirtualRunError, match="positive duration"):
+        record(duration=duration)
+
+
+def test_an_effect_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(UnknownEffectError, match="coulomb_fricton"):
+        record(hide=["coulomb_fricton"])
+
+
+def test_a_run_that_fails_says_why_and_keeps_what_was_recorded() -> None:
+    """960 N m more than what the vehicle was designed for: it cannot be raised."""
+    with pytest.raises(VirtualRunError) as caught:
+        record(experiment="hold", hide=["static_torque=8"])
+    assert caught.value.reason
+    assert "static_torque=8" in caught.value.remedy
+    assert caught.value.recording is not None
+    assert caught.value.recording.metadata["end_reason"].startswith(caught.value.reason)
