@@ -10,7 +10,8 @@ speed loops, and the estimators see what the real roll filter made of a noisy IM
                        and honest, above 1 the method claims too much. In brackets its 95 % interval (chi squared)
     coverage           share of the runs whose 95 % interval holds the truth; in brackets the binomial interval
 
-The angular momentum, which anchors the scale, is known exactly here. Fits start from the vehicle file's CAD values.
+What is not estimated, angular momentum and trim mass, is known exactly here: its uncertainty would be in what is
+reported but not in the scatter. Fits start from the vehicle file's CAD values.
 With --keep the recordings stay in that folder, and a second run only fits.
 """
 
@@ -53,6 +54,11 @@ TRUTH = {
     "static_torque": 0.0,
 }
 """By the names that the methods report; what is not here is a nuisance and has no truth."""
+EXACT = {
+    "angular_momentum": PLANT.angular_momentum,
+    "trim_mass": PLANT.trim_mass,
+    "trim_height": PLANT.trim_height,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +141,12 @@ def fit(method: str, path: Path) -> Fit:
         import estimators
         from models.library.monocab import MONOCAB_ROLL
 
-        names = {parameter.name for parameter in MONOCAB_ROLL.parameters}
-        values = {name: value for name, value in vehicle.parameters.values.items() if name in names}
-        deviations = {name: std for name, std in vehicle.parameters.deviations.items() if name in names}
-        model = MONOCAB_ROLL.change(values, deviations={**deviations, "angular_momentum": 0.0}).add("static_torque")
+        there = {parameter.name for parameter in MONOCAB_ROLL.parameters}
+        cad, std = vehicle.parameters.values, vehicle.parameters.deviations
+        model = MONOCAB_ROLL.change(
+            {name: value for name, value in {**cad, **EXACT}.items() if name in there},
+            deviations={name: value for name, value in {**std, **dict.fromkeys(EXACT, 0.0)}.items() if name in there},
+        ).add("static_torque")
         estimate = getattr(estimators, method)(model, [recording], support=vehicle.support)
     known = {
         name: (parameter.value, parameter.std)
@@ -152,8 +160,11 @@ def fit(method: str, path: Path) -> Fit:
 def _recursive(method: str, recording: Any, vehicle: Any) -> Any:
     from estimators.torque_balance import Method, make
 
-    exact = {**vehicle.parameters.deviations, "angular_momentum": 0.0}
-    estimator = make(vehicle.parameters.values, vehicle.support, method=Method(method), deviations=exact)
+    values, deviations = (
+        {**vehicle.parameters.values, **EXACT},
+        {**vehicle.parameters.deviations, **dict.fromkeys(EXACT, 0.0)},
+    )
+    estimator = make(values, vehicle.support, method=Method(method), deviations=deviations)
     for frame in recording.frames():
         estimator.update(frame)
     return estimator.result()

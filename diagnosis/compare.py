@@ -167,7 +167,7 @@ def missing_torque(
             raise EstimationError(f"parameter {needed}", "missing", remedy="add it to the model.")
     output = np.array([row.output for row in rows])
     regressors = np.array([row.regressors for row in rows])
-    values = np.array([parameters["inertia"], parameters["gravity_stiffness"], parameters.get("static_torque", 0.0)])
+    values = np.array([parameters["inertia"], parameters["gravity_stiffness"], parameters.get("static_torque.torque", 0.0)])
     torque = regressors[:, :3] @ values - output
     nuisance, spacing = regressors[:, 3], 1.0 / recording.rate
     # More than a sample is no misalignment of rows, but a lag of the vehicle, and is to show.

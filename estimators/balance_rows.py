@@ -35,7 +35,7 @@ from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.samples import Frame
 
 GRAVITY = 9.81
-REGRESSORS = ("inertia", "gravity_stiffness", "static_torque", "drive_time_offset")
+REGRESSORS = ("inertia", "gravity_stiffness", "static_torque.torque", "drive_time_offset")
 """The parameters of a row, in the order of its regressors."""
 
 BALANCE_CHANNELS = ChannelTable(

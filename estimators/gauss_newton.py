@@ -29,8 +29,8 @@ class Block:
     own: Array
 
 
-Evaluate = Callable[[Array, Sequence[Array], bool], list[Block] | None]
-"""Common parameters, own parameters by stretch, whether derivatives are wanted. None where it has no finite value."""
+Evaluate = Callable[[Array, Sequence[Array]], list[Block] | None]
+"""Of common parameters and own parameters by stretch; None where there is no finite value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,63 +57,67 @@ def minimise(
     upper: Array,
     iterations: int = 50,
     tolerance: float = 1e-6,
+    enough: float = 1e-6,
     watched: int | None = None,
 ) -> Minimum | None:
     """The least half sum of squares from `common` (p,) and `own` on; `scale` (p,) are typical sizes of the first.
 
-    It is converged when no step moves one of the first `watched` parameters (all by default) by more than `tolerance` of
-    its scale, or the cost no longer falls. None where the start itself
-    has no finite value.
+    It is converged when no step moves one of the first `watched` parameters (all by default) by more than `tolerance`
+    of its scale, or the cost is not expected to fall by more than `enough`: with residuals of unit variance a fall of x
+    moves no parameter by more than sqrt(2 x) standard deviations. None where the start itself has no finite value.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]
-    blocks = evaluate(common, own, True)
+    blocks = evaluate(common, own)
     if blocks is None:
         return None
     cost = _cost(blocks)
     damping, growth = 1e-4, 2.0
     done = False
     taken = 0
-    information, gradient, parts = _reduce(blocks, scale, 0.0)
+    information, gradient, _, _ = _reduce(blocks, scale, 0.0)
     while taken < iterations and not done:
         taken += 1
         free = ~(((common <= lower) & (gradient > 0.0)) | ((common >= upper) & (gradient < 0.0)))
         if not free.any() and not any(len(part) for part in own):
             done = True
             break
-        reduced, slope, parts = _reduce(blocks, scale, damping)
+        reduced, slope, reserve, parts = _reduce(blocks, scale, damping)
         step = np.zeros_like(common)
+        fall = reserve
         if free.any():
-            system = reduced[np.ix_(free, free)] + damping * np.diag(np.diag(information)[free] + 1e-12)
+            system = reduced[np.ix_(free, free)]
+            fall += 0.5 * float(slope[free] @ np.linalg.lstsq(system, slope[free], rcond=None)[0])
+            system += damping * np.diag(np.diag(information)[free] + 1e-12)
             step[free] = -np.linalg.lstsq(system, slope[free], rcond=None)[0]
+        if fall <= enough:
+            done = True
+            break
         step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
         trial = np.clip(common + scale * step, lower, upper)
         step = (trial - common) / scale
         moves = [-(gain @ step + offset) for gain, offset in parts]
         trial_own = [part + move for part, move in zip(own, moves, strict=True)]
-        trial_blocks = evaluate(trial, trial_own, False)
+        expected = -float(slope @ step) - 0.5 * float(step @ reduced @ step) + reserve
+        trial_blocks = evaluate(trial, trial_own)
         trial_cost = _cost(trial_blocks) if trial_blocks is not None else np.inf
         small = float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
-        if trial_cost <= cost:
-            better = evaluate(trial, trial_own, True)
-            if better is None:
-                break
+        if trial_blocks is not None and trial_cost <= cost:
             gained = cost - trial_cost
-            predicted = _predicted(blocks, scale * step, moves)
-            blocks, common, own = better, trial, trial_own
-            done = small or gained <= 1e-9 * cost
+            blocks, common, own = trial_blocks, trial, trial_own
+            done = small
             cost = trial_cost
-            ratio = gained / max(predicted, 1e-300)
+            ratio = gained / max(expected, 1e-300)
             damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-12)
             growth = 2.0
-            information, gradient, parts = _reduce(blocks, scale, 0.0)
+            information, gradient, _, _ = _reduce(blocks, scale, 0.0)
         else:
             done = small
             damping *= growth
             growth *= 2.0
             if damping > 1e14:
                 break
-    information, gradient, _ = _reduce(blocks, scale, 0.0)
+    information, _, _, _ = _reduce(blocks, scale, 0.0)
     outer = np.outer(scale, scale)
     return Minimum(
         common=common,
@@ -139,10 +143,13 @@ def _cost(blocks: Sequence[Block]) -> float:
     return 0.5 * sum(float(block.residual @ block.residual) for block in blocks)
 
 
-def _reduce(blocks: Sequence[Block], scale: Array, damping: float) -> tuple[Array, Array, list[tuple[Array, Array]]]:
-    """Scaled normal equations of the common parameters, and how each block's own follow from a common step."""
+def _reduce(
+    blocks: Sequence[Block], scale: Array, damping: float
+) -> tuple[Array, Array, float, list[tuple[Array, Array]]]:
+    """Scaled normal equations of the common parameters, by how much the cost falls with the own parameters alone, and
+    how each block's own follow from a common step."""
     size = len(scale)
-    matrix, vector = np.zeros((size, size)), np.zeros(size)
+    matrix, vector, reserve = np.zeros((size, size)), np.zeros(size), 0.0
     parts: list[tuple[Array, Array]] = []
     for block in blocks:
         common = block.common * scale
@@ -154,18 +161,10 @@ def _reduce(blocks: Sequence[Block], scale: Array, damping: float) -> tuple[Arra
         square = block.own.T @ block.own
         square += np.diag((damping + 1e-12) * np.diag(square) + 1e-300)
         across = block.own.T @ common
-        gain = np.linalg.solve(square, across)
-        offset = np.linalg.solve(square, block.own.T @ block.residual)
+        gain: Array = np.linalg.solve(square, across).astype(np.float64)
+        offset: Array = np.linalg.solve(square, block.own.T @ block.residual).astype(np.float64)
         matrix -= across.T @ gain
         vector -= across.T @ offset
+        reserve += 0.5 * float(block.residual @ block.own @ offset)
         parts.append((gain, offset))
-    return matrix, vector, parts
-
-
-def _predicted(blocks: Sequence[Block], step: Array, moves: Sequence[Array]) -> float:
-    """By how much the linear model says that the cost falls."""
-    total = 0.0
-    for block, move in zip(blocks, moves, strict=True):
-        after = block.residual + block.common @ step + block.own @ move
-        total += 0.5 * float(block.residual @ block.residual - after @ after)
-    return total
+    return matrix, vector, reserve, parts

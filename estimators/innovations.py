@@ -1,11 +1,12 @@
 """The noise of a model in innovations form: from process and sensor noise to the steady Kalman gain.
 
-    x+ = f(x + K e, u),   e = y - h(x, u),   A K = (A P C' + N) S^-1,   S = C P C' + R,   P from the discrete Riccati equation
+    x+ = f(x + K e, u),   e = y - h(x, u),   A K = (A P C' + N) S^-1,   S = C P C' + R
 
-Process noise is white on the states that name one. Sensor noise is white on every output, and integrated in states that
-are what a filter makes of a sensor (N is their common part). The gain depends on ratios only, so the last output's sensor
-noise is the unit that all others are told in, as logarithms: these are estimated along with the parameters. The gain
-makes a stable predictor of an unstable plant, which is why the prediction error is the sound choice there.
+P is from the discrete Riccati equation. Process noise is white on the states that name one. Sensor noise is white on
+every output, and integrated in states that are what a filter makes of a sensor (N is their common part). The gain
+depends on ratios only, so the last output's sensor noise is the unit that all others are told in, as logarithms: these
+are estimated along with the parameters. The gain makes a stable predictor of an unstable plant, which is why the
+prediction error is the sound choice there.
 Source: Ljung, "System identification", 2nd ed., sections 4.3 and 7.4; the Riccati equation by structure-preserving
 doubling: Chu et al., International Journal of Control 77 (2004) 767-788.
 """
@@ -25,6 +26,8 @@ SPREAD = 1.0
 """Standard deviation, in natural logarithms, of the prior on a noise: a factor of 2.7."""
 WIDEST = 6.0
 """Natural logarithm by which a noise may differ from what the model says: a factor of 400."""
+STEP = 1e-4
+"""Share of its typical size by which an argument of the gain is moved for a derivative."""
 FLOOR = 1e-6
 """Process noise that every state has, in units of the process noise the model states: keeps every mode observable."""
 
@@ -68,72 +71,95 @@ class NoiseModel:
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
         """The filter gain (nx, ny) at parameter values (np,); None where there is no stable one."""
-        transition, output = linearise(self.problem.kernel, values, self.problem.segments, self.spacing)
-        process, sensor = self.process.copy(), self.sensor.copy()
-        factors = np.exp(logarithms)
-        process[list(self.noisy)] *= factors[: len(self.noisy)]
-        sensor[list(self.loud)] *= factors[len(self.noisy) :]
-        half = 0.5 * (np.eye(len(transition)) + transition)
-        # What a filter makes of a sensor's noise, a trapezoid a row: half of it shows at once, all from the next row on.
-        trapezoid = self.spacing * self.integrated * sensor
-        shown = np.diag(sensor) + 0.5 * output @ trapezoid
-        smooth = half @ np.diag(process * np.sqrt(self.spacing))
-        floor = np.diag((FLOOR * np.maximum(self.process, np.min(self.sensor))) ** 2)
-        density = smooth @ smooth.T + floor + trapezoid @ trapezoid.T
-        return steady_gain(transition, output, density, shown @ shown.T, trapezoid @ shown.T)
+        gains = steady_gain(*self._covariances(*self._linear(values), logarithms[None]))
+        return None if gains is None else gains[0]
 
     def slopes(self, values: Array, logarithms: Array, free: tuple[int, ...], scale: Array) -> Array | None:
-        """Derivatives of the gain by the parameters `free` and the logarithms, (nx * ny, p + q), central differences."""
-        columns = []
+        """The gain's derivatives by the parameters `free` and the logarithms, (nx * ny, p + q): central differences."""
+        shifts = STEP * np.repeat(np.eye(self.size), 2, axis=0)
+        shifts[1::2] *= -1.0
+        here = self._linear(values)
+        parts = [self._covariances(*here, logarithms + shifts)]
         for place, size in zip(free, scale, strict=True):
-            step = np.zeros_like(values)
-            step[place] = 1e-4 * size
-            columns.append(self._slope(values + step, values - step, logarithms, logarithms, 2e-4 * size))
-        for place in range(self.size):
-            step = np.zeros(self.size)
-            step[place] = 1e-4
-            columns.append(self._slope(values, values, logarithms + step, logarithms - step, 2e-4))
-        return None if any(column is None for column in columns) else np.array(columns).T
+            for sign in (1.0, -1.0):
+                moved = values.copy()
+                moved[place] += sign * STEP * size
+                parts.append(self._covariances(*self._linear(moved), logarithms[None]))
+        gains = steady_gain(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        if gains is None:
+            return None
+        rise = (gains[::2] - gains[1::2]).reshape(len(gains) // 2, -1) / (2.0 * STEP)
+        return np.concatenate((rise[self.size :] / scale[:, None], rise[: self.size])).T
 
-    def _slope(self, up: Array, down: Array, more: Array, less: Array, width: float) -> Array | None:
-        above, below = self.gain(up, more), self.gain(down, less)
-        return None if above is None or below is None else ((above - below) / width).ravel()
+    def _linear(self, values: Array) -> tuple[Array, Array]:
+        return linearise(self.problem.kernel, values, self.problem.segments, self.spacing)
+
+    def _covariances(self, transition: Array, output: Array, logarithms: Array) -> tuple[Array, ...]:
+        """What `steady_gain` takes, for each row of `logarithms`, (m, q)."""
+        process = np.tile(self.process, (len(logarithms), 1))
+        sensor = np.tile(self.sensor, (len(logarithms), 1))
+        factors = np.exp(logarithms)
+        process[:, list(self.noisy)] *= factors[:, : len(self.noisy)]
+        sensor[:, list(self.loud)] *= factors[:, len(self.noisy) :]
+        half = 0.5 * (np.eye(len(transition)) + transition)
+        # What a filter makes of a sensor's noise, a trapezoid a row: half shows at once, all from the next row on.
+        trapezoid = self.spacing * self.integrated * sensor[:, None, :]
+        shown = np.eye(len(output)) * sensor[:, None, :] + 0.5 * output @ trapezoid
+        smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
+        floor = np.diag((FLOOR * np.maximum(self.process, np.min(self.sensor))) ** 2)
+        density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
+        many = (len(logarithms), 1, 1)
+        return (
+            np.tile(transition, many),
+            np.tile(output, many),
+            density,
+            shown @ _turned(shown),
+            trapezoid @ _turned(shown),
+        )
 
 
 def steady_gain(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array | None:
     """The gain K with which x + K (y - C x) is the best estimate, in the steady state; None where there is none.
 
-    x+ = A x + w, y = C x + v with covariances process (nx, nx), sensor (ny, ny), across (nx, ny) = E w v'.
+    x+ = A x + w, y = C x + v with covariances process (m, nx, nx), sensor (m, ny, ny), across (m, nx, ny) = E w v', for
+    m systems at once; K is (m, nx, ny).
     """
+    states = transition.shape[-1]
     try:
-        inner = np.linalg.solve(sensor, np.hstack((output, across.T)))
-        reduced = transition - across @ inner[:, : len(transition)]
-        known = output.T @ inner[:, : len(transition)]
-        rest = process - across @ inner[:, len(transition) :]
-        covariance = _doubled(reduced, known, 0.5 * (rest + rest.T))
+        inner = np.linalg.solve(sensor, np.concatenate((output, _turned(across)), axis=-1))
+        reduced = transition - across @ inner[..., :states]
+        rest = process - across @ inner[..., states:]
+        covariance = _doubled(reduced, _turned(output) @ inner[..., :states], 0.5 * (rest + _turned(rest)))
         if covariance is None:
             return None
-        innovation = output @ covariance @ output.T + sensor
-        ahead = np.linalg.solve(innovation, (transition @ covariance @ output.T + across).T).T
-        gain = np.linalg.solve(transition, ahead)
+        innovation = output @ covariance @ _turned(output) + sensor
+        ahead = np.linalg.solve(innovation, _turned(transition @ covariance @ _turned(output) + across))
+        gain = np.linalg.solve(transition, _turned(ahead))
     except np.linalg.LinAlgError:
         return None
     return np.ascontiguousarray(gain) if np.all(np.isfinite(gain)) else None
 
 
+def _turned(matrices: Array) -> Array:
+    return np.swapaxes(matrices, -1, -2)
+
+
 def _doubled(transition: Array, known: Array, process: Array) -> Array | None:
-    """P = A P (I + G P)^-1 A' + Q by doubling; None where it does not settle."""
-    unit = np.eye(len(transition))
-    A, G, H = transition.T, known, process
+    """P = A P (I + G P)^-1 A' + Q by doubling, (m, nx, nx); None where it does not settle."""
+    states = transition.shape[-1]
+    unit = np.eye(states)
+    A, G, H = _turned(transition), known, process
     for _ in range(60):
-        ratio = np.linalg.solve(unit + G @ H, np.hstack((A, G)))
-        first, second = ratio[:, : len(unit)], ratio[:, len(unit) :]
-        grown = H + A.T @ H @ first
-        G = G + A @ second @ A.T
+        ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=-1))
+        first, second = ratio[..., :states], ratio[..., states:]
+        grown = H + _turned(A) @ H @ first
+        G = G + A @ second @ _turned(A)
         A = A @ first
-        if not np.all(np.isfinite(grown)):
+        size = np.max(np.abs(grown), axis=(-1, -2))
+        if not np.all(np.isfinite(size)):
             return None
-        if np.max(np.abs(grown - H)) <= 1e-8 * np.max(np.abs(grown)):
-            return np.asarray(0.5 * (grown + grown.T))
+        # The error squares with each doubling, so the one after this is exact.
+        if np.all(np.max(np.abs(grown - H), axis=(-1, -2)) <= 1e-8 * size):
+            return np.asarray(0.5 * (grown + _turned(grown)))
         H = grown
     return None

@@ -43,11 +43,11 @@ class FreeMotion:
     torque_inputs: tuple[Array, Array, Array]
 
     def torque(self, parameters: Mapping[str, float]) -> Array:
-        """The known roll torque, N m: gyroscopes, trim mass and, where the parameters have it, `static_torque`."""
+        """The known roll torque, N m: gyroscopes, trim mass and, where the parameters have it, `static_torque.torque`."""
         rate, position, acceleration = self.torque_inputs
         mass = parameters["trim_mass"]
         trim = mass * (GRAVITY * position - parameters["trim_height"] * acceleration)
-        torque: Array = parameters["angular_momentum"] * rate + trim + parameters.get("static_torque", 0.0)
+        torque: Array = parameters["angular_momentum"] * rate + trim + parameters.get("static_torque.torque", 0.0)
         return torque
 
 

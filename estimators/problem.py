@@ -87,7 +87,6 @@ class Problem:
         self,
         common: Array,
         own: Sequence[Array],
-        derivatives: bool,
         *,
         weights: Array,
         gain: Array | None = None,
@@ -104,11 +103,9 @@ class Problem:
         blocks = []
         columns, states = len(self.free) + len(also), len(self.kernel.states)
         further = 0 if slopes is None else slopes.shape[1] - columns
-        active: tuple[int, ...] = ()
-        if derivatives:
-            starts = tuple(len(self.kernel.parameters) + state for state in self.own)
-            gains = range(len(slopes)) if slopes is not None else ()
-            active = (*self.free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
+        starts = tuple(len(self.kernel.parameters) + state for state in self.own)
+        gains = range(len(slopes)) if slopes is not None else ()
+        active = (*self.free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
         spread = np.array([self.model.states[state].initial_std for state in self.own])
         for segment, initial, part in zip(self.segments, self.initials, own, strict=True):
             start = initial.copy()
@@ -117,18 +114,20 @@ class Problem:
             if not np.all(np.isfinite(run.predicted)):
                 return None
             error = segment.measured - run.predicted
-            residual = (np.nan_to_num(error) @ weights.T).ravel()
+            residual = (np.where(np.isfinite(error), error, 0.0) @ weights.T).ravel()
             residual = np.concatenate((residual, (part - initial[list(self.own)]) / spread))
-            jacobian = np.zeros((len(residual), columns + further + len(self.own) if derivatives else 0))
-            if derivatives:
-                sensitivity = np.where(np.isfinite(error)[:, :, None], run.sensitivity, 0.0)
-                moved = np.einsum("ij,njc->nic", -weights, sensitivity).reshape(error.size, len(active))
-                ends = columns + len(self.own)
-                jacobian[: error.size, :columns] = moved[:, :columns]
-                if slopes is not None:
-                    jacobian[: error.size, : columns + further] += moved[:, ends:] @ slopes
-                jacobian[: error.size, columns + further :] = moved[:, columns:ends]
-                jacobian[error.size :, columns + further :] = np.diag(1.0 / spread)
+            jacobian = np.zeros((len(residual), columns + further + len(self.own)))
+            sensitivity = run.sensitivity
+            unknown = ~np.isfinite(error)
+            if unknown.any():
+                sensitivity[unknown] = 0.0
+            moved = (-weights @ sensitivity).reshape(error.size, len(active))
+            ends = columns + len(self.own)
+            jacobian[: error.size, :columns] = moved[:, :columns]
+            if slopes is not None:
+                jacobian[: error.size, : columns + further] += moved[:, ends:] @ slopes
+            jacobian[: error.size, columns + further :] = moved[:, columns:ends]
+            jacobian[error.size :, columns + further :] = np.diag(1.0 / spread)
             blocks.append(Block(residual, jacobian[:, : columns + further], jacobian[:, columns + further :]))
         return blocks
 
@@ -195,7 +194,7 @@ def linearise(kernel: Kernel, values: Array, data: Sequence[Segment], spacing: f
     same everywhere.
     """
     states = len(kernel.states)
-    mean = np.mean([np.mean(segment.inputs, axis=0) for segment in data], axis=0)
+    mean = data[0].inputs.mean(axis=0)
     time = float(data[0].time[0]) + spacing * np.arange(2.0)
     held = np.repeat(mean[None, :], 2, axis=0)
     knots = np.repeat((time - 1.0)[:, None], len(kernel.inputs), axis=1)

@@ -12,6 +12,7 @@ sign or channel).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +65,7 @@ def segments(
                 remedy="record it upright.",
             )
         _check_free(model, recording, free)
-        for part in _stretches(recording, free, longest):
-            found.append(_segment(model, recording, part))
+        found += [_segment(model, recording, part) for part in _stretches(recording, free, longest)]
     if not found:
         raise DataError(
             Status.TOO_FEW_SAMPLES,
@@ -85,8 +85,9 @@ def _channels(model: Model) -> tuple[str, ...]:
     """The channels the model's equations really use, and the ages with them."""
     used = _used_names(model)
     inputs = [each for each in model.inputs if each.name in used or f"{each.name}_slope" in used]
-    names = [each.name for each in (*inputs, *model.outputs)]
-    return (*names, *dict.fromkeys(each.age for each in (*inputs, *model.outputs) if each.age))
+    names = [each.name for each in inputs] + [each.name for each in model.outputs]
+    ages = [each.age for each in inputs] + [each.age for each in model.outputs]
+    return (*names, *dict.fromkeys(age for age in ages if age))
 
 
 def _used_names(model: Model) -> frozenset[str]:
@@ -176,7 +177,7 @@ def clipped_share(values: Array) -> float:
         ends = np.flatnonzero(~at[1:] & at[:-1])
         for start, end in zip(starts, ends, strict=True):
             if end - start >= 5 and start >= 3 and np.mean(step[start - 3 : start]) > 0.5 * usual:
-                clipped += end - start
+                clipped += int(end - start)
     return clipped / len(values)
 
 
@@ -191,7 +192,7 @@ def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | N
         if longest is not None:
             count = max(1, round((recording.time[end - 1] - recording.time[start]) / longest))
         edges = np.linspace(start, end, count + 1).round().astype(int).tolist()
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             if last - first >= SHORTEST:
                 yield slice(first, last)
 

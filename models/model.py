@@ -240,7 +240,8 @@ class Model:
         )
 
     def add(self, effect: Effect | str, at: str = "") -> Model:
-        """The model with `effect` (by name, one of the catalogue) at joint, actuator or sensor `at`, its first by default.
+        """The model with `effect` (by name, one of the catalogue) at the joint, actuator or sensor `at` (by default its
+        first).
 
         Raises ModelError where there is no such effect, it is there already, or the model has no place for it.
         """

@@ -26,8 +26,8 @@ CAD = {
     "trim_mass": 500.0,
     "trim_height": 0.4,
 }
-TRUTH = {**CAD, "inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque": 40.0}
-BALANCED = {**TRUTH, "static_torque": 0.0}
+TRUTH = {**CAD, "inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 40.0}
+BALANCED = {**TRUTH, "static_torque.torque": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +152,8 @@ def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
 def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
     step = small_vehicle.recording(*small_vehicle.run(1, 8.0, from_support=True), 0)
     methods = ("recursive_least_squares",)
-    alone = identify([step], CAD, SUPPORT, methods)["methods"][methods[0]]["parameters"]["static_torque"]
-    both = identify([step, sweep], CAD, SUPPORT, methods)["methods"][methods[0]]["parameters"]["static_torque"]
+    alone = identify([step], CAD, SUPPORT, methods)["methods"][methods[0]]["parameters"]["static_torque.torque"]
+    both = identify([step, sweep], CAD, SUPPORT, methods)["methods"][methods[0]]["parameters"]["static_torque.torque"]
     assert both["std"] < alone["std"]
 
 

@@ -31,7 +31,7 @@ CAD = {
     "trim_mass": 500.0,
     "trim_height": 0.4,
 }
-TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque": 40.0}
+TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 40.0}
 SUPPORT = float(np.radians(4.0))
 
 
@@ -241,7 +241,7 @@ def errors(found: list[Estimate]) -> dict[str, tuple[Array, NDArray[np.bool_]]]:
     for name, truth in TRUTH.items():
         values = np.array([estimate.parameters[name].value for estimate in found], dtype=float)
         stds = np.array([estimate.parameters[name].std for estimate in found], dtype=float)
-        scale = truth if name != "static_torque" else 1.0
+        scale = truth if name != "static_torque.torque" else 1.0
         result[name] = ((values - truth) / scale, np.abs(values - truth) < 1.96 * stds)
     return result
 
@@ -261,7 +261,7 @@ def test_sweep_gives_inertia_and_stiffness_within_one_percent(
     errs = errors(found)
     assert np.abs(errs["inertia"][0]).max() < 0.01
     assert np.abs(errs["gravity_stiffness"][0]).max() < 0.01
-    assert np.abs(errs["static_torque"][0]).max() < 2.0
+    assert np.abs(errs["static_torque.torque"][0]).max() < 2.0
     # 9 intervals of 95 %: fewer than 7 right has a probability of 0.8 %
     assert sum(inside.sum() for _, inside in errs.values()) >= 7
 
@@ -453,7 +453,7 @@ def test_a_trim_mass_out_of_its_middle_is_a_known_torque() -> None:
     place = 40.0 / (9.81 * 500.0)  # so much that all of the static torque is the trim mass
     for frame in small_vehicle.frames(stamps, table, 0):
         estimator.update(changed(frame, "trim_position", place))
-    static = estimator.result().parameters["static_torque"]
+    static = estimator.result().parameters["static_torque.torque"]
     assert static.value == pytest.approx(0.0, abs=2.0)
 
 

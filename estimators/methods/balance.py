@@ -16,7 +16,7 @@ Source: Isermann and Muenchhof, Identification of Dynamic Systems, chapter 15; G
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
@@ -26,6 +26,7 @@ import sympy
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
+from models import library
 from models.equations import Equations, Magnitude, Signum, compose
 from models.expressions import parse
 from models.model import Hold, Joint, Model
@@ -90,12 +91,14 @@ class Pieces:
     right: Array
 
 
-def split(model: Model, joint: str = "") -> Balance:
-    """The balance at `joint` of `model`, by default its first.
+def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = None) -> Balance:
+    """The balance at `joint` of `model`, by default its first; `estimate` names the parameters sought.
 
-    Raises EstimationError where the model has no such joint, the balance is not linear in what is to be estimated,
-    nothing of it is, or it needs a state that is not measured; it names the parameters or the state.
+    Raises EstimationError where there is no such joint, its balance is not linear in what is sought, nothing of it is
+    sought, or it needs a state that is not measured; it names the parameters or the state.
     """
+    model = library.get(model) if isinstance(model, str) else model
+    model = model.change(estimated=estimate) if estimate is not None else model
     place = next((each for each in model.joints if joint in ("", each.name)), None)
     if place is None:
         there = ", ".join(each.name for each in model.joints) or "none"
@@ -111,22 +114,18 @@ def split(model: Model, joint: str = "") -> Balance:
 
     delays = {name for names in equations.delays for name in names}
     free = [p.name for p in asked if residual.has(by_name[p.name])]
-    shifts = [p.name for p in asked if p.name in delays and p.name not in free]
-    absent = [p.name for p in asked if p.name not in free and p.name not in shifts]
+    others = [p.name for p in asked if p.name not in free]
+    shifts, absent = [n for n in others if n in delays], [n for n in others if n not in delays]
     coefficients = [residual.diff(by_name[name]) for name in free]
     _require_linear(place, free, coefficients, by_name)
     if not free:
-        remedy = "estimate at least one parameter of the joint: model.change(estimated=...)."
-        raise EstimationError(f"joint {place.name}", "its balance has no estimated parameter", remedy=remedy)
+        what = "its balance has no estimated parameter"
+        raise EstimationError(f"joint {place.name}", what, remedy="estimate at least one parameter of the joint.")
 
     rest = residual.subs({by_name[name]: 0 for name in free})
     anchors = [p.name for p in model.parameters if not p.estimated and p.std > 0.0 and residual.has(by_name[p.name])]
-    anchored = []
-    for number, name in enumerate(anchors):
-        for column, part in enumerate((rest, *coefficients), start=-1):
-            change = part.diff(by_name[name]).xreplace(fixed)
-            if change != 0:
-                anchored.append((number, column, change))
+    changes = [[part.diff(by_name[n]).xreplace(fixed) for part in (rest, *coefficients)] for n in anchors]
+    anchored = [(n, place, e) for n, each in enumerate(changes) for place, e in enumerate(each, start=-1) if e != 0]
     at_value = {**fixed, **{by_name[p.name]: sympy.Float(p.value) for p in asked}}
     return Balance(
         model=model,

@@ -23,7 +23,6 @@ from estimators.fit_result import inverse
 from estimators.methods.balance import split
 from estimators.methods.frequency_output_error import COHERENT, Denominator, Fit, errors, frequency_fit
 from estimators.methods.frequency_response import Detrend, FrequencyResponse
-from estimators.methods.least_squares import sought
 from models.model import Model, Parameter
 from telemetry.recording import Recording
 
@@ -47,9 +46,7 @@ def frequency_equation_error(
 ) -> Estimate:
     """As `frequency_output_error`, by the equation error."""
     spectral = {"excitation": excitation, "support": support, "window": window, "detrend": detrend}
-    return frequency_fit(
-        METHOD, equation_fit, split(sought(model, estimate), joint), recordings, band, coherence, **spectral
-    )
+    return frequency_fit(METHOD, equation_fit, split(model, joint, estimate), recordings, band, coherence, **spectral)
 
 
 def equation_fit(denominator: Denominator, measured: FrequencyResponse, parameters: Sequence[Parameter]) -> Fit:

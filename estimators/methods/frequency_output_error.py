@@ -37,7 +37,7 @@ from estimators.methods.frequency_response import (
     force_spectra,
     response,
 )
-from estimators.methods.least_squares import ASKED_SHARE, absent, assembled, size_of, sought
+from estimators.methods.least_squares import ASKED_SHARE, assembled, size_of
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
 from models.model import Model, Parameter
@@ -107,9 +107,7 @@ def frequency_output_error(
     give an Estimate without values that says why; raises EstimationError, ModelError as `least_squares`.
     """
     spectral = {"excitation": excitation, "support": support, "window": window, "detrend": detrend}
-    return frequency_fit(
-        METHOD, amplitude_fit, split(sought(model, estimate), joint), recordings, band, coherence, **spectral
-    )
+    return frequency_fit(METHOD, amplitude_fit, split(model, joint, estimate), recordings, band, coherence, **spectral)
 
 
 def frequency_fit(
@@ -140,12 +138,8 @@ def frequency_fit(
         moved = solver(denominator, narrowed(changed, used), sought_for).values - fit.values
         whole = whole + np.outer(moved, moved)
     told = {p.name: _told(place, sought_for, fit, whole) for place, p in enumerate(sought_for)}
-    told |= absent(balance)
-    for name, reason in denominator.neglected.items():
-        unit = balance.model.parameter(name).unit
-        told[name] = ParameterEstimate(None, None, unit, Status.UNIDENTIFIABLE, 0.0, reason)
-    amount = {"samples": spectra.samples, "span": spectra.span, "began": began}
-    return assembled(method, balance, denominator.names, told, whole, excused=denominator.neglected, **amount)
+    names, neglected = denominator.names, denominator.neglected
+    return assembled(method, balance, names, told, whole, spectra.samples, spectra.span, began, neglected)
 
 
 def usable(

@@ -9,8 +9,9 @@ the more of that. The joint form has no such bias, but needs r. Standard deviati
 
     std |G| / |G| = std arg G = sqrt((1 - coherence) / (2 averages coherence)),
 
-in the joint form with the part of y - G u that r does not explain. They tell of noise; leakage of a window that is
-short against the vehicle's memory, and a constant that is not taken out (`detrend`), come on top.
+in the joint form with the part of y - G u that r does not explain. Leakage, which a sweep or a move at the record's
+ends makes and coherence does not tell, is added: it falls as 1 / window, so it is as large as what changes when windows
+of half the length are used. A constant that is not taken out (`detrend`) comes on top.
 
 Sources: Welch 1967; Bendat and Piersol, Random Data, 4th ed., sections 9.1 and 9.2; Ljung, System Identification,
 section 13.5 (closed loop); Griese et al., equation (8).
@@ -19,7 +20,7 @@ section 13.5 (closed loop); Griese et al., equation (8).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -28,7 +29,6 @@ from numpy.typing import NDArray
 
 from estimators.contract import EstimationError, Status
 from estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
-from estimators.methods.least_squares import sought
 from estimators.segments import DataError, segments
 from models.model import Model
 from models.segment import Segment
@@ -91,6 +91,8 @@ class CrossSpectra:
     averages: float
     samples: int
     span: float
+    half: CrossSpectra | None = None
+    """The same from windows of half the length."""
 
 
 def frequency_response(
@@ -108,7 +110,7 @@ def frequency_response(
     `window` s long are the windows, by default a quarter of the record, LONGEST_WINDOW at most. Raises DataError where
     the data cannot be used, EstimationError where the joint has no known force.
     """
-    balance = split(sought(model, None), joint)
+    balance = split(model, joint)
     spectra = force_spectra(balance, recordings, excitation=excitation, support=support, window=window, detrend=detrend)
     return response(spectra, 0, 1, reference=2 if excitation else None)
 
@@ -159,7 +161,9 @@ def force_spectra(
     if not tables:
         raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
     window = window if window is not None else min(LONGEST_WINDOW, span / WINDOWS)
-    return cross_spectra(tables, spacing, window, Detrend(detrend))
+    length = round(0.5 * window / spacing)
+    half = cross_spectra(tables, spacing, length, Detrend(detrend))
+    return replace(cross_spectra(tables, spacing, 2 * length, Detrend(detrend)), half=half)
 
 
 def _injection(recording: Recording, segment: Segment, excitation: str) -> Array:
@@ -182,17 +186,16 @@ def evenly(pieces: Pieces, spacing: float) -> tuple[Array, Array]:
     return time, np.stack([np.interp(time, pieces.time, column) for column in values.T], axis=1)
 
 
-def cross_spectra(tables: Sequence[Array], spacing: float, window: float, detrend: Detrend) -> CrossSpectra:
-    """Welch's average over all windows of `window` s in the signals `tables`, each (n, k), sampled every `spacing` s.
+def cross_spectra(tables: Sequence[Array], spacing: float, length: int, detrend: Detrend) -> CrossSpectra:
+    """Welch's average over all windows of `length` samples in the signals `tables`, each (n, k), `spacing` s apart.
 
     Raises DataError where less than two independent windows fit in.
     """
-    length = round(window / spacing)
     step = max(1, length // STEPS)
     frames = [table[first : first + length] for table in tables for first in range(0, len(table) - length + 1, step)]
     if len(frames) < 2 or length < 16:
         longest = spacing * max((len(table) for table in tables), default=0)
-        what = f"a window of {window:.3g} s does not fit twice into a longest stretch of {longest:.3g} s"
+        what = f"a window of {spacing * length:.3g} s does not fit twice into a longest stretch of {longest:.3g} s"
         raise DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer, or shorten the window.")
     hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
     stacked = np.stack(frames)
@@ -223,16 +226,10 @@ def response(
 
     `change`: the place of a signal that is added to the force first.
     """
-    matrix = spectra.matrix
-    if change is not None:
-        mix = np.eye(matrix.shape[1])
-        mix[change, force] = 1.0
-        matrix = mix.T @ matrix @ mix
     through = force if reference is None else reference
+    matrix, found = _ratio(spectra, force, coordinate, through, change)
     with_force, with_coordinate = matrix[:, through, force], matrix[:, through, coordinate]
     power = {place: np.maximum(matrix[:, place, place].real, 1e-300) for place in (force, coordinate, through)}
-    safe = np.where(np.abs(with_force) > 0.0, with_force, 1.0)
-    found = np.where(np.abs(with_force) > 0.0, with_coordinate / safe, 0.0)
     shares = [np.abs(with_coordinate) ** 2 / (power[through] * power[coordinate])]
     shares.append(np.abs(with_force) ** 2 / (power[through] * power[force]))
     coherence = np.clip(np.minimum(*shares), 0.0, 1.0)
@@ -245,6 +242,13 @@ def response(
     explained = np.maximum(np.abs(found * with_force) ** 2 / power[through], 1e-300)
     independent = max(spectra.averages - 1.0, 1.0)
     relative = np.sqrt(np.maximum(left, 0.0) / (2.0 * independent * explained))
+    if spectra.half is not None:
+        _, coarse = _ratio(spectra.half, force, coordinate, through, change)
+        # Every second frequency is one of the half windows', too; those between are taken to be like their neighbours.
+        grid = spectra.half.frequency
+        same = np.searchsorted(spectra.frequency, grid - 0.1 * spectra.frequency[-1] / len(spectra.frequency))
+        changes = np.interp(spectra.frequency, grid, np.abs(coarse - found[same]))
+        relative = np.hypot(relative, changes / np.maximum(np.sqrt(2.0) * np.abs(found), 1e-300))
     known = (np.abs(found) > 0.0) & (relative < 1e3)
     return FrequencyResponse(
         frequency=spectra.frequency,
@@ -256,3 +260,17 @@ def response(
         averages=spectra.averages,
         form=DIRECT if reference is None else JOINT,
     )
+
+
+def _ratio(
+    spectra: CrossSpectra, force: int, coordinate: int, through: int, change: int | None
+) -> tuple[ComplexArray, ComplexArray]:
+    """The spectra with `change` added to the force, (m, k, k), and the response, (m,), 0 where there is none."""
+    matrix = spectra.matrix
+    if change is not None:
+        mix = np.eye(matrix.shape[1])
+        mix[change, force] = 1.0
+        matrix = mix.T @ matrix @ mix
+    with_force = matrix[:, through, force]
+    there = np.abs(with_force) > 0.0
+    return matrix, np.where(there, matrix[:, through, coordinate] / np.where(there, with_force, 1.0), 0.0)

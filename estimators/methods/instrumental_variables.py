@@ -26,7 +26,7 @@ from estimators.balance_rows import InstrumentBank
 from estimators.contract import Estimate, Status
 from estimators.fit_result import refused
 from estimators.methods.balance import Balance, split
-from estimators.methods.least_squares import balance_rows, checked_bandwidth, regression, sought
+from estimators.methods.least_squares import balance_rows, checked_bandwidth, regression
 from estimators.segments import DataError, segments
 from estimators.stopwatch import stopwatch
 from models.model import Model
@@ -56,10 +56,9 @@ def instrumental_variables(
     cannot be used give an Estimate without values that says why; errors as `least_squares`.
     """
     began = stopwatch()
-    model = sought(model, estimate)
-    balance = split(model, joint)
+    balance = split(model, joint, estimate)
     try:
-        data = [(segments(model, [recording], support=support), recording) for recording in recordings]
+        data = [(segments(balance.model, [recording], support=support), recording) for recording in recordings]
         stretches = [segment for found, _ in data for segment in found]
         if not stretches:
             raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
@@ -70,7 +69,7 @@ def instrumental_variables(
             what = f"channel {excitation} never moves"
             raise DataError(Status.TOO_LITTLE_EXCITATION, "recordings", what, remedy="run an experiment that excites.")
     except DataError as error:
-        return refused(model, METHOD, error, stopwatch() - began)
+        return refused(balance.model, METHOD, error, stopwatch() - began)
     rows = balance_rows(balance, stretches, bandwidth)
     quiet = balance_rows(balance, noise_free(balance, stretches, banks), bandwidth)
     return regression(METHOD, balance, stretches, rows, bandwidth, began, [each.regressors for each in quiet])

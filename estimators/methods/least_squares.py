@@ -8,13 +8,13 @@ small, and all the more the wider the filter (Griese et al., section IV). That b
 here; `instrumental_variables` and `prediction_error` do not have it. Standard deviations are honest about noise that
 is alike from row to row (estimators.recursive_least_squares), not about the bias.
 
-Source: Griese et al., equations (6) and (7), with the signs set right, every signal filtered, and the solution
-(Psi' Psi)^-1 Psi' y; Isermann and Muenchhof, Identification of Dynamic Systems, section 15.1.
+Source: Griese et al., (6) and (7), with signs and solution set right and every signal filtered; Isermann and Muenchhof,
+Identification of Dynamic Systems, section 15.1.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,6 @@ from estimators.methods.balance import Balance, Pieces, Signals, channel, channe
 from estimators.recursive_least_squares import RecursiveLeastSquares
 from estimators.segments import DataError, segments
 from estimators.stopwatch import stopwatch
-from models import library
 from models.model import Model, Parameter
 from models.segment import Segment
 from telemetry.recording import Recording
@@ -36,11 +35,8 @@ Array = NDArray[np.float64]
 METHOD = "least_squares"
 BANDWIDTH = 2.0 * np.pi * 5.0
 """rad/s, at most a twentieth of the sampling rate: above what vehicles are excited with, below most of the noise."""
-ORDER = 2
-"""Of the filter of the regression; the paper's."""
 WIDE = 10.0
-"""The bandwidth of the filter that differentiates a position, in those of the regression; at most a tenth of the
-sampling rate."""
+"""The bandwidth of the filter that differentiates a position, in those of the regression."""
 ROWS_A_PERIOD = 10
 CORRELATION_TIME = 4.0
 """s over which a residual can stay alike, at most: the roll filter's corrections do."""
@@ -77,21 +73,14 @@ def least_squares(
     linear in what is sought, ModelError for a name that is not there.
     """
     began = stopwatch()
-    model = sought(model, estimate)
-    balance = split(model, joint)
+    balance = split(model, joint, estimate)
     try:
-        data = segments(model, recordings, support=support)
+        data = segments(balance.model, recordings, support=support)
     except DataError as error:
-        return refused(model, METHOD, error, stopwatch() - began)
+        return refused(balance.model, METHOD, error, stopwatch() - began)
     bandwidth = checked_bandwidth(bandwidth, data)
     rows = balance_rows(balance, data, bandwidth)
     return regression(METHOD, balance, data, rows, bandwidth, began)
-
-
-def sought(model: Model | str, estimate: Iterable[str] | None) -> Model:
-    """`model`, by name or as it is, with the parameters named in `estimate` to be estimated."""
-    model = library.get(model) if isinstance(model, str) else model
-    return model.change(estimated=estimate) if estimate is not None else model
 
 
 def checked_bandwidth(bandwidth: float | None, data: Sequence[Segment]) -> float:
@@ -104,17 +93,16 @@ def checked_bandwidth(bandwidth: float | None, data: Sequence[Segment]) -> float
     return bandwidth
 
 
-def balance_rows(balance: Balance, data: Sequence[Segment], bandwidth: float, order: int = ORDER) -> list[Rows]:
-    """The filtered rows of each segment, ROWS_A_PERIOD a period of `bandwidth` rad/s."""
+def balance_rows(balance: Balance, data: Sequence[Segment], bandwidth: float, order: int = 2) -> list[Rows]:
+    """The rows of each segment, filtered as in the paper (7); ROWS_A_PERIOD a period of `bandwidth` rad/s."""
     first, late = 1 + len(balance.free), 1 + len(balance.names)
     evaluate = evaluator((balance.known, *balance.regressors, *balance.shifted, *(e for *_, e in balance.anchored)))
     found = []
     for segment in data:
         signals = channel_signals(balance, segment)
         if balance.position:
-            widest = 2.0 * np.pi / (10.0 * float(np.median(np.diff(segment.time))))
-            wide = max(bandwidth, min(WIDE * bandwidth, widest))
-            signals = widely_filtered(signals, balance.position, wide)
+            tenth = 2.0 * np.pi / (10.0 * float(np.median(np.diff(segment.time))))  # of the sampling rate
+            signals = widely_filtered(signals, balance.position, max(bandwidth, min(WIDE * bandwidth, tenth)))
         if len(signals.time) < 2:
             continue
         terms = evaluate(signals)
@@ -146,15 +134,15 @@ def regression(
         error = DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer.")
         return refused(balance.model, method, error, stopwatch() - began)
     lags = int(min(CORRELATION_TIME, span / 5.0) * bandwidth * ROWS_A_PERIOD / (2.0 * np.pi))
-    solver = RecursiveLeastSquares(size, instruments=instruments[0].shape[1] if len(instruments) else 0, lags=lags)
-    for place, part in enumerate(rows):
+    tools = instruments or [np.zeros((len(part.known), 0)) for part in rows]
+    solver = RecursiveLeastSquares(size, instruments=tools[0].shape[1], lags=lags)
+    for part, own in zip(rows, tools, strict=True):
         solver.interrupt()
-        tools = instruments[place] if len(instruments) else np.zeros((len(part.known), 0))
-        for known, regressors, tool in zip(part.known, part.regressors, tools, strict=True):
+        for known, regressors, tool in zip(part.known, part.regressors, own, strict=True):
             solver.update(known, regressors, tool)
     solution = solver.solve()
     used = np.concatenate([each.regressors for each in rows])
-    if len(instruments):
+    if instruments:
         stacked = np.concatenate(instruments)
         used = stacked @ np.linalg.lstsq(stacked, used, rcond=None)[0]
     moved = solution.movement > 0.0
@@ -165,37 +153,36 @@ def regression(
         start = balance.model.parameter(name).value if name in balance.shifts else 0.0
         value = start + float(solution.values[place])
         told[name] = _told(balance, place, value, covariance, whole, solution.movement, used)
-    told |= absent(balance)
-    return assembled(method, balance, balance.names, told, whole, samples=sum(map(len, data)), span=span, began=began)
-
-
-def absent(balance: Balance) -> dict[str, ParameterEstimate]:
-    """What is told of parameters that are sought and have no part in the balance."""
-    reason = f"it does not occur in the balance of joint {balance.joint.name}"
-    unit = {name: balance.model.parameter(name).unit for name in balance.absent}
-    return {n: ParameterEstimate(None, None, unit[n], Status.UNIDENTIFIABLE, 0.0, reason) for n in balance.absent}
+    return assembled(method, balance, balance.names, told, whole, sum(map(len, data)), span, began)
 
 
 def assembled(
     method: str,
     balance: Balance,
     names: Sequence[str],
-    told: Mapping[str, ParameterEstimate],
+    told: dict[str, ParameterEstimate],
     covariance: Array,
-    *,
     samples: int,
     span: float,
     began: float,
-    excused: Collection[str] = (),
+    neglected: Mapping[str, str] | None = None,
 ) -> Estimate:
-    """The Estimate of all that is sought. `covariance` (p, p) is that of `names`; `excused` may be unknown."""
+    """The Estimate of all that is sought. `covariance` (p, p) is that of `names`; what is `neglected`, by parameter
+    for which reason, is told and does not count as failed."""
+    neglected = neglected or {}
+    for name in (*balance.absent, *neglected):
+        reason = neglected.get(name, f"it does not occur in the balance of joint {balance.joint.name}")
+        unit = balance.model.parameter(name).unit
+        told[name] = ParameterEstimate(None, None, unit, Status.UNIDENTIFIABLE, 0.0, reason)
     asked = [p for p in balance.model.parameters if p.estimated]
     order = [p.name for p in asked]
-    failed = next((told[name] for name in order if not told[name].identifiable and name not in excused), None)
+    failed = next((told[name] for name in order if not told[name].identifiable and name not in neglected), None)
     pairs = np.full((len(order), len(order)), np.nan)
     sure = [place for place, name in enumerate(names) if told[name].identifiable]
     places = [order.index(names[place]) for place in sure]
     pairs[np.ix_(places, places)] = correlation(covariance[np.ix_(sure, sure)])
+    hit = {p.name for p in asked if told[p.name].value in (p.lower, p.upper)}
+    hit |= {name for name in order if told[name].status is Status.AT_BOUND}
     return Estimate(
         method=method,
         parameters={name: told[name] for name in order},
@@ -204,9 +191,7 @@ def assembled(
         samples=samples,
         span=span,
         correlation=pairs,
-        bounds_hit=tuple(
-            p.name for p in asked if told[p.name].status is Status.AT_BOUND or told[p.name].value in (p.lower, p.upper)
-        ),
+        bounds_hit=tuple(name for name in order if name in hit),
         seconds=stopwatch() - began,
     )
 
@@ -239,21 +224,18 @@ def _told(
     def unknown(status: Status, reason: str) -> ParameterEstimate:
         return ParameterEstimate(None, None, parameter.unit, status, coverage, reason)
 
-    partner = _partner(used, place)
+    reason, partner = "", _partner(used, place)
     if movement[place] == 0.0 or (coverage < 100.0 and parameter.name not in balance.shifts):
-        if partner is not None:
-            reason = f"the terms of {parameter.name} and {balance.names[partner]} go together: hold one of them"
-            return unknown(Status.UNIDENTIFIABLE, reason)
         reason = f"the term of {parameter.name} moves at {coverage:.0f} % of what is needed"
-        return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite it stronger or wider")
-    if std == np.inf:
+    elif std == np.inf:
         reason = f"how sure {parameter.name} is cannot be told from {len(used)} rows: record for longer"
         return unknown(Status.TOO_FEW_SAMPLES, reason)
-    if std > asked:
+    elif std > asked:
         reason = f"the record tells {parameter.name} to +-{std:.3g} {parameter.unit}, +-{asked:.3g} is asked"
-        if partner is not None:
-            reason += f": its term goes together with that of {balance.names[partner]}; hold one of them"
-            return unknown(Status.UNIDENTIFIABLE, reason)
+    if reason and partner is not None:
+        together = f"its term goes together with that of {balance.names[partner]}; hold one of them"
+        return unknown(Status.UNIDENTIFIABLE, f"{reason}: {together}")
+    if reason:
         return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite it stronger, wider or for longer")
     bounded = float(np.clip(value, parameter.lower, parameter.upper))
     if abs(bounded - value) > NOISE * std:
@@ -275,16 +257,14 @@ def _partner(used: Array, place: int) -> int | None:
     scaled = used / np.where(scale > 0.0, scale, 1.0)
     others = np.delete(scaled, place, axis=1)
     weights = np.linalg.lstsq(others, scaled[:, place], rcond=None)[0]
-    left = scaled[:, place] - others @ weights
-    if np.mean(left**2) > 0.1:
+    if np.mean((scaled[:, place] - others @ weights) ** 2) > 0.1:
         return None
-    alike = np.abs(weights) * np.sqrt(np.mean(others**2, axis=0))
-    return int(np.delete(np.arange(used.shape[1]), place)[np.argmax(alike)])
+    return int(np.delete(np.arange(used.shape[1]), place)[np.argmax(np.abs(weights))])
 
 
 def widely_filtered(signals: Signals, position: str, bandwidth: float) -> Signals:
     """Every channel through one wide low-pass, which gives the derivatives of the measured `position` on the way."""
-    names = [name for name in signals.left if name != "time"]
+    names = list(signals.left)
     ends = [np.stack([end[name] for name in names], axis=1) for end in (signals.left, signals.right)]
     smooth = filtered(Pieces(signals.time, *ends), bandwidth, 4, 3)
     ready = int(np.searchsorted(signals.time, signals.time[0] + 10.0 / bandwidth))  # it has forgotten its start
@@ -292,8 +272,7 @@ def widely_filtered(signals: Signals, position: str, bandwidth: float) -> Signal
     for derivative in (1, 2):
         drawn[channel(position, derivative).name] = smooth[derivative][ready:, names.index(channel(position).name)]
     drawn["time"] = signals.time[ready:]
-    left = {name: values[:-1] for name, values in drawn.items()}
-    return Signals(signals.time[ready:], left, {name: values[1:] for name, values in drawn.items()})
+    return Signals(signals.time[ready:], {n: v[:-1] for n, v in drawn.items()}, {n: v[1:] for n, v in drawn.items()})
 
 
 def filtered(pieces: Pieces, bandwidth: float, order: int, derivatives: int) -> Array:
@@ -315,6 +294,4 @@ def filtered(pieces: Pieces, bandwidth: float, order: int, derivatives: int) -> 
     decay = (growth + 1.0)[:, :, None]
     for step in range(1, len(modes)):
         modes[step] += decay[step - 1] * modes[step - 1]
-    readout = residues * poles ** np.arange(derivatives)[:, None]
-    smooth: Array = np.einsum("dp,npc->dnc", readout, modes).real
-    return smooth
+    return np.asarray(np.einsum("dp,npc->dnc", residues * poles ** np.arange(derivatives)[:, None], modes).real)

@@ -1,6 +1,6 @@
 """Output error: the parameters whose simulation, from a fitted initial state on, comes nearest to what was measured.
 
-    minimise  sum over rows of (measured - simulated)^2 / variance of the channel                     (4), (5) of the paper
+    minimise  sum over rows of (measured - simulated)^2 / variance of the channel              (4), (5) of the paper
 
 An unstable plant can be simulated for a short while only: an error at the start grows as exp(pole * time). There the
 record is cut into windows, each with an initial state of its own. Two optimisers on the same problem: a trust region
@@ -15,6 +15,7 @@ Newey and West (1987).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -153,7 +154,7 @@ def _simplex(task: Problem, weights: Array, common: Array, own: list[Array]) -> 
         trial = common + scaled * task.scale
         if np.any(trial < lower) or np.any(trial > upper):
             return np.inf
-        blocks = task.evaluate(trial, starts, True, weights=weights)
+        blocks = task.evaluate(trial, starts, weights=weights)
         if blocks is None:
             return np.inf
         return sum(float(residual @ residual) for residual, _ in map(eliminate, blocks))
@@ -167,7 +168,7 @@ def _simplex(task: Problem, weights: Array, common: Array, own: list[Array]) -> 
 
 def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began: float) -> Estimate:
     held = task.uncertain
-    blocks = task.evaluate(minimum.common, minimum.own, True, weights=weights, also=held)
+    blocks = task.evaluate(minimum.common, minimum.own, weights=weights, also=held)
     assert blocks is not None
     size = len(task.free)
     reduced = [eliminate(block) for block in blocks]
@@ -182,16 +183,8 @@ def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began:
     covariance = with_known(data, information, total[:size, size:], deviations)
     if method == SIMPLEX:
         lower, upper = task.bounds
-        minimum = Minimum(
-            common=minimum.common,
-            own=minimum.own,
-            cost=minimum.cost,
-            blocks=minimum.blocks,
-            information=minimum.information,
-            iterations=minimum.iterations,
-            converged=True,
-            at_bound=(minimum.common <= lower) | (minimum.common >= upper),
-        )
+        at_bound = (minimum.common <= lower) | (minimum.common >= upper)
+        minimum = replace(minimum, converged=True, at_bound=at_bound)
     return assemble(
         task,
         method,

@@ -9,7 +9,7 @@ fit, each stretch with an initial state of its own. Source: Ljung, "System ident
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 METHOD = "prediction_error"
 ROUNDS = 10
 """Times, at most, that parameters and the innovations' covariance are estimated in turn."""
+ENOUGH = 1e-3
+"""Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
 HORIZON = 0.5
 """s ahead that fit_percent tells of."""
 
@@ -113,21 +115,19 @@ def fit(task: Problem, *, prior: bool = True) -> Fit:
     for turn in range(ROUNDS):
         weights = np.linalg.inv(np.linalg.cholesky(covariance))
 
-        def evaluate(common: Array, own: Sequence[Array], derivatives: bool) -> list[Block] | None:
+        def evaluate(common: Array, own: Sequence[Array]) -> list[Block] | None:
             gain = noise.gain(task.values(common[:size]), common[size:])
             if gain is None:
                 return None
-            slopes = None
-            if derivatives:
-                slopes = noise.slopes(task.values(common[:size]), common[size:], task.free, task.scale)
-                if slopes is None:
-                    return None
-            blocks = task.evaluate(common[:size], own[:-1], derivatives, weights=weights, gain=gain, slopes=slopes)  # noqa: B023
+            slopes = noise.slopes(task.values(common[:size]), common[size:], task.free, task.scale)
+            if slopes is None:
+                return None
+            blocks = task.evaluate(common[:size], own[:-1], weights=weights, gain=gain, slopes=slopes)  # noqa: B023
             if blocks is None:
                 return None
             return [*blocks, Block((common - centre) * weight, np.diag(weight), np.zeros((len(weight), 0)))]
 
-        if turn == 0 and (first := evaluate(common, own, False)) is not None:
+        if turn == 0 and (first := evaluate(common, own)) is not None:
             covariance = _covariance(first[:-1], weights, task)
             continue
         minimum = minimise(evaluate, common, own, scale=scale, lower=lower, upper=upper, iterations=25, tolerance=1e-4)
@@ -137,6 +137,7 @@ def fit(task: Problem, *, prior: bool = True) -> Fit:
         common, own = minimum.common, list(minimum.own)
         before, covariance = covariance, _covariance(minimum.blocks[:-1], weights, task)
         if settled and np.allclose(np.diag(before), np.diag(covariance), rtol=0.01):
+            minimum = replace(minimum, converged=True)
             break
     assert minimum is not None
     gain = noise.gain(task.values(common[:size]), common[size:])
@@ -174,7 +175,7 @@ def result(fitted: Fit, began: float) -> Estimate:
     slopes = noise.slopes(values, logarithms, places, typical)
     weights = np.linalg.inv(np.linalg.cholesky(fitted.covariance))
     blocks = task.evaluate(
-        minimum.common[:size], minimum.own[:-1], True, weights=weights, gain=fitted.gain, slopes=slopes, also=held
+        minimum.common[:size], minimum.own[:-1], weights=weights, gain=fitted.gain, slopes=slopes, also=held
     )
     assert blocks is not None
     columns = [eliminate(block)[1] for block in blocks]

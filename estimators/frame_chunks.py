@@ -1,0 +1,176 @@
+"""Control cycles to the stretches a compiled model runs through, a chunk at a time.
+
+A cycle is used where every channel of the model is known and the vehicle is free of its supports, by the rules of
+estimators.segments. Chunks are cut by cycles alone, so live, replayed and simulated runs cut them alike. A measured
+input is read between its samples and may act earlier than its time stamp says, so a chunk is complete when the input is
+known that far beyond its last row; rows before it go along for one that acts later.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from operator import itemgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import EstimationError
+from estimators.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN
+from models.model import Model
+from models.segment import Segment
+from telemetry.channels import ChannelTable
+from telemetry.samples import Frame
+
+Array = NDArray[np.float64]
+
+LISTENING = 25
+"""Cycles from which the sampling period is told, before the first one is used."""
+OLDEST = 0.1
+"""s up to which an older sample of another device tells of now."""
+FARTHEST = 0.1
+"""s by which a delay without bounds can move an input."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Rows `first` to `last` of `segment` are new; where it does not begin a stretch, `first` is the last one's last."""
+
+    segment: Segment
+    first: int
+    last: int
+    begins: bool
+
+    @property
+    def rows(self) -> slice:
+        """Rows that were in no chunk before."""
+        return slice(self.first if self.begins else self.first + 1, self.last + 1)
+
+
+class FrameChunks:
+    """Takes control cycles, gives a chunk of `rows` rows whenever one is complete.
+
+    With `window` > 0 s a chunk is that long, and each is a stretch of its own. `support` rad is the size of the first
+    joint's coordinate at which the vehicle is carried. Raises EstimationError where a channel is not in the table.
+    """
+
+    def __init__(
+        self, model: Model, channels: ChannelTable, *, support: float | None, rows: int, window: float = 0.0
+    ) -> None:
+        coordinate = model.joints[0].coordinate if model.joints and support is not None else ""
+        ages = [each.age for each in (*model.inputs, *model.outputs)]
+        names = list(dict.fromkeys((*_names(model), *filter(None, (coordinate, *ages)))))
+        for name in names:
+            if name not in channels.names:
+                remedy = f"use a model of a vehicle that measures {', '.join(channels.names)}."
+                raise EstimationError(f"channel {name}", f"model {model.name} needs it, the vehicle has none", remedy=remedy)
+        # A constant zero stands for the age of what is sampled with the row.
+        self._pick = itemgetter(*(channels.index_of(name) for name in names))
+        zero = len(names)
+        self._coordinate = names.index(coordinate) if coordinate else zero
+        self._free_angle = support - SUPPORT_MARGIN if coordinate and support is not None else math.inf
+        self._inputs = [names.index(each.name) for each in model.inputs]
+        self._outputs = [names.index(each.name) for each in model.outputs]
+        places = [names.index(age) if age else zero for age in ages]
+        self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]
+        self._ages = sorted({place for place in places if place != zero})
+        self._reach = _reach(model)
+        self._chunk = rows
+        self._window = window
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to before the first cycle."""
+        self.cycles = 0
+        """Cycles seen so far."""
+        self.period = 0.0
+        """s between two cycles; 0 until that is known."""
+        self._early: list[int] = []
+        self._start = self._last = 0
+        self._end_stretch()
+
+    def update(self, frame: Frame) -> Chunk | None:
+        """The chunk that this cycle completes, if any. Raises nothing: what cannot be used is passed over."""
+        stamp = frame.timestamp_ns
+        if self.cycles and stamp <= self._last:
+            return None
+        self.cycles += 1
+        before, self._last = self._last, stamp
+        if not self.period:
+            self._listen(stamp)
+            return None
+        if stamp - before > self._longest_gap:
+            self._end_stretch()
+        row = (*self._pick(frame.values), 0.0)
+        total = sum(row)
+        if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle:  # NaN, infinite or on a support
+            self._end_stretch()
+            return None
+        oldest = 0.0
+        for place in self._ages:
+            age = row[place]
+            if not -OLDEST <= age <= OLDEST:
+                self._end_stretch()
+                return None
+            oldest = max(oldest, age)
+        time = (stamp - self._start) * 1e-9
+        self._times.append(time)
+        self._rows.append(row)
+        if len(self._times) < self._wanted or time - oldest < self._times[self._first + self._length] + self._reach:
+            return None
+        return self._cut()
+
+    def _listen(self, stamp: int) -> None:
+        if not self._early:
+            self._start = stamp
+        self._early.append(stamp)
+        if len(self._early) == LISTENING:
+            spacing = sorted(later - one for one, later in zip(self._early, self._early[1:], strict=False))
+            self.period = spacing[len(spacing) // 2] * 1e-9
+            self._longest_gap = LONGEST_GAP * spacing[len(spacing) // 2]
+            if self._window:
+                self._chunk = max(SHORTEST, round(self._window / self.period))
+            self._end_stretch()
+
+    def _end_stretch(self) -> None:
+        self._times: list[float] = []
+        self._rows: list[tuple[float, ...]] = []
+        self._first = 0
+        self._begins = True
+        self._length = self._chunk - 1 if self._window else self._chunk
+        self._wanted = max(SHORTEST, self._length + 1)
+
+    def _cut(self) -> Chunk:
+        first, last = self._first, self._first + self._length
+        time = np.array(self._times)
+        table = np.array(self._rows)
+        measured = np.take(table, self._outputs, axis=1)
+        for column, age in enumerate(self._output_ages):
+            if age in self._ages:
+                measured[:, column] = np.interp(time, time - table[:, age], measured[:, column])
+        knots = time[:, None] - np.take(table, self._input_ages, axis=1)
+        segment = Segment(time, knots, np.take(table, self._inputs, axis=1), measured, "live")
+        chunk = Chunk(segment, first, last, self._begins)
+        begin = last + 1 if self._window else last
+        # What is still needed before the next chunk begins.
+        kept = max(0, int(np.searchsorted(time, time[last] - self._reach)) - 1)
+        del self._times[:kept], self._rows[:kept]
+        self._first = begin - kept
+        self._begins = bool(self._window)
+        self._wanted = self._first + self._length + 1
+        return chunk
+
+
+def _names(model: Model) -> list[str]:
+    return [each.name for each in (*model.inputs, *model.outputs)]
+
+
+def _reach(model: Model) -> float:
+    """s by which delays can move an input."""
+    bounds = [0.0]
+    names = {delay for each in model.inputs for delay in each.delays}
+    names |= {attached.qualified(attached.effect.delay) for attached in model.effects if attached.effect.delay}
+    for name in names:
+        parameter = model.parameter(name)
+        bounds += [abs(bound) if math.isfinite(bound) else FARTHEST for bound in (parameter.lower, parameter.upper)]
+    return max(bounds)
