@@ -167,7 +167,8 @@ def missing_torque(
             raise EstimationError(f"parameter {needed}", "missing", remedy="add it to the model.")
     output = np.array([row.output for row in rows])
     regressors = np.array([row.regressors for row in rows])
-    values = np.array([parameters["inertia"], parameters["gravity_stiffness"], parameters.get("static_torque.torque", 0.0)])
+    names = ("inertia", "gravity_stiffness", "static_torque.torque")
+    values = np.array([parameters.get(name, 0.0) for name in names])
     torque = regressors[:, :3] @ values - output
     nuisance, spacing = regressors[:, 3], 1.0 / recording.rate
     # More than a sample is no misalignment of rows, but a lag of the vehicle, and is to show.

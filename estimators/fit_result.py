@@ -74,6 +74,10 @@ def assemble(
             reason = f"the fit did not settle in {minimum.iterations} steps: the model may be far from the vehicle"
         elif not alone < asked:
             status, reason = _unknown(problem, place, related, alone, asked)
+        elif std > max(2.0 * asked, ASKED_OF_SIZE * abs(value)):
+            status = Status.UNIDENTIFIABLE
+            held = ", ".join(problem.model.parameters[number].name for number in problem.uncertain)
+            reason = f"it is known to +-{std:.3g} {parameter.unit} only, since it rests on values that are held: {held}"
         elif hit and not _is_neutral(parameter, value):
             status = Status.AT_BOUND
             bound = lower[place] if value <= lower[place] else upper[place]
@@ -117,7 +121,7 @@ def _unknown(problem: Problem, place: int, related: Array, alone: float, asked: 
 
 def refused(model: Model, method: str, error: DataError, seconds: float) -> Estimate:
     """The Estimate where the data cannot be used: no value, and why."""
-    reason = f"{error}".rstrip(".") + (f"; {error.remedy.rstrip('.')}" if error.remedy else "")
+    reason = f"{error}".rstrip(".")
     parameters = {
         p.name: ParameterEstimate(None, None, p.unit, error.status, 0.0, reason)
         for p in model.parameters

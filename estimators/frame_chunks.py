@@ -9,7 +9,8 @@ known that far beyond its last row; rows before it go along for one that acts la
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
@@ -34,7 +35,7 @@ FARTHEST = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows `first` to `last` of `segment` are new; where it does not begin a stretch, `first` is the last one's last."""
+    """Rows `first` to `last` of `segment`. Where it does not begin a stretch, row `first` was another chunk's last."""
 
     segment: Segment
     first: int
@@ -45,6 +46,34 @@ class Chunk:
     def rows(self) -> slice:
         """Rows that were in no chunk before."""
         return slice(self.first if self.begins else self.first + 1, self.last + 1)
+
+    def as_first(self) -> Chunk:
+        """The same as the beginning of a stretch."""
+        return replace(self, begins=True)
+
+
+def join(chunks: Sequence[Chunk], most: int) -> Iterator[Chunk]:
+    """The same rows in fewer chunks, of up to `most` that follow each other."""
+    begin = 0
+    for place in range(1, len(chunks) + 1):
+        if place == len(chunks) or chunks[place].begins or place - begin == most:
+            yield _joined(chunks[begin:place])
+            begin = place
+
+
+def _joined(chunks: Sequence[Chunk]) -> Chunk:
+    head, tail = chunks[0], chunks[-1]
+    if len(chunks) == 1:
+        return head
+    parts = [(head.segment, slice(0, head.last + 1))]
+    parts += [(chunk.segment, chunk.rows) for chunk in chunks[1:]]
+    parts += [(tail.segment, slice(tail.last + 1, None))]
+    time, knots, inputs, measured = (
+        np.concatenate([getattr(segment, name)[rows] for segment, rows in parts])
+        for name in ("time", "knots", "inputs", "measured")
+    )
+    last = len(time) - len(tail.segment) + tail.last
+    return Chunk(Segment(time, knots, inputs, measured, head.segment.source), head.first, last, head.begins)
 
 
 class FrameChunks:
@@ -62,8 +91,9 @@ class FrameChunks:
         names = list(dict.fromkeys((*_names(model), *filter(None, (coordinate, *ages)))))
         for name in names:
             if name not in channels.names:
-                remedy = f"use a model of a vehicle that measures {', '.join(channels.names)}."
-                raise EstimationError(f"channel {name}", f"model {model.name} needs it, the vehicle has none", remedy=remedy)
+                what = f"model {model.name} needs it, the vehicle has none"
+                remedy = f"use a model that makes do with {', '.join(channels.names)}."
+                raise EstimationError(f"channel {name}", what, remedy=remedy)
         # A constant zero stands for the age of what is sampled with the row.
         self._pick = itemgetter(*(channels.index_of(name) for name in names))
         zero = len(names)

@@ -1,69 +1,259 @@
-"""Identification of recordings with the recursive estimators, side by side: what `upright identify` prints.
+"""Every method on several recordings, side by side: what `upright identify` prints, the paper's figure 3.
 
-Every recording runs through one estimator a method, in the order given, so several recordings give one result. How well
-the identified model predicts is told beside it: roll and roll rate half a second ahead from the measured state.
+Each method gives a joint estimate over all recordings that it takes (estimators.method_table says which) and one of
+each by itself: the runs, whose scatter tells what one recording is worth. A method that fails, or takes none of the
+recordings, says so and does not stop the others.
+
+How well a method's values predict is measured alike for all: roll and roll rate half a second ahead of the measured
+state, over all recordings. This measure knows the MONOCAB's balance with a static torque and no other effect; for a
+model beyond that each method tells its own.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
+import estimators
 from estimators.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
-from estimators.contract import Estimate, EstimationError, Status
+from estimators.contract import Estimate, EstimationError, Estimator, Status
+from estimators.method_document import FAILED, Results, document, nothing
+from estimators.method_table import METHODS, Domain, Method, experiment_of, unsuited
 from estimators.prediction import free_motion, predict, sensor_noise
-from estimators.torque_balance import NUISANCE, Method, TorqueBalance
+from estimators.segments import DataError
+from estimators.stopwatch import stopwatch
+from estimators.torque_balance import NUISANCE, TorqueBalance
+from estimators.torque_balance import Method as BalanceMethod
+from models import library
+from models.model import Model
+from telemetry.channels import ChannelTable
+from telemetry.errors import RecordingError, UprightError
 from telemetry.recording import Recording
 
 FIT_HORIZON = 0.5
 """s ahead that fit_percent tells of."""
+FIT_CHANNELS = ("roll", "roll_rate")
+REGRESSIONS = ("least_squares", "instrumental_variables")
+NOMINAL = {"monocab": ("monocab_roll", ("static_torque",))}
+"""By kind of vehicle: the model that is identified, and the effects that are added to it, as in the paper."""
+
+Progress = Callable[[str, str, int, int], None]
+"""Told the method, the recording, how many fits are done, and of how many."""
+Measure = Callable[[Mapping[str, Any]], dict[str, float]]
+"""From a method's entry to its fit_percent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What is identified: a model with its start values, and what the vehicle file says of the vehicle.
+
+    `parameters` and `deviations` are CAD values and their standard deviations, by name; `support` rad is the roll angle
+    at which the supports carry, None for a vehicle without any; `bandwidth` rad/s of the filter of the regressions,
+    None for their own.
+    """
+
+    model: Model
+    parameters: Mapping[str, float]
+    deviations: Mapping[str, float]
+    support: float | None
+    bandwidth: float | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All values before the identification."""
+        return {**self.parameters, **self.model.values}
+
+    @property
+    def is_roll(self) -> bool:
+        """Whether the model is the MONOCAB's balance with no more than a static torque."""
+        return self.model.name.startswith("monocab") and {e.name for e in self.model.effects} <= {"static_torque"}
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One fit: a method, and the places of the recordings it is given. `label` says to a person which these are."""
+
+    method: Method
+    recordings: tuple[int, ...]
+    label: str
+
+
+def nominal_model(kind: str) -> Model:
+    """The model that a vehicle of this kind is identified with. Raises EstimationError where there is none."""
+    if kind not in NOMINAL:
+        raise EstimationError(f"vehicle kind {kind}", "there is no model for it", remedy="name one: --model.")
+    name, effects = NOMINAL[kind]
+    model = library.get(name)
+    for effect in effects:
+        model = model.add(effect)
+    return model
+
+
+def with_values(model: Model, parameters: Mapping[str, float], deviations: Mapping[str, float]) -> Model:
+    """`model` with those of the values, and of their standard deviations, that it has a parameter for."""
+    names = {parameter.name for parameter in model.parameters}
+    return model.change(
+        {name: value for name, value in parameters.items() if name in names},
+        deviations={name: std for name, std in deviations.items() if name in names},
+    )
 
 
 def identify(
     recordings: Sequence[Recording],
     parameters: Mapping[str, float],
-    support: float,
-    methods: Sequence[str] = (Method.PLAIN, Method.INSTRUMENTAL),
+    support: float | None,
+    methods: Sequence[str] = (),
     *,
     deviations: Mapping[str, float] | None = None,
-    stopwatch: Callable[[], float] = lambda: 0.0,
+    model: Model | None = None,
+    every: bool = False,
+    bandwidth: float | None = None,
+    progress: Progress = lambda method, label, done, total: None,
 ) -> dict[str, Any]:
-    """The document of `identify --json`: for each method its parameters, fit, status, reason and seconds.
+    """The document of `identify --json`: by method its parameters, fit, status, reason, seconds, runs and their mean.
 
-    `parameters` and `deviations` are the vehicle file's; `support` is in rad. `stopwatch` gives seconds that go by: the
-    caller's clock, since estimators have none.
-    Raises EstimationError for a method or parameter that is not there, RecordingError for a missing channel.
+    `parameters` and `deviations` are the vehicle file's; `support` is in rad. `methods` are names of
+    estimators.method_table, by default all. `model` comes with its own values; by default it is that of a MONOCAB with
+    the vehicle's. With `every`, each method takes all recordings; `bandwidth` rad/s is that of the filter of
+    least_squares and instrumental_variables. `progress` is told what begins and how much is done.
+    KeyboardInterrupt ends it early: what is missing then is "cancelled". Raises EstimationError for an unknown method.
     """
-    unknown = set(methods) - set(Method)
-    if unknown:
-        remedy = f"choose among {', '.join(Method)}."
-        raise EstimationError(f"method {min(unknown)}", "there is no such method", remedy=remedy)
-    document: dict[str, Any] = {}
-    for method in map(Method, methods):
-        start = stopwatch()
-        channels = INSTRUMENT_CHANNELS if method is Method.INSTRUMENTAL else BALANCE_CHANNELS
-        estimator = TorqueBalance(parameters, support, method=method, deviations=deviations, channels=channels)
+    if model is None:
+        model = with_values(nominal_model("monocab"), parameters, deviations or {})
+    subject = Subject(model, parameters, deviations or {}, support, bandwidth)
+    chosen = _chosen(methods, subject)
+    experiments = [experiment_of(recording) for recording in recordings]
+    left_out = {name: [""] * len(recordings) if every else unsuited(METHODS[name], experiments) for name in chosen}
+    tasks = plan(recordings, left_out)
+    found: Results = {}
+    measure = _measure(recordings, subject)
+    try:
+        for done, task in enumerate(tasks):
+            name = task.method.name
+            progress(name, task.label, done, len(tasks))
+            entry = run(task, subject, recordings)
+            if measure is not None and task.method.domain is not Domain.DRIVES:
+                entry["fit_percent"] = measure(entry)
+            found[name, task.recordings] = entry
+    except KeyboardInterrupt:
+        pass
+    return document(
+        recordings,
+        experiments,
+        left_out,
+        found,
+        before=_before(subject),
+        vehicle={name: (value, subject.deviations.get(name, 0.0)) for name, value in parameters.items()},
+        alike=measure is not None,
+        cancelled=len(found) < len(tasks),
+    )
+
+
+def _chosen(methods: Sequence[str], subject: Subject) -> list[str]:
+    for name in methods:
+        if name not in METHODS:
+            raise EstimationError(
+                f"method {name}", "there is no such method", remedy=f"choose among {', '.join(METHODS)}."
+            )
+    known = {"inertia", "gravity_stiffness", "angular_momentum"} <= set(subject.parameters)
+    apart = (Domain.RECURSIVE, Domain.DRIVES)
+    return list(methods or (name for name, method in METHODS.items() if known or method.domain not in apart))
+
+
+def plan(recordings: Sequence[Recording], left_out: Mapping[str, Sequence[str]]) -> list[Task]:
+    """The fits to do, the joint ones of all methods first. `left_out`: by method, why not, or "", of each recording."""
+    joint, single = [], []
+    for name, reasons in left_out.items():
+        taken = tuple(place for place, reason in enumerate(reasons) if not reason)
+        if not taken:
+            continue
+        label = recordings[taken[0]].source if len(taken) == 1 else f"{len(taken)} recordings"
+        joint.append(Task(METHODS[name], taken, label))
+        if len(taken) > 1:
+            single += [Task(METHODS[name], (place,), recordings[place].source) for place in taken]
+    return joint + single
+
+
+def run(task: Task, subject: Subject, recordings: Sequence[Recording]) -> dict[str, Any]:
+    """What the fit gives, JSON-ready; a failure is told and not raised."""
+    began = stopwatch()
+    chosen = [recordings[place] for place in task.recordings]
+    try:
+        return replace(_estimate(task.method, subject, chosen), seconds=stopwatch() - began).to_json()
+    except (ArithmeticError, ValueError, UprightError) as error:
+        status = FAILED
+        if isinstance(error, DataError):
+            status = error.status.value
+        elif isinstance(error, RecordingError) and error.key:
+            status = Status.MISSING_CHANNEL.value
+        reason = str(error) if isinstance(error, UprightError) else f"{type(error).__name__}: {error}"
+        return {**nothing(status, reason), "seconds": stopwatch() - began}
+
+
+def _estimate(method: Method, subject: Subject, recordings: Sequence[Recording]) -> Estimate:
+    if method.domain is Domain.RECURSIVE:
+        estimator, channels = _recursive(method.name, subject, recordings[0].channels)
         for recording in recordings:
             for frame in recording.frames(channels):
                 estimator.update(frame)
-        estimate = estimator.result()
-        fit = fit_percent(recordings, identified(parameters, estimate), support) if estimate.status is Status.OK else {}
-        document[method.value] = {**estimate.to_json(), "fit_percent": fit, "seconds": stopwatch() - start}
-    return {"methods": document}
+        return estimator.result()
+    fit: Callable[..., Estimate] = getattr(estimators, method.name)
+    if method.domain is Domain.DRIVES:
+        return fit(recordings)
+    settings = {"bandwidth": subject.bandwidth} if method.name in REGRESSIONS else {}
+    return fit(subject.model, recordings, support=subject.support, **settings)
+
+
+def _recursive(name: str, subject: Subject, recorded: ChannelTable) -> tuple[Estimator, ChannelTable]:
+    """A recursive estimator, and the channels that it takes."""
+    if name in tuple(BalanceMethod):
+        method, deviations = BalanceMethod(name), subject.deviations
+        channels = INSTRUMENT_CHANNELS if method is BalanceMethod.INSTRUMENTAL else BALANCE_CHANNELS
+        support = math.inf if subject.support is None else subject.support
+        estimator = TorqueBalance(subject.values, support, method=method, deviations=deviations, channels=channels)
+        return estimator, channels
+    module = import_module("estimators.recursive_prediction_error")
+    form = module.Method(name)
+    made = module.RecursivePredictionError(subject.model, support=subject.support, channels=recorded, method=form)
+    return made, recorded
 
 
 def identified(parameters: Mapping[str, float], estimate: Estimate) -> dict[str, float]:
     """`parameters` with those replaced or added that `estimate` determines; what is a sensor's nuisance stays out."""
-    known = {name: p.value for name, p in estimate.parameters.items() if p.value is not None and name != NUISANCE}
-    return {**parameters, **known}
+    return {**parameters, **{name: value for name, value in estimate.values.items() if name != NUISANCE}}
 
 
-def fit_percent(recordings: Sequence[Recording], parameters: Mapping[str, float], support: float) -> dict[str, float]:
-    """Percent of roll and roll rate that the model predicts FIT_HORIZON ahead; empty where nothing is that long."""
-    stretches = [stretch for recording in recordings for stretch in free_motion(recording, support)]
-    if not stretches:
-        return {}
-    prediction = predict(stretches, parameters, FIT_HORIZON, sensor_noise(stretches))
-    if prediction is None:
-        return {}
-    return {channel: prediction.fit_percent(channel) for channel in ("roll", "roll_rate")}
+def _before(subject: Subject) -> dict[str, dict[str, Any]]:
+    """Value, standard deviation and unit of what is sought, before it is identified: of the vehicle file, or the model.
+
+    What is 0 there, such as the size of an effect, is not known before.
+    """
+    sought = [parameter for parameter in subject.model.parameters if parameter.estimated]
+    values = {p.name: subject.parameters.get(p.name, p.value) for p in sought}
+    stds = {p.name: subject.deviations.get(p.name, p.std) for p in sought}
+    return {p.name: {"value": values[p.name], "std": stds[p.name], "unit": p.unit} for p in sought if values[p.name]}
+
+
+def _measure(
+    recordings: Sequence[Recording], subject: Subject
+) -> Callable[[Mapping[str, Any]], dict[str, float]] | None:
+    """The fit that is measured alike for all methods; None where there is no such for this model."""
+    if not subject.is_roll or subject.support is None:
+        return None
+    try:
+        stretches = [stretch for recording in recordings for stretch in free_motion(recording, subject.support)]
+        noise = sensor_noise(stretches)
+    except UprightError:
+        return lambda entry: {}
+
+    def percent(entry: Mapping[str, Any]) -> dict[str, float]:
+        known = {name: p["value"] for name, p in entry["parameters"].items() if p["value"] is not None}
+        if not known.keys() >= {"inertia", "gravity_stiffness"}:
+            return {}
+        prediction = predict(stretches, {**subject.values, **known}, FIT_HORIZON, noise)
+        return {} if prediction is None else {channel: prediction.fit_percent(channel) for channel in FIT_CHANNELS}
+
+    return percent

@@ -43,7 +43,7 @@ class FreeMotion:
     torque_inputs: tuple[Array, Array, Array]
 
     def torque(self, parameters: Mapping[str, float]) -> Array:
-        """The known roll torque, N m: gyroscopes, trim mass and, where the parameters have it, `static_torque.torque`."""
+        """The known roll torque, N m: gyroscopes, trim mass and, where it is a parameter, `static_torque.torque`."""
         rate, position, acceleration = self.torque_inputs
         mass = parameters["trim_mass"]
         trim = mass * (GRAVITY * position - parameters["trim_height"] * acceleration)

@@ -6,7 +6,7 @@ Common unknowns are the estimated parameters; each stretch's own are the initial
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,10 @@ class Problem:
         values = self.kernel.vector()
         values[list(self.free)] = common
         return values
+
+    def refined(self, common: Array) -> Problem:
+        """With steps as short as the model is fast at `common`: friction that starts at zero makes it stiff later."""
+        return replace(self, substeps=max(self.substeps, _substeps(self.kernel, self.values(common), self.segments)))
 
     def evaluate(
         self,
@@ -164,10 +168,13 @@ def problem(
     kernel = compile_model(model, progress=progress)
     initials = tuple(_initial(model, segment) for segment in data)
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
-    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, kernel.vector(), data)))))
-    spacing = float(np.median(np.diff(data[0].time)))
-    substeps = int(np.clip(np.ceil(spacing * fastest / FINEST), 1, 50))
-    return Problem(model, kernel, tuple(data), free, own, initials, substeps)
+    return Problem(model, kernel, tuple(data), free, own, initials, _substeps(kernel, kernel.vector(), data))
+
+
+def _substeps(kernel: Kernel, values: Array, data: Sequence[Segment]) -> int:
+    """Steps a row that the fastest pole asks for at parameter values (np,)."""
+    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, values, data)))))
+    return int(np.clip(np.ceil(float(np.median(np.diff(data[0].time))) * fastest / FINEST), 1, 50))
 
 
 def _initial(model: Model, segment: Segment) -> Array:

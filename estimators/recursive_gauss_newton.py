@@ -1,15 +1,145 @@
-"""Least squares in recursive form on a model that is linear only near by: what a recursive prediction error method needs.
+"""Least squares, recursive, on a model that is linear near by only: the engine of a recursive prediction error method.
 
-A chunk of residuals r with derivatives J (of the prediction) at the common unknowns z says r + J z = J z* + noise for the
-true z*. These equations are gathered in information form, discounted with age, and solved together with the prior,
+Residuals r (m,) of unit variance, with derivatives J of the prediction at the unknowns z, say  r + J z = J z* + noise
+for the true z*. These equations are gathered in information form and solved with the prior after every chunk,
 
     information = sum of w J'J,   right = sum of w J'(r + J z),   z = (information + prior)^-1 right,
 
-which is the Gauss-Newton recursion of Ljung, "System identification", 2nd ed., (11.44) to (11.47); the prior, being no
-data, is never forgotten, so the covariance is bounded where nothing is excited. z counts from the prior's centre in
-units of its typical size. Each stretch of data has unknowns of its own, its initial state, which are eliminated when the
-stretch ends.
+the Gauss-Newton recursion of Ljung, "System identification", 2nd ed., section 11.5, for chunks instead of samples. The
+prior is never forgotten, so that the covariance stays bounded where nothing is excited; z counts from its centre. Each
+stretch of data has unknowns of its own, its initial state, which are eliminated when it ends.
 
-The first chunks are seen from a start value that may be far off, and their derivatives are wrong by as much: what is
-gathered is also discounted with every move of z.
+With weights w that fall with age, or residuals that are alike within a chunk, the covariance of z is  information^-1
+meat information^-1,  where meat is that of `right`: the sum of w^2 J'J, or of w^2 J'r r'J of whole chunks.
 """
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.fit_result import inverse, with_known
+
+Array = NDArray[np.float64]
+
+LONGEST_STEP = 0.5
+"""Typical sizes that an unknown moves by at most after one chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Covariances (p, p) of the unknowns asked for: `total`, and `alone`, by the data without any prior."""
+
+    total: Array
+    alone: Array
+
+
+class RecursiveGaussNewton:
+    """The first `asked` of the unknowns z (n,) are asked for, the others a nuisance, whose prior is as good as data.
+
+    `prior` (n,) is one over the variances of z. Beside z there are `own` unknowns of the running stretch and `held`
+    parameters that are neither sought nor known exactly, both in units of their standard deviation. z stays within
+    `lower` and `upper` (n,). `clustered`: residuals are alike within a chunk.
+    """
+
+    def __init__(
+        self,
+        prior: Array,
+        lower: Array,
+        upper: Array,
+        *,
+        asked: int,
+        own: int = 0,
+        held: int = 0,
+        clustered: bool = False,
+    ) -> None:
+        self._lower, self._upper = lower, upper
+        self._asked = asked
+        self._clustered = clustered
+        self._size = size = len(prior)
+        self._end = end = size + own
+        self._own, self._held = slice(size, end), slice(end, end + held)
+        self._others = np.r_[0:size, end : end + held]
+        self._prior = np.diag(np.concatenate((prior, np.ones(own), np.zeros(held))))
+        self._data = self._prior.copy()
+        self._data[:asked, :asked] = 0.0
+
+        self.z: Array = np.zeros(size)
+        """The unknowns."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all data, but not where z is."""
+        total = len(self._prior)
+        self._information: Array = np.zeros((total, total))
+        self._meat: Array = np.zeros((total, total))
+        self._right: Array = np.zeros(total)
+
+    def begin(self) -> None:
+        """The next chunk begins a stretch: what the last one's own unknowns explain is taken out."""
+        own, others = self._own, self._others
+        turn = np.zeros((len(others), len(self._right)))
+        turn[:, others] = np.eye(len(others))
+        inner = self._information[own, own] + self._prior[own, own]
+        turn[:, own] = -np.linalg.solve(inner, self._information[own][:, others]).T
+        information = turn @ self._information[:, others]
+        meat = turn @ (self._meat if self._clustered else self._meat + self._own_prior()) @ turn.T
+        right = turn @ self._right
+        self._information[:], self._meat[:], self._right[:] = 0.0, 0.0, 0.0
+        self._information[np.ix_(others, others)] = information
+        self._meat[np.ix_(others, others)] = meat
+        self._right[others] = right
+
+    def add(self, residual: Array, columns: Array, kept: float, *, moving: bool = True) -> None:
+        """Take a chunk: `residual` (m,), `columns` (m, n + own + held) derivatives of the prediction, and move on.
+
+        `kept` is the share of their weight that all former chunks keep.
+        """
+        self._information *= kept
+        self._right *= kept
+        self._meat *= kept * kept
+        before = self.z
+        added = columns.T @ columns
+        self._information += added
+        self._right += columns.T @ residual + added[:, : self._size] @ before
+        if moving:
+            self.move()
+        if self._clustered:
+            score = columns.T @ (residual - columns[:, : self._size] @ (self.z - before))
+            added = np.outer(score, score)
+        self._meat += added
+
+    def uncertainty(self) -> Uncertainty:
+        """How well the unknowns asked for are known now."""
+        end, asked = self._end, self._asked
+        meat = self._meat if self._clustered else self._meat + self._own_prior()
+        information = self._information + self._data
+        spread = inverse(information[:end, :end])
+        data_meat = meat[:end, :end].copy()
+        nuisance = range(asked, self._size)
+        data_meat[nuisance, nuisance] += np.diag(self._prior)[asked : self._size]
+        alone = spread @ data_meat @ spread
+        information = self._information[:end, :end] + self._prior[:end, :end]
+        spread = inverse(information)
+        meat = meat[:end, :end].copy()
+        places = range(self._size)
+        meat[places, places] += np.diag(self._prior)[: self._size]
+        across = self._information[:end, self._held]
+        total = with_known(spread @ meat @ spread, information, across, np.ones(across.shape[1]))
+        return Uncertainty(total[:asked, :asked], alone[:asked, :asked])
+
+    def _own_prior(self) -> Array:
+        """The prior of the stretch's own unknowns alone: a measurement like any other, of the stretch's first row."""
+        prior = np.zeros_like(self._prior)
+        prior[self._own, self._own] = self._prior[self._own, self._own]
+        return prior
+
+    def move(self) -> None:
+        """To the solution, not too far at once, and within bounds."""
+        end = self._end
+        information = self._information[:end, :end] + self._prior[:end, :end]
+        step = np.linalg.solve(information, self._right[:end])[: self._size] - self.z
+        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
+        self.z = np.clip(self.z + step, self._lower, self._upper)

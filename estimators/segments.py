@@ -145,8 +145,8 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
 def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_]) -> None:
     """An angle moves by the integral of its rate."""
     values, rates, time = recording[angle], recording[rate], recording.time
-    # Over a tenth of a second: short against the motion, long against noise and quantisation.
-    ahead = max(1, round(0.1 * recording.rate))
+    # Over half a second: short against a record, long against noise and quantisation.
+    ahead = max(1, round(0.5 * recording.rate))
     whole = np.convolve(free, np.ones(ahead + 1), "valid") > ahead
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
     moved, expected = (values[ahead:] - values[:-ahead])[whole], (turned[ahead:] - turned[:-ahead])[whole]
@@ -154,8 +154,15 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
         return
     together = float(np.corrcoef(moved, expected)[0, 1])
     factor = float(np.std(expected) / np.std(moved)) * (1.0 if together > 0.0 else -1.0)
-    if abs(together) < 0.5 or AGREEMENT[0] < factor < AGREEMENT[1]:
+    if abs(together) > 0.5 and AGREEMENT[0] < factor < AGREEMENT[1]:
         return
+    if abs(together) <= 0.5:
+        raise DataError(
+            Status.BAD_DATA,
+            f"channel {rate}",
+            f"is not the derivative of {angle} (correlation {together:.2f})",
+            remedy="check which channel is which.",
+        )
     degrees = 0.5 < abs(factor) * np.pi / 180.0 < 2.0 or 0.5 < abs(factor) * 180.0 / np.pi < 2.0
     unit = "; one of them is in degrees" if degrees else ""
     raise DataError(

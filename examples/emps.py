@@ -1,9 +1,9 @@
 """The EMPS benchmark: a real positioning axis, its mass and friction from position and motor voltage alone.
 
-    python examples/emps.py emps.csv
+    python examples/emps.py [FOLDER]
 
-Data: Janot, Gautier and Brunot, Data set and reference models of EMPS (2019); columns time (s), position (m) and
-motor_voltage (V). Published reference: 95.11 kg, 203.5 N s/m, 20.39 N, -3.16 N.
+FOLDER holds emps/emps.csv. Data: Janot, Gautier and Brunot, Data set and reference models of EMPS (2019); columns time
+(s), position (m) and motor_voltage (V), 1 kHz, in closed loop. The voltage is held from sample to sample.
 """
 
 from __future__ import annotations
@@ -13,29 +13,55 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.axis_balance import AxisBalance
+import estimators
 from estimators.contract import Estimate
+from estimators.methods import prediction_error
+from estimators.problem import problem
+from estimators.stopwatch import stopwatch
+from estimators.validation import Validation, validate
+from models.library.axis import axis
+from models.model import Model
 from telemetry.channels import Channel, ChannelTable
-from telemetry.samples import Frame
+from telemetry.recording import Recording
 
 FORCE_PER_VOLT = 35.15065
-CHANNELS = ChannelTable(
-    (
-        Channel("position", "m", "of the carriage, from the encoder"),
-        Channel("force", "N", "of the motor on the carriage"),
-    )
-)
+PUBLISHED = {
+    "inertia": 95.11,
+    "viscous_friction.coefficient": 203.5,
+    "coulomb_friction.torque": 20.39,
+    "static_torque.torque": 3.16,  # published as a force that the motor has to overcome: -3.16 N
+}
+CHANNELS = ChannelTable((Channel("position", "m", "of the carriage"), Channel("force", "N", "of the motor on it")))
 
 
-def identify(path: Path) -> Estimate:
-    """Run the record through the recursive estimator, sample by sample."""
-    data = np.genfromtxt(path, delimiter=",", names=True)
-    estimator = AxisBalance(CHANNELS)
-    for time, position, voltage in zip(data["time"], data["position"], data["motor_voltage"], strict=True):
-        estimator.update(Frame(round(time * 1e9), (position, FORCE_PER_VOLT * voltage)))
-    return estimator.result()
+def load(folder: Path) -> Recording:
+    data = np.genfromtxt(folder / "emps" / "emps.csv", delimiter=",", names=True)
+    values = {"position": data["position"], "force": FORCE_PER_VOLT * data["motor_voltage"]}
+    return Recording(CHANNELS, np.round(data["time"] * 1e9).astype(np.int64), values, source="emps.csv")
+
+
+def model() -> Model:
+    """Mass, viscous friction, Coulomb friction and a constant force; the sign of a rate turns within 1 mm/s."""
+    bare = axis(name="emps", inertia=100.0, position_noise=2e-6, process_noise=0.1, force_scale=50.0, smooth_rate=1e-3)
+    return bare.add("viscous_friction").add("coulomb_friction").add("static_torque")
+
+
+def identify(folder: Path) -> tuple[list[Estimate], dict[str, Validation]]:
+    """What three methods find, and how well each one's values predict and simulate the record from its first row on."""
+    began, recording = stopwatch(), load(folder)
+    fitted = prediction_error.fit(problem(model(), [recording]))
+    found = [
+        prediction_error.result(fitted, began),
+        estimators.least_squares(model(), [recording], bandwidth=2.0 * np.pi * 80.0),
+        estimators.output_error(model(), [recording]),
+    ]
+    candidates = {each.method: each.values for each in found} | {"published": PUBLISHED}
+    return found, {name: validate(fitted, [recording], values=values) for name, values in candidates.items()}
 
 
 if __name__ == "__main__":
-    for name, parameter in identify(Path(sys.argv[1])).parameters.items():
-        print(f"{name:20} {parameter.value:9.3f} +- {parameter.std:.3f} {parameter.unit}")
+    found, worth = identify(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    for estimate in found:
+        print(f"{estimate}\n")
+    for name, each in worth.items():
+        print(f"{name}\n{each}, error {1e3 * each.error['position']:.2f} mm")

@@ -225,21 +225,22 @@ def _read(
 ) -> None:
     """Replace what the outputs of `sensor` show by what its effects make of it.
 
-    The second time derivative is that of the model without effects: it only carries terms that are small already.
+    Time derivatives are those of what the sensor would show without its effects, the second of them in the model
+    without effects: they only carry terms that are small already.
     """
     effects = [a for a in model.effects if a.effect.place is Place.SENSOR and a.at == sensor.name]
+    if not effects:
+        return
+    moving: dict[str, sympy.Expr] = {}
+    for local, output in (("angle", sensor.angle), ("rate", sensor.rate)):
+        if output:
+            moving[f"{local}_1"] = flow.rate(outputs[output], derivatives)
+            moving[f"{local}_2"] = flow.rate(flow.rate(outputs[output], nominal), nominal)
     for attached in effects:
-        names: dict[str, sympy.Expr] = {}
-        for local, output in (("angle", sensor.angle), ("rate", sensor.rate)):
-            if output:
-                shown = outputs[output]
-                names[local] = shown
-                names[f"{local}_1"] = flow.rate(shown, derivatives)
-                names[f"{local}_2"] = flow.rate(flow.rate(shown, nominal), nominal)
+        shown = {"angle": sensor.angle, "rate": sensor.rate}
+        names = {**moving, **{local: outputs[output] for local, output in shown.items() if output}}
         local_names = _local(attached, symbols, names)
-        for text, output in (
-            (attached.effect.angle_reading, sensor.angle),
-            (attached.effect.rate_reading, sensor.rate),
-        ):
+        readings = {sensor.angle: attached.effect.angle_reading, sensor.rate: attached.effect.rate_reading}
+        for output, text in readings.items():
             if text and output:
                 outputs[output] = _real(parse(text, local_names, f"effect {attached.name}, reading"))

@@ -22,11 +22,14 @@ from service.control_loop import ControlLoop, Mode
 from service.notify import Notifier
 from service.sequence import DURATIONS, TIMEOUTS
 from service.vehicle_file import VehicleFile, load
+from simulation.config import SimulationConfig
 from simulation.faults import parse_faults
 from simulation.vehicle import VirtualVehicle
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame, Frame
+
+Configure = Callable[[SimulationConfig], SimulationConfig]
 
 BOOT_TIME = 0.2
 """s until the drives answer."""
@@ -95,9 +98,10 @@ class ClosedLoop:
         seed: int = 1,
         log: Callable[[CanFrame], None] | None = None,
         unclaimed: Callable[[CanFrame], None] = lambda frame: None,
+        configure: Configure = lambda configuration: configuration,
     ) -> None:
         self.vehicle = vehicle
-        configuration = virtual_vehicle.configuration(vehicle, list(hide), seed)
+        configuration = configure(virtual_vehicle.configuration(vehicle, list(hide), seed))
         names = [drive.name for drive in configuration.drives]
         self.plant_side = VirtualVehicle(configuration, self._from_vehicle, parse_faults(faults, names))
         self.witness = Witness()
@@ -192,13 +196,15 @@ def record(
     hide: Sequence[str] = (),
     seed: int = 1,
     duration: float | None = None,
+    configure: Configure = lambda configuration: configuration,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Run an experiment of the vehicle file on the virtual vehicle, from rest to rest, and return its recording.
 
     `hide` names effects that the virtual vehicle has and the models lack, with their level, as in "input_delay=2".
     `seed` is that of the sensors' noise; the same seed gives the same bits. `duration` (s) replaces that of the
-    experiment. `progress` is told the share that is over, 0 to 1.
+    experiment. `configure` may change the virtual vehicle, such as the noise of its IMU. `progress` is told the share
+    that is over, 0 to 1.
 
     Raises:
         VehicleFileError: the vehicle file cannot be used.
@@ -207,7 +213,7 @@ def record(
         VirtualRunError: no such experiment, or it ended otherwise than it should, with the reason.
     """
     file = _with_duration(load(vehicle) if isinstance(vehicle, str) else vehicle, experiment, duration)
-    closed = ClosedLoop(file, hide=hide, seed=seed)
+    closed = ClosedLoop(file, hide=hide, seed=seed, configure=configure)
     limit = file.experiments[experiment].duration + sum(DURATIONS.values()) + sum(TIMEOUTS.values())
     closed.run(experiment, limit, progress)
     if closed.loop.mode is Mode.FAULT:

@@ -4,8 +4,8 @@
 
 with n0 = 1 / stiffness term, d2 = inertia / stiffness term and w = (|G| / std |G|)^2: the paper's (10) to (13). Where
 the joint has no stiffness to divide by, or a part of the balance is known, e = G measured / G - 1 is used instead. Real
-and imaginary part count alike, and no start value is needed. A static torque is neglected here, too, with the same
-consequences: see `frequency_output_error`.
+and imaginary part count alike, and no start value is needed. A static torque is neglected here, too; the weights
+leave it little to spoil, see `frequency_output_error`.
 
 Source: Griese et al., section III-D, with the gravity's sign set right; Pintelon and Schoukens, System Identification:
 A Frequency Domain Approach, section 9.3 (the estimate is biased where the response is noisy).

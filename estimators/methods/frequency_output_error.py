@@ -4,12 +4,14 @@
 
 The paper's (9), by Nelder and Mead's simplex from the model's values. G runs from the known force (angular momentum x
 precession rate + trim torque) to the joint's coordinate; its denominator is the joint's balance, as far as that is
-linear in the motion. What is not is neglected: a static torque above all, which no transfer function can have. The
-paper neglects it too, and takes the deviations of its frequency-domain results from that. They come about in the two
-lowest bins: with `detrend` "none", the default, the constant force that balances a static torque leaks into them, and
-a constant force that goes with no constant angle makes the vehicle look stiff. It depends on the record whether
-`coherence` lets these bins pass. The paper does not say what it took out; "mean" takes the constant out of each window.
-Neglected parameters are named with the reason, and do not count as failed.
+linear in the motion. What is not is neglected, named with the reason, and does not count as failed.
+
+A static torque is neglected, too, since no transfer function has it, and the paper takes the deviations of its
+frequency-domain results from that. They come about in the two lowest bins, if nothing is taken out of the windows
+(`detrend` "none", the default; the paper does not say): a constant gyro torque that goes with no angle looks like a
+stiff vehicle. With every bin from 0 Hz on (`coherence` 0) 40 N m make the inertia 27 % too small and the stiffness 42 %
+too large in a simulated sweep, 10 N m still 17 and 20 %. These bins are incoherent, though, so that by default they are
+left out where they do harm, and 1 to 4 % remain. (13) makes `frequency_equation_error` nearly immune.
 
 Standard deviations follow from those of the response through the Jacobian, neighbouring bins not taken as independent,
 widened where the fit leaves more than noise. Source: Griese et al., section III-C, with the gravity's sign set right.
@@ -149,7 +151,7 @@ def usable(
     lowest, highest = band or (0.0, np.inf)
     inside = (measured.frequency >= lowest) & (measured.frequency <= highest) & np.isfinite(measured.magnitude_std)
     # By chance alone some of thousands of frequencies are coherent; and a constant's leakage is no yardstick.
-    inside &= measured.power >= EXCITED * np.max(measured.power[DETRENDED:])
+    inside &= measured.power >= EXCITED * np.max(measured.power[DETRENDED:], initial=0.0)
     used = inside & (measured.coherence >= coherence)
     moved = float(np.sqrt(np.sum(measured.power[used & (measured.frequency > 0.0)])))
     if used.sum() > parameters and moved < asked:

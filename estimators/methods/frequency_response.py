@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from estimators.contract import EstimationError, Status
 from estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
 from estimators.segments import DataError, segments
-from models.model import Model
+from models.model import Hold, Model
 from models.segment import Segment
 from telemetry.recording import Recording
 
@@ -45,6 +45,10 @@ STEPS = 4
 """A window, from one to the next: with half overlap what a sweep does at the windows' edges does not cancel."""
 DETRENDED = 2
 """Lowest bins that are left out where something was taken out of the windows: it is missing there."""
+SHORTEST = 50
+"""Samples of a window."""
+HIGHEST = 0.1
+"""Of the sampling rate: above it, what goes on between two samples counts."""
 OF_BINS = (1.0, (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2)
 """How alike errors are in the same, the next, and the next but one bin of a Hann window."""
 DIRECT = "direct: biased in closed loop by what the controller makes of disturbances"
@@ -161,9 +165,12 @@ def force_spectra(
     if not tables:
         raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
     window = window if window is not None else min(LONGEST_WINDOW, span / WINDOWS)
+    used = known_force(balance).free_symbols
+    inputs = [each for each in balance.model.inputs if {each.name, f"{each.name}_slope"} & {s.name for s in used}]
+    held = bool(inputs) and all(each.hold is Hold.ZERO_ORDER for each in inputs)
     length = round(0.5 * window / spacing)
-    half = cross_spectra(tables, spacing, length, Detrend(detrend))
-    return replace(cross_spectra(tables, spacing, 2 * length, Detrend(detrend)), half=half)
+    half, whole = (cross_spectra(tables, spacing, n, Detrend(detrend), held=held) for n in (length, 2 * length))
+    return replace(whole, half=half)
 
 
 def _injection(recording: Recording, segment: Segment, excitation: str) -> Array:
@@ -186,14 +193,17 @@ def evenly(pieces: Pieces, spacing: float) -> tuple[Array, Array]:
     return time, np.stack([np.interp(time, pieces.time, column) for column in values.T], axis=1)
 
 
-def cross_spectra(tables: Sequence[Array], spacing: float, length: int, detrend: Detrend) -> CrossSpectra:
+def cross_spectra(
+    tables: Sequence[Array], spacing: float, length: int, detrend: Detrend, *, held: bool = False
+) -> CrossSpectra:
     """Welch's average over all windows of `length` samples in the signals `tables`, each (n, k), `spacing` s apart.
 
+    `held`: all but the second are held from sample to sample, and given as the mean of both sides of their jumps.
     Raises DataError where less than two independent windows fit in.
     """
     step = max(1, length // STEPS)
     frames = [table[first : first + length] for table in tables for first in range(0, len(table) - length + 1, step)]
-    if len(frames) < 2 or length < 16:
+    if len(frames) < 2 or length < SHORTEST:
         longest = spacing * max((len(table) for table in tables), default=0)
         what = f"a window of {spacing * length:.3g} s does not fit twice into a longest stretch of {longest:.3g} s"
         raise DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer, or shorten the window.")
@@ -206,7 +216,13 @@ def cross_spectra(tables: Sequence[Array], spacing: float, length: int, detrend:
         stacked = stacked - stacked.mean(axis=1, keepdims=True)
         stacked = stacked - ramp * np.mean(stacked * ramp, axis=1, keepdims=True) / np.mean(ramp**2)
     samples = sum(map(len, tables))
-    transformed = np.fft.rfft(stacked * hann[:, None], axis=1)
+    frequency = np.fft.rfftfreq(length, spacing).astype(np.float64)
+    told = slice(0 if detrend is Detrend.NONE else DETRENDED, int(np.searchsorted(frequency, HIGHEST / spacing)))
+    frequency = frequency[told]
+    transformed = np.fft.rfft(stacked * hann[:, None], axis=1)[:, told]
+    if held:
+        sides = np.sinc(frequency * spacing) / np.cos(np.pi * frequency * spacing)
+        transformed[:, :, [place for place in range(stacked.shape[2]) if place != 1]] *= sides[:, None]
     matrix = np.einsum("wma,wmb->mab", transformed.conj(), transformed)
     matrix *= 2.0 / (len(frames) * length * np.sum(hann**2))
     shared = [
@@ -214,9 +230,7 @@ def cross_spectra(tables: Sequence[Array], spacing: float, length: int, detrend:
         for lag in range(1, min(STEPS, len(frames)))
     ]
     averages = len(frames) / (1.0 + 2.0 * sum(shared))
-    first = 0 if detrend is Detrend.NONE else DETRENDED
-    frequency = np.fft.rfftfreq(length, spacing).astype(np.float64)
-    return CrossSpectra(frequency[first:], matrix[first:], averages, samples, spacing * samples)
+    return CrossSpectra(frequency, matrix, averages, samples, spacing * samples)
 
 
 def response(
@@ -245,7 +259,9 @@ def response(
     if spectra.half is not None:
         _, coarse = _ratio(spectra.half, force, coordinate, through, change)
         # Every second frequency is one of the half windows', too; those between are taken to be like their neighbours.
-        grid = spectra.half.frequency
+        # A constant, which is in the lowest bins of either, is no leakage.
+        first = DETRENDED if spectra.half.frequency[0] == 0.0 else 0
+        grid, coarse = spectra.half.frequency[first:], coarse[first:]
         same = np.searchsorted(spectra.frequency, grid - 0.1 * spectra.frequency[-1] / len(spectra.frequency))
         changes = np.interp(spectra.frequency, grid, np.abs(coarse - found[same]))
         relative = np.hypot(relative, changes / np.maximum(np.sqrt(2.0) * np.abs(found), 1e-300))

@@ -5,7 +5,8 @@ is projected on the injected excitation and on what first-order lags of 1/32 to 
 bandwidth; in proportion at others), and the regressors are evaluated on these projections, sign() and all, and
 filtered alike. Neither sensor noise nor a disturbance that the controller feeds back reaches them, since neither knows
 the excitation; the result is consistent in closed loop, on unstable plants too. What the excitation does not move has
-no instrument and is said to be unknown, also where the vehicle moved otherwise.
+no instrument and is said to be unknown, also where the vehicle moved otherwise. Noise inside of a nonlinear term, as in
+the sign of a rate near zero, is not removed.
 
 An excitation that alone drives the gimbals, as the step from rest does, acts differently from one within the closed
 loop: where the setpoint equals it, it is projected on lags of its own.
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from estimators.balance_rows import InstrumentBank
 from estimators.contract import Estimate, Status
 from estimators.fit_result import refused
-from estimators.methods.balance import Balance, split
+from estimators.methods.balance import Balance, channel, split
 from estimators.methods.least_squares import balance_rows, checked_bandwidth, regression
 from estimators.segments import DataError, segments
 from estimators.stopwatch import stopwatch
@@ -36,6 +37,8 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 METHOD = "instrumental_variables"
+ANSWERED = 0.3
+"""Share of the rate's power that has to go with the excitation; by chance it is up to a fifth in half a minute."""
 SETPOINT = "precession_rate_setpoint"
 """The channel that tells, where there is one, whether the excitation alone drives the vehicle."""
 
@@ -68,10 +71,12 @@ def instrumental_variables(
         if not any(np.ptp(values) > 0.0 for values, _ in injected):
             what = f"channel {excitation} never moves"
             raise DataError(Status.TOO_LITTLE_EXCITATION, "recordings", what, remedy="run an experiment that excites.")
+        projected = noise_free(balance, stretches, banks)
+        _require_response(balance, stretches, projected, excitation)
     except DataError as error:
         return refused(balance.model, METHOD, error, stopwatch() - began)
     rows = balance_rows(balance, stretches, bandwidth)
-    quiet = balance_rows(balance, noise_free(balance, stretches, banks), bandwidth)
+    quiet = balance_rows(balance, projected, bandwidth)
     return regression(METHOD, balance, stretches, rows, bandwidth, began, [each.regressors for each in quiet])
 
 
@@ -125,3 +130,16 @@ def noise_free(balance: Balance, data: Sequence[Segment], banks: Sequence[Array]
             )
         )
     return found
+
+
+def _require_response(balance: Balance, data: Sequence[Segment], projected: Sequence[Segment], excitation: str) -> None:
+    """Raises DataError where the joint does not answer the excitation: chance would make the instruments."""
+    for place, output in enumerate(balance.model.outputs):
+        if not balance.motion[1].has(channel(output.name), channel(output.name, 1)):
+            continue
+        measured, quiet = (np.concatenate([each.measured[:, place] for each in part]) for part in (data, projected))
+        share = 1.0 - float(np.var(measured - quiet) / np.var(measured))
+        if share < ANSWERED:
+            what = f"{100.0 * share:.0f} % of how {output.name} moves go with {excitation}"
+            remedy = f"{100.0 * ANSWERED:.0f} % are needed: excite it stronger, and check that it was really injected."
+            raise DataError(Status.TOO_LITTLE_EXCITATION, "recordings", what, remedy=remedy)

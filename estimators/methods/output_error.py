@@ -95,7 +95,7 @@ def _output_error(
             task = problem(model, recordings, estimate=estimate, support=support, longest=length, progress=progress)
     except DataError as error:
         return refused(model, method, error, stopwatch() - began)
-    minimum, weights = fit(task, simplex=method == SIMPLEX)
+    task, minimum, weights = fit(task, simplex=method == SIMPLEX)
     return _result(task, method, minimum, weights, began)
 
 
@@ -106,8 +106,11 @@ def longest_window(task: Problem) -> float | None:
     return GROWTH / pole if pole > 0.01 / task.span else None
 
 
-def fit(task: Problem, *, simplex: bool = False) -> tuple[Minimum, Array]:
-    """The minimum and the outputs' weights (ny, ny) there. Raises ArithmeticError where the start runs away."""
+def fit(task: Problem, *, simplex: bool = False) -> tuple[Problem, Minimum, Array]:
+    """`task` in steps as short as it turned out to need, the minimum, the outputs' weights (ny, ny) there.
+
+    Raises ArithmeticError where the start runs away.
+    """
     lower, upper = task.bounds
     common, own = task.start, task.own_start
     weights = np.diag([1.0 / output.noise for output in task.model.outputs])
@@ -124,15 +127,16 @@ def fit(task: Problem, *, simplex: bool = False) -> tuple[Minimum, Array]:
             scale=task.scale,
             lower=common if simplex else lower,
             upper=common if simplex else upper,
-            tolerance=1e-6 if last else 1e-3,
+            tolerance=1e-4 if last else 1e-3,
         )
         if minimum is None:
             raise ArithmeticError("the simulation runs away from the start values: use prediction_error")
         common, own = minimum.common, list(minimum.own)
         if not last:
             weights = weights @ np.diag(1.0 / _spread(minimum.blocks, task))
+            task = task.refined(common)
     assert minimum is not None
-    return minimum, weights
+    return task, minimum, weights
 
 
 def _spread(blocks: Sequence[Block], task: Problem) -> Array:

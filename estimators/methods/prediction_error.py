@@ -115,14 +115,16 @@ def fit(task: Problem, *, prior: bool = True) -> Fit:
     for turn in range(ROUNDS):
         weights = np.linalg.inv(np.linalg.cholesky(covariance))
 
-        def evaluate(common: Array, own: Sequence[Array]) -> list[Block] | None:
+        def evaluate(
+            common: Array, own: Sequence[Array], task: Problem = task, weights: Array = weights
+        ) -> list[Block] | None:
             gain = noise.gain(task.values(common[:size]), common[size:])
             if gain is None:
                 return None
             slopes = noise.slopes(task.values(common[:size]), common[size:], task.free, task.scale)
             if slopes is None:
                 return None
-            blocks = task.evaluate(common[:size], own[:-1], weights=weights, gain=gain, slopes=slopes)  # noqa: B023
+            blocks = task.evaluate(common[:size], own[:-1], weights=weights, gain=gain, slopes=slopes)
             if blocks is None:
                 return None
             return [*blocks, Block((common - centre) * weight, np.diag(weight), np.zeros((len(weight), 0)))]
@@ -136,6 +138,10 @@ def fit(task: Problem, *, prior: bool = True) -> Fit:
         settled = turn > 1 and np.max(np.abs(minimum.common[:size] - common[:size]) / task.scale) < 1e-3
         common, own = minimum.common, list(minimum.own)
         before, covariance = covariance, _covariance(minimum.blocks[:-1], weights, task)
+        finer = task.refined(common[:size])
+        if finer.substeps > task.substeps:
+            task = finer
+            continue
         if settled and np.allclose(np.diag(before), np.diag(covariance), rtol=0.01):
             minimum = replace(minimum, converged=True)
             break

@@ -14,7 +14,14 @@ STATIC_TORQUE = Effect(
     force="torque",
     signature="The mean of the missing torque is not zero. A balanced vehicle stands at another angle, or its "
     "actuator drifts away at a steady rate.",
-    confused_with=("torque_step", "torque_drift", "asymmetric_friction", "gimbal_imbalance", "sensor_offset"),
+    confused_with=(
+        "torque_step",
+        "torque_drift",
+        "asymmetric_friction",
+        "gimbal_imbalance",
+        "sensor_offset",
+        "gyro_bias",
+    ),
     separated_by="A square wave of the angle's reference: a constant torque stays where friction changes its sign. "
     "Weigh it: a known payload at a known place adds to it, not to an offset of the sensor.",
     source="Griese et al. (MONOCAB): the static torque that their model lacked",
@@ -68,7 +75,12 @@ TORQUE_DRIFT = Effect(
     ),
     force="torque * (1 - exp(-time / time_constant))",
     signature="The missing torque grows slowly from the start of the record and levels off.",
-    confused_with=("static_torque", "torque_step"),
+    confused_with=(
+        "static_torque",
+        "torque_step",
+        "sensor_offset",
+        "gyro_bias",
+    ),
     separated_by="A record that is several time constants long; a second one without a pause does not start again.",
     source="first-order creep; Lakes, Viscoelastic Materials (2009), standard linear solid",
 )

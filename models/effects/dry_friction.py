@@ -61,7 +61,13 @@ STRIBECK_FRICTION = Effect(
     force="-torque * (sliding + (1 - sliding) * exp(-(rate / stribeck_rate) ** 2)) * tanh(rate / smooth_rate)",
     signature="The missing torque turns with the sign of the rate and is largest just after a reversal: stick and "
     "slip.",
-    confused_with=("coulomb_friction", "viscous_friction", "asymmetric_friction", "load_dependent_friction"),
+    confused_with=(
+        "coulomb_friction",
+        "viscous_friction",
+        "asymmetric_friction",
+        "load_dependent_friction",
+        "hysteresis",
+    ),
     separated_by="Slow and fast motion in one record, as a triangle wave of the angle at two frequencies: friction "
     "falls with the rate where Coulomb friction stays and viscous friction grows.",
     dissipative=True,
@@ -82,7 +88,12 @@ LOAD_DEPENDENT_FRICTION = Effect(
     ),
     force="-share * abs(gain * actuator_rate) * tanh(rate / smooth_rate)",
     signature="The missing torque turns with the sign of the rate and is large where the actuator works hard.",
-    confused_with=("coulomb_friction", "stribeck_friction", "viscous_friction"),
+    confused_with=(
+        "coulomb_friction",
+        "stribeck_friction",
+        "viscous_friction",
+        "quadratic_drag",
+    ),
     separated_by="The same slow motion with a small and a large actuator force, as with and without a known side load.",
     dissipative=True,
     source="Armstrong-Helouvry et al., Automatica 30 (1994) 1083; Hamon, Gautier, Garrec, IROS 2010",
@@ -107,7 +118,12 @@ ASYMMETRIC_FRICTION = Effect(
         " * tanh(rate / smooth_rate)"
     ),
     signature="The missing torque turns with the sign of the rate and has a mean that is there only while it moves.",
-    confused_with=("coulomb_friction", "stribeck_friction", "static_torque"),
+    confused_with=(
+        "coulomb_friction",
+        "stribeck_friction",
+        "hysteresis",
+        "static_torque",
+    ),
     separated_by="Motion and long rests in one record: at rest the mean of friction is gone, that of a static torque "
     "is not.",
     dissipative=True,

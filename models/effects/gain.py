@@ -24,7 +24,10 @@ INPUT_DEADBAND = Effect(
     ),
     command="max(command - width, 0) + min(command + width, 0)",
     signature="The missing torque has a fixed size against the sign of the command; a balanced vehicle hunts slowly.",
-    confused_with=("backlash", "input_gain", "input_asymmetry"),
+    confused_with=(
+        "backlash",
+        "input_gain",
+    ),
     separated_by="The same excitation at two amplitudes: a dead band costs a fixed size, a gain error a fixed share.",
     source="Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)",
 )
@@ -49,7 +52,7 @@ INPUT_ASYMMETRY = Effect(
     command="command + asymmetry * abs(command)",
     signature="The missing torque follows the command's size, not its sign: excitation drives the actuator away to "
     "one side.",
-    confused_with=("input_gain", "input_deadband"),
+    confused_with=("input_gain",),
     separated_by="Excitation of both signs that is strong enough: a gain error is alike on both sides.",
     source="piecewise linear actuator; Tao, Kokotovic (1996)",
 )

@@ -36,7 +36,12 @@ HYSTERESIS = Effect(
     ),
     force="-torque * z",
     signature="The missing torque over the coordinate is a loop whose shape does not depend on the speed.",
-    confused_with=("coulomb_friction", "backlash"),
+    confused_with=(
+        "coulomb_friction",
+        "stribeck_friction",
+        "asymmetric_friction",
+        "backlash",
+    ),
     separated_by="The same slow triangle wave at two amplitudes, one smaller than the yield travel: small loops close "
     "to a line, as of a spring, where those of dry friction stay rectangles.",
     dissipative=True,

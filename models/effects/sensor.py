@@ -16,7 +16,11 @@ GYRO_BIAS = Effect(
     parameters=(EffectParameter("bias", "{rate}", "what it shows at rest", amplitude=True, scale="rate_scale / 10"),),
     rate_reading="rate + bias",
     signature="The innovation of the rate has a mean; the angle does not move as the rate says.",
-    confused_with=("sensor_offset",),
+    confused_with=(
+        "sensor_offset",
+        "static_torque",
+        "torque_drift",
+    ),
     separated_by="Seconds at rest on a support.",
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )
@@ -32,7 +36,11 @@ SENSOR_OFFSET = Effect(
     ),
     angle_reading="angle + offset",
     signature="A balanced vehicle stands at a reading that is not zero; its dynamics stay as they are.",
-    confused_with=("static_torque", "gyro_bias"),
+    confused_with=(
+        "static_torque",
+        "gyro_bias",
+        "torque_drift",
+    ),
     separated_by="Both supports in turn, whose angles are known to be alike, or a spirit level.",
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )

@@ -53,7 +53,10 @@ QUADRATIC_DRAG = Effect(
     ),
     force="-coefficient * rate * abs(rate)",
     signature="The missing torque over the rate is flat near zero and bends away at high rates.",
-    confused_with=("viscous_friction",),
+    confused_with=(
+        "viscous_friction",
+        "load_dependent_friction",
+    ),
     separated_by="The same sine wave at two amplitudes that are far apart; one amplitude cannot tell it from viscous "
     "friction.",
     dissipative=True,

@@ -1,0 +1,141 @@
+"""From single fits to the document of `identify --json`: joint estimates, runs and their mean, which predicts best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from statistics import fmean, stdev
+from typing import Any
+
+from estimators.contract import Estimate, ParameterEstimate, Status
+from estimators.method_table import METHODS, Domain, Experiment
+from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
+from telemetry.recording import Recording
+
+FAILED, NOT_SUITED, CANCELLED = "failed", "not_suited", "cancelled"
+"""What a method's status can be, besides those of an estimate."""
+
+PREFERRED = (
+    "prediction_error",
+    "output_error",
+    "output_error_simplex",
+    "instrumental_variables",
+    "recursive_prediction_error",
+    "recursive_instrumental_variables",
+    "recursive_output_error",
+    "least_squares",
+    "recursive_least_squares",
+)
+"""Those without a bias first, and of these the surest. What the frequency domain gives lacks the static torque."""
+AS_GOOD = 1.0
+"""Percent of fit that are no difference: the sensors' noise at the start of each prediction makes as much."""
+
+Results = dict[tuple[str, tuple[int, ...]], dict[str, Any]]
+"""By method and the places of its recordings: an estimate, JSON-ready."""
+
+
+def nothing(status: str, reason: str) -> dict[str, Any]:
+    """The entry of a method without a result."""
+    return {"parameters": {}, "fit_percent": {}, "seconds": 0.0, "status": status, "reason": reason}
+
+
+def document(
+    recordings: Sequence[Recording],
+    experiments: Sequence[Experiment],
+    left_out: Mapping[str, Sequence[str]],
+    found: Results,
+    *,
+    before: Mapping[str, Mapping[str, Any]],
+    vehicle: Mapping[str, tuple[float, float]],
+    alike: bool,
+    cancelled: bool,
+) -> dict[str, Any]:
+    """The whole document.
+
+    `left_out`: by method, for each recording, why it is not taken, "" where it is. `before`: value, std and unit of
+    what is sought, as the vehicle file or the model has it; `vehicle`: value and std of all that the file has.
+    `alike`: fit_percent is the same measure for all methods.
+    """
+    methods = {
+        name: {"domain": METHODS[name].domain.value, **_method(name, recordings, reasons, found)}
+        for name, reasons in left_out.items()
+    }
+    best = best_method(methods, alike)
+    for entry in methods.values():
+        if entry["domain"] == Domain.DRIVES:
+            entry["parameters"] |= _apparent_inertia(entry["parameters"], methods.get(best, {}), vehicle)
+            entry["inertia_from"] = best
+    return {
+        "methods": methods,
+        "best": best,
+        "fit_measured_alike": alike,
+        "before": {name: dict(entry) for name, entry in before.items()},
+        "recordings": [
+            {"recording": recording.source, "experiment": str(experiment)}
+            for recording, experiment in zip(recordings, experiments, strict=True)
+        ],
+        "cancelled": cancelled,
+    }
+
+
+def best_method(methods: Mapping[str, Mapping[str, Any]], alike: bool = True) -> str:
+    """The method to rely on, "" where none knows: the first of PREFERRED that predicts as well as any, within AS_GOOD.
+
+    Fits that are not measured `alike` cannot be compared: then it is the first that knows all that it is asked.
+    """
+    fits = {name: methods[name]["fit_percent"] for name in PREFERRED if name in methods}
+    if not alike:
+        return next((name for name in fits if methods[name]["status"] == Status.OK), "")
+    known = {name: fmean(fit.values()) for name, fit in fits.items() if fit}
+    return next((name for name in known if known[name] >= max(known.values()) - AS_GOOD), "")
+
+
+def _method(name: str, recordings: Sequence[Recording], reasons: Sequence[str], found: Results) -> dict[str, Any]:
+    """The joint estimate of one method, its runs and their mean."""
+    taken = tuple(place for place, reason in enumerate(reasons) if not reason)
+    cancelled = nothing(CANCELLED, "ended before it was done")
+    if not taken:
+        return {**nothing(NOT_SUITED, "; ".join(dict.fromkeys(reasons)) or "no recording"), "runs": [], "mean": {}}
+    runs = []
+    for place, (recording, reason) in enumerate(zip(recordings, reasons, strict=True)):
+        entry = nothing(NOT_SUITED, reason) if reason else found.get((name, (place,)), cancelled)
+        kept = {key: entry[key] for key in ("parameters", "status", "reason", "seconds")}
+        runs.append({"recording": recording.source, **kept})
+    return {**found.get((name, taken), cancelled), "runs": runs, "mean": dict(_means(runs))}
+
+
+def _means(runs: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """By parameter the mean of the runs that know it; `std` is their scatter, None for a single one."""
+    units = {name: entry["unit"] for run in runs for name, entry in run["parameters"].items()}
+    for name, unit in units.items():
+        values = [run["parameters"][name]["value"] for run in runs if name in run["parameters"]]
+        known = [value for value in values if value is not None]
+        if known:
+            std = stdev(known) if len(known) > 1 else None
+            yield name, {"value": fmean(known), "std": std, "unit": unit, "runs": len(known)}
+
+
+def _apparent_inertia(
+    drives: Mapping[str, Any], best: Mapping[str, Any], vehicle: Mapping[str, tuple[float, float]]
+) -> dict[str, Any]:
+    """The apparent inertia beside the mechanical one of the best method: as measured, and by the formula."""
+    if "inertia" not in best.get("parameters", {}) or not {"speed_loop_lag", "roll_reaction"} <= drives.keys():
+        return {}
+    inertia, lag, reaction = (
+        _estimate(entry) for entry in (best["parameters"]["inertia"], drives["speed_loop_lag"], drives["roll_reaction"])
+    )
+    found = {}
+    if "angular_momentum" in vehicle:
+        momentum = vehicle["angular_momentum"]
+        found["apparent_inertia"] = measured_apparent_inertia(inertia, reaction, momentum)
+        if "gimbal_inertia" in vehicle:
+            found["apparent_inertia_by_formula"] = apparent_inertia_estimate(
+                inertia, lag, momentum, vehicle["gimbal_inertia"]
+            )
+    shown: dict[str, Any] = Estimate("", found, Status.OK, "", 0, 0.0).to_json()["parameters"]
+    return shown
+
+
+def _estimate(entry: Mapping[str, Any]) -> ParameterEstimate:
+    keys = ("value", "std", "unit", "status", "coverage_percent", "reason")
+    value, std, unit, status, coverage, reason = (entry[key] for key in keys)
+    return ParameterEstimate(value, std, unit, Status(status), coverage, reason)

@@ -1,0 +1,109 @@
+"""The methods that identify a vehicle, in groups as in the paper's figure 3, and which recordings each of them takes.
+
+Time domain: a step from rest, as in the paper, since nothing moves the vehicle more in so short a time. Where no
+recording is of a step, they take all: every experiment begins with getting up from the support. Prediction error and
+the recursive methods take all recordings at once anyway.
+
+Frequency domain: an excitation of the roll reference that covers a band, while the vehicle is balanced. One at the
+controller's output the controller works against, which leaves the low frequencies, and so the gravity stiffness, unsure
+(Griese et al., section III-C); a step from rest is no periodic motion at all.
+
+A recording that does not say which experiment it is of (a CSV file) is given to every method; the method itself refuses
+what it cannot use.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from telemetry.recording import Recording
+
+
+class Domain(StrEnum):
+    """Groups of methods."""
+
+    TIME = "time domain"
+    FREQUENCY = "frequency domain"
+    RECURSIVE = "recursive"
+    DRIVES = "drives"
+    """What is told of the actuators, apart from the vehicle."""
+
+
+class Takes(StrEnum):
+    """Which recordings a method takes."""
+
+    ALL = "all recordings"
+    STEPS = "steps from rest"
+    BANDS = "a sweep or multisine on the reference"
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One method by the name it is asked for and reported by."""
+
+    name: str
+    domain: Domain
+    takes: Takes
+
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method("output_error", Domain.TIME, Takes.STEPS),
+        Method("output_error_simplex", Domain.TIME, Takes.STEPS),
+        Method("least_squares", Domain.TIME, Takes.STEPS),
+        Method("instrumental_variables", Domain.TIME, Takes.STEPS),
+        Method("prediction_error", Domain.TIME, Takes.ALL),
+        Method("frequency_output_error", Domain.FREQUENCY, Takes.BANDS),
+        Method("frequency_equation_error", Domain.FREQUENCY, Takes.BANDS),
+        Method("recursive_least_squares", Domain.RECURSIVE, Takes.ALL),
+        Method("recursive_instrumental_variables", Domain.RECURSIVE, Takes.ALL),
+        Method("recursive_output_error", Domain.RECURSIVE, Takes.ALL),
+        Method("recursive_prediction_error", Domain.RECURSIVE, Takes.ALL),
+        Method("drive_lag", Domain.DRIVES, Takes.ALL),
+    )
+}
+"""In the order in which they are shown."""
+
+BANDS = ("sweep", "multisine")
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """What a recording says it is of: `excitation` and where it acts, `at`; "" where it does not say."""
+
+    excitation: str = ""
+    at: str = ""
+
+    def __str__(self) -> str:
+        if self.excitation in ("", "none"):
+            return "no excitation" if self.excitation else "an unknown experiment"
+        return f"a {self.excitation} {'from' if self.at == 'rest' else 'at'} {self.at.replace('_', ' ')}"
+
+
+def experiment_of(recording: Recording) -> Experiment:
+    """The experiment of a recording's metadata."""
+    try:
+        definition = json.loads(recording.metadata.get("experiment_definition", "{}"))
+        return Experiment(str(definition.get("excitation", "")), str(definition.get("at", "")))
+    except (ValueError, AttributeError):
+        return Experiment()
+
+
+def unsuited(method: Method, experiments: Sequence[Experiment]) -> list[str]:
+    """Why `method` leaves out each of the recordings of these `experiments`; "" for those that it takes."""
+    stepped = any(each.excitation == "step" for each in experiments)
+
+    def reason(experiment: Experiment) -> str:
+        if not experiment.excitation:
+            return ""
+        if method.takes is Takes.BANDS and (experiment.excitation not in BANDS or experiment.at == "controller_output"):
+            return f"it is of {experiment}; this method takes {method.takes}"
+        if method.takes is Takes.STEPS and stepped and experiment.excitation != "step":
+            return f"it is of {experiment}; this method takes {method.takes}, and there are some"
+        return ""
+
+    return [reason(experiment) for experiment in experiments]

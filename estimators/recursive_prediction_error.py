@@ -1,0 +1,154 @@
+"""Prediction error and output error while the vehicle runs: the recursion beside the batch methods of these names.
+
+The compiled model's predictor runs over the control cycles, a tenth of a second at a time, and after each chunk its
+parameters move by the Gauss-Newton recursion on the exact sensitivities (estimators.recursive_predictor). CAD values
+with their standard deviations are the prior; whether a parameter is identified is decided by the rules of
+estimators.fit_result. The recursive output error simulates for a second at a time, each from a fitted initial state on,
+since errors in the simulation of an unstable plant grow without bound.
+
+Chunks depend on cycles alone, so live, replayed and simulated cycles give the same numbers bit for bit.
+Source: Ljung, "System identification", 2nd ed., section 11.5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import StrEnum
+
+import numpy as np
+
+from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from estimators.frame_chunks import FrameChunks
+from estimators.problem import FINEST, Problem, jacobian
+from estimators.recursive_predictor import RecursivePredictor
+from models import library
+from models.kernel import Progress, compile_model
+from models.model import Model, Parameter
+from models.segment import Segment
+from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.samples import Frame
+
+CHUNK = 25
+"""Rows that are processed together."""
+WINDOW = 1.0
+"""s after which a simulation begins anew."""
+SHORTEST_SPAN = 0.4
+"""s of free motion before a result is given."""
+SMALLEST = 0.1
+"""Share of its start value down to which a parameter that must not vanish is followed."""
+
+
+class Method(StrEnum):
+    """The two forms, by the names the results go under."""
+
+    PREDICTION_ERROR = "recursive_prediction_error"
+    OUTPUT_ERROR = "recursive_output_error"
+
+
+class RecursivePredictionError:
+    """Estimator of a model's parameters from control cycles.
+
+    `parameters` and `deviations` are the vehicle file's CAD values and their standard deviations, of which the model
+    takes those that it has. `support` rad: the vehicle is free where its first joint's coordinate is less. `memory` s
+    is the time constant of forgetting. To make one compiles the model, which takes seconds where it is not in the cache
+    (`progress` is told), and nothing later does.
+    Raises EstimationError where nothing is to be estimated or a channel is missing, ModelError for a model that cannot
+    be.
+    """
+
+    def __init__(
+        self,
+        model: Model | str,
+        *,
+        parameters: Mapping[str, float] | None = None,
+        deviations: Mapping[str, float] | None = None,
+        support: float | None = None,
+        channels: ChannelTable = MONOCAB,
+        method: Method = Method.PREDICTION_ERROR,
+        memory: float = math.inf,
+        progress: Progress | None = None,
+    ) -> None:
+        model = library.get(model) if isinstance(model, str) else model
+        names = {parameter.name for parameter in model.parameters}
+        values = {name: value for name, value in (parameters or {}).items() if name in names}
+        spread = {name: std for name, std in (deviations or {}).items() if name in names}
+        self._model = model = _computable(model.change(values, deviations=spread))
+        if not any(parameter.estimated for parameter in model.parameters):
+            raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
+        if not memory > 0.0:
+            raise EstimationError("memory", f"{memory:g} s is no time constant", remedy="give a positive one.")
+        self._method = method
+        self._memory = memory
+        window = WINDOW if method is Method.OUTPUT_ERROR else 0.0
+        self._chunks = FrameChunks(model, channels, support=support, rows=CHUNK, window=window)
+        self._problem = at_rest(model, 0.01, progress)
+        self.reset()
+
+    @property
+    def method(self) -> str:
+        return self._method.value
+
+    def reset(self) -> None:
+        """Forget all cycles."""
+        self._chunks.reset()
+        self._predictor: RecursivePredictor | None = None
+
+    def update(self, frame: Frame) -> None:
+        """Take one control cycle; those on the support, out of order or with unknown values are passed over."""
+        chunk = self._chunks.update(frame)
+        if chunk is None:
+            return
+        if self._predictor is None:
+            period = self._chunks.period
+            corrected = self._method is Method.PREDICTION_ERROR
+            problem = at_rest(self._model, period)
+            self._predictor = RecursivePredictor(problem, period, self._memory, corrected=corrected)
+        self._predictor.take(chunk)
+
+    def result(self) -> Estimate:
+        """The model's parameters with standard deviations, the uncertainty of those that are held included."""
+        predictor = self._predictor
+        if predictor is None or predictor.span < SHORTEST_SPAN:
+            return self._no_result(0.0 if predictor is None else predictor.span)
+        estimate = replace(predictor.estimate(self.method), samples=predictor.rows, span=predictor.span)
+        if not predictor.lost:
+            return estimate
+        lost = f"the predictor lost the vehicle {predictor.lost} times and began anew at the measurement"
+        return replace(estimate, reason="; ".join(filter(None, (estimate.reason, lost))))
+
+    def _no_result(self, span: float) -> Estimate:
+        came = "the vehicle has hardly left its supports" if self._chunks.cycles else "no control cycle has come in yet"
+        reason = f"{span:.1f} s of free motion, {SHORTEST_SPAN:g} s needed: {came}"
+        lacking = Status.TOO_FEW_SAMPLES
+        unknown = {
+            p.name: ParameterEstimate(None, None, p.unit, lacking, 0.0, reason) for p in self._problem.parameters
+        }
+        return Estimate(self.method, unknown, lacking, reason, 0, span)
+
+
+def at_rest(model: Model, period: float, progress: Progress | None = None) -> Problem:
+    """What is sought, without data: the compiled model, and a moment at rest, sampled every `period` s, to take its
+    poles and its noise from."""
+    kernel = compile_model(model, progress=progress)
+    time = period * np.arange(3.0)
+    inputs, outputs = len(kernel.inputs), len(kernel.outputs)
+    knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
+    rest = Segment(time, knots, np.zeros((3, inputs)), np.zeros((3, outputs)), "at rest")
+    free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
+    own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
+    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, kernel.vector(), (rest,))))))
+    substeps = int(np.clip(np.ceil(period * fastest / FINEST), 1, 50))
+    return Problem(model, kernel, (rest,), free, own, (), substeps)
+
+
+def _computable(model: Model) -> Model:
+    """The model with bounds at which it can still be computed: an inertia of zero cannot."""
+
+    def bounded(parameter: Parameter) -> Parameter:
+        if parameter.lower == 0.0 < parameter.value and parameter.estimated:
+            return replace(parameter, lower=SMALLEST * parameter.value)
+        return parameter
+
+    return replace(model, base_parameters=tuple(map(bounded, model.base_parameters)))

@@ -1,0 +1,263 @@
+"""A compiled model's predictor that runs over control cycles, a chunk at a time, and learns from how far off it is.
+
+Its unknowns are the estimated parameters and the logarithms of the noise (estimators.innovations), hence the Kalman
+gain; with them each stretch's initial state. Innovations are weighed by their covariance, which is learned along.
+
+What the first chunks say is said at a start value that may be far off: derivatives, gain and weights there are as wrong.
+So the last minute's chunks are kept and gone through again, with the unknowns held, when as much has come in again as
+there was: at 2, 4, 8, ... s of free motion. Each time is one Gauss-Newton step of the batch fit, for which it costs as
+much again as the recursion itself.
+
+Without a gain it is a simulation, to be begun anew every second where the plant is unstable. Its errors are alike from
+row to row, so what is known is then told from how the gradient varies between chunks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Estimate
+from estimators.fit_result import assemble
+from estimators.frame_chunks import Chunk, join
+from estimators.gauss_newton import Minimum
+from estimators.innovations import SPREAD, WIDEST, NoiseModel
+from estimators.problem import Problem
+from estimators.recursive_gauss_newton import RecursiveGaussNewton
+from models.expressions import number
+from models.kernel import Memory
+from models.segment import Segment
+
+Array = NDArray[np.float64]
+
+MOVED = (0.5, 0.5)
+"""Typical sizes of a parameter, and natural logarithms of a noise, after which the gain is computed anew."""
+ABSURD = 30.0
+"""Standard deviations that no innovation of a predictor that works has."""
+WIDE = 10.0
+"""Typical sizes within which a parameter lies of which nothing is known."""
+GROWTH = 1.5
+AGAIN = 2.0
+"""s of free motion after which the chunks are gone through again for the first time."""
+KEPT = 64.0
+"""s of free motion from which on no chunks are kept any more."""
+JOINED = 40
+"""Chunks that are gone through in one when they are gone through again."""
+
+
+class RecursivePredictor:
+    """`problem` without data says what is sought; cycles follow each other in `period` s.
+
+    `memory` s is the time constant of forgetting. Without `corrected` it is a simulation.
+    """
+
+    def __init__(self, problem: Problem, period: float, memory: float, *, corrected: bool) -> None:
+        self._problem, self._period, self._memory = problem, period, memory
+        self._noise = NoiseModel.of(problem) if corrected else None
+        model, kernel = problem.model, problem.kernel
+        free, logarithms = len(problem.free), self._noise.size if self._noise else 0
+        parameters, states, outputs = len(kernel.parameters), len(kernel.states), len(kernel.outputs)
+        gains = range(states * outputs) if self._noise else ()
+        self._active = (
+            *problem.free,
+            *(parameters + place for place in problem.own),
+            *problem.uncertain,
+            *(parameters + states + entry for entry in gains),
+        )
+        # Columns of the active are in their units: the typical sizes of parameters, standard deviations of the others.
+        spread = [model.states[place].initial_std for place in problem.own]
+        held = [model.parameters[place].std for place in problem.uncertain]
+        self._sizes = np.concatenate((problem.scale, spread, held))
+        self._own = slice(free + logarithms, free + logarithms + len(spread))
+        self._free = free
+        self._start, self._scale, (self._lower, self._upper) = problem.start, problem.scale, problem.bounds
+        known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
+        widest = np.full(logarithms, WIDEST)
+        self._regression = RecursiveGaussNewton(
+            np.concatenate(((problem.scale / known) ** 2, np.full(logarithms, SPREAD**-2))),
+            np.concatenate(((self._lower - self._start) / self._scale, -widest)),
+            np.concatenate(((self._upper - self._start) / self._scale, widest)),
+            asked=free,
+            own=len(spread),
+            held=len(held),
+            clustered=self._noise is None,
+        )
+        # What is known of a sensor is a floor: innovations that seem smaller are no information about the vehicle.
+        floor = [output.noise if output.noise_known else 1e-9 * output.noise for output in model.outputs]
+        self._floor = np.diag(np.square(floor))
+        self._squares = np.diag(np.square([output.noise for output in model.outputs]))
+        self._weight = 1.0
+        self._delays = tuple(tuple(map(kernel.index, each.delays)) for each in model.inputs)
+        self._initial = tuple((state.initial, f"state {state.name}, initial") for state in model.states)
+        self._state: Memory | None = None
+        self._gain_at: Array | None = None
+        self._gain = np.zeros((states, outputs))
+        self._gain_slopes = np.zeros((len(gains), logarithms))
+        self._kept: list[Chunk] = []
+        self._again_at = AGAIN
+        self.rows = 0
+        """Rows that were learned from."""
+        self.span = 0.0
+        """s of free motion."""
+        self.lost = 0
+        """Times that the innovations were absurd."""
+
+    def take(self, chunk: Chunk) -> None:
+        """The next chunk. One with absurd innovations is left out; the predictor then begins anew."""
+        if self._state is None:
+            chunk = chunk.as_first()
+        if not self._learn(chunk):
+            self._state = None
+            self.lost += bool(self.rows)
+            return
+        if self._again_at < math.inf:
+            self._kept.append(chunk)
+        if self.span >= self._again_at:
+            self._learn_again()
+
+    def estimate(self, method: str) -> Estimate:
+        """What is known now, under the name `method`."""
+        uncertainty = self._regression.uncertainty()
+        units = np.outer(self._scale, self._scale)
+        common = self._values[list(self._problem.free)]
+        minimum = Minimum(
+            common=common,
+            own=(),
+            cost=0.0,
+            blocks=(),
+            information=np.zeros((self._free, self._free)),
+            iterations=0,
+            converged=True,
+            at_bound=(common <= self._lower) | (common >= self._upper),
+        )
+        return assemble(
+            self._problem,
+            method,
+            minimum,
+            covariance=uncertainty.total * units,
+            data_covariance=uncertainty.alone * units,
+            fit_percent={},
+            seconds=0.0,
+        )
+
+    @property
+    def _values(self) -> Array:
+        """Of all parameters, (np,)."""
+        common = self._start + self._scale * self._regression.z[: self._free]
+        return self._problem.values(np.clip(common, self._lower, self._upper))
+
+    def _learn(self, chunk: Chunk, *, moving: bool = True) -> bool:
+        """Predict through `chunk`, gather what the errors say, and move; False where they cannot be true."""
+        kernel, segment, rows = self._problem.kernel, chunk.segment, chunk.rows
+        values = self._values
+        if self._state is None or chunk.begins:
+            self._regression.begin()
+            self._state = kernel.memory(self._measured_state(segment.measured[chunk.first]), self._active)
+        else:
+            self._find_inputs(self._state, segment, chunk.first, values)
+        predicted = np.empty_like(segment.measured)
+        sensitivity = np.empty((*segment.measured.shape, len(self._active)))
+        kernel.proceed(
+            segment,
+            values,
+            self._state,
+            self._steady(values),
+            self._active,
+            predicted,
+            sensitivity,
+            first=chunk.first,
+            last=chunk.last,
+            substeps=self._problem.substeps,
+            skip=not chunk.begins,
+        )
+        error, slopes = segment.measured[rows] - predicted[rows], sensitivity[rows]
+        kept = math.exp(-len(error) * self._period / self._memory)
+        if not self._is_possible(error, slopes):
+            return False
+        self._learn_noise(error if self._noise else self._without_start(error, slopes), kept)
+        self.rows += len(error)
+        self.span += len(error) * self._period
+        whitening = self._whitening()
+        white = (whitening @ slopes).reshape(error.size, -1)
+        direct, free = len(self._sizes), self._free
+        scaled = white[:, :direct] * self._sizes
+        columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
+        self._regression.add((error @ whitening.T).ravel(), columns, kept, moving=moving)
+        return True
+
+    def _learn_again(self) -> None:
+        """All that is kept, seen from where the unknowns are now."""
+        self._again_at *= GROWTH
+        self._regression.forget()
+        self._state, self._gain_at = None, None
+        self.rows, self.span = 0, 0.0
+        for chunk in join(self._kept, JOINED):
+            self._learn(chunk, moving=False)
+        self._regression.move()
+        if self._again_at > KEPT:
+            self._again_at = math.inf
+            self._kept.clear()
+
+    def _steady(self, values: Array) -> Array | None:
+        """The gain at the present unknowns: exact where it was computed last, from there on by its slopes."""
+        if self._noise is None:
+            return None
+        z, free = self._regression.z, self._free
+        if self._gain_at is not None:
+            moved = np.abs(z - self._gain_at)
+            if max(moved[:free]) <= MOVED[0] and max(moved[free:], default=0.0) <= MOVED[1]:
+                return self._gain + (self._gain_slopes @ (z - self._gain_at)[free:]).reshape(self._gain.shape)
+        gain = self._noise.gain(values, z[free:])
+        slopes = self._noise.slopes(values, z[free:], (), np.zeros(0))
+        if gain is not None and slopes is not None:
+            self._gain, self._gain_slopes, self._gain_at = gain, np.ascontiguousarray(slopes), z
+        return self._gain
+
+    def _is_possible(self, error: Array, slopes: Array) -> bool:
+        """Whether the predictor still follows the vehicle. If not, the noise may just be more than was thought: it is
+        learned, within bounds."""
+        if not (np.isfinite(error).all() and np.isfinite(slopes).all()):
+            return False
+        if self._noise is None:
+            return True
+        largest = ABSURD * np.sqrt(np.diagonal(self._covariance()))
+        if (np.abs(error) <= largest).all():
+            return True
+        self._learn_noise(np.clip(error, -largest, largest), 1.0)
+        return False
+
+    def _learn_noise(self, error: Array, kept: float) -> None:
+        self._squares = kept * self._squares + error.T @ error
+        self._weight = kept * self._weight + len(error)
+
+    def _covariance(self) -> Array:
+        """Of an innovation, (ny, ny)."""
+        return self._squares / self._weight + self._floor
+
+    def _whitening(self) -> Array:
+        """Turns an innovation into independent ones of unit variance, (ny, ny)."""
+        return np.linalg.inv(np.linalg.cholesky(self._covariance()))
+
+    def _without_start(self, error: Array, slopes: Array) -> Array:
+        """`error` (n, ny) less what an initial state that is not quite as measured explains."""
+        whitening = self._whitening()
+        free, ends = self._free, self._free + self._own.stop - self._own.start
+        own = (whitening @ slopes[:, :, free:ends]).reshape(error.size, -1) * self._sizes[free:ends]
+        residual = (error @ whitening.T).ravel()
+        start = np.linalg.solve(own.T @ own + np.eye(ends - free), own.T @ residual)
+        return np.asarray((residual - own @ start).reshape(error.shape) @ np.linalg.inv(whitening).T)
+
+    def _find_inputs(self, state: Memory, segment: Segment, row: int, values: Array) -> None:
+        """Rows have moved up since the last chunk: which sample of each input acts at `row`."""
+        late = [sum(values[place] for place in places) for places in self._delays]
+        passed = np.count_nonzero(segment.knots + late < segment.time[row], axis=0)
+        state.pointer[:] = np.maximum(passed - 1, 0)
+
+    def _measured_state(self, measured: Sequence[float] | Array) -> Array:
+        """The state (nx,) as the outputs `measured` (ny,) show it."""
+        shown = zip(self._problem.kernel.outputs, map(float, measured), strict=True)
+        known = {**self._problem.model.values, **dict(shown)}
+        return np.array([number(text, known, what) for text, what in self._initial])

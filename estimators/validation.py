@@ -1,0 +1,111 @@
+"""How well a fitted model predicts recordings that it was not fitted to: a row ahead, some time ahead, all the way.
+
+Each figure is 100 % less the error over the channel's own movement about its mean, both RMS: 100 is perfect, 0 is no
+better than the mean. One step ahead every row is predicted from all rows before it; a simulation sees the inputs alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.methods.prediction_error import HORIZON, Fit, predicted_percent
+from estimators.problem import Problem, problem
+from models.segment import Segment
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """Percent by channel: `one_step`, `ahead` (`horizon` s) and `simulation`; `error` is the simulation's, RMS.
+
+    By stretch: `time` s (n,), `measured` and `simulated` (n, ny), from where the simulation begins.
+    """
+
+    horizon: float
+    one_step: Mapping[str, float]
+    ahead: Mapping[str, float]
+    simulation: Mapping[str, float]
+    error: Mapping[str, float]
+    time: tuple[Array, ...]
+    measured: tuple[Array, ...]
+    simulated: tuple[Array, ...]
+
+    def __str__(self) -> str:
+        lines = [
+            f"  {name:20} one step {self.one_step[name]:.2f} %, {self.horizon:g} s ahead {self.ahead[name]:.1f} %, "
+            f"simulation {self.simulation[name]:.1f} %"
+            for name in self.one_step
+        ]
+        return "\n".join(lines)
+
+
+def validate(
+    fitted: Fit,
+    recordings: Sequence[Recording],
+    *,
+    values: Mapping[str, float] | None = None,
+    support: float | None = None,
+    horizon: float = HORIZON,
+    settle: float = 0.0,
+) -> Validation:
+    """What `fitted` is worth on `recordings`, with `values` instead of some of its own.
+
+    A simulation starts from the state that the first row shows or, with `settle` s, from what the filter makes of so
+    much data. Raises DataError where the recordings cannot be used.
+    """
+    kernel = fitted.problem.kernel
+    own = dict(zip(kernel.parameters, fitted.values.tolist(), strict=True)) | dict(values or {})
+    task = problem(fitted.problem.model.change(own), recordings, support=support)
+    there = replace(
+        fitted,
+        problem=task,
+        minimum=replace(
+            fitted.minimum,
+            common=np.concatenate((task.start, fitted.minimum.common[len(task.free) :])),
+            own=tuple(task.own_start),
+        ),
+    )
+    starts = [min(int(np.searchsorted(segment.time, settle)), len(segment) - 2) for segment in task.segments]
+    innovations = [error[start + 1 :] for error, start in zip(there.innovations(), starts, strict=True)]
+    parts = [_simulated(there, *each) for each in zip(task.segments, there.starts, starts, strict=True)]
+    measured = [segment.measured[start:] for segment, start in zip(task.segments, starts, strict=True)]
+    errors = [shown - part for shown, part in zip(measured, parts, strict=True)]
+    rms = np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0))
+    return Validation(
+        horizon=horizon,
+        one_step=_percent(task, innovations, measured),
+        ahead=predicted_percent(there, horizon),
+        simulation=_percent(task, errors, measured),
+        error=dict(zip(kernel.outputs, rms.tolist(), strict=True)),
+        time=tuple(segment.time[start:] for segment, start in zip(task.segments, starts, strict=True)),
+        measured=tuple(measured),
+        simulated=tuple(parts),
+    )
+
+
+def _simulated(fitted: Fit, segment: Segment, initial: Array, start: int) -> Array:
+    """Filtered up to row `start`, simulated from there: (n - start, ny)."""
+    task, values = fitted.problem, fitted.values
+    memory = task.kernel.memory(initial)
+    predicted = np.empty_like(segment.measured)
+    nothing = np.empty((*segment.measured.shape, 0))
+    if start > 0:
+        task.kernel.proceed(
+            segment, values, memory, fitted.gain, (), predicted, nothing, last=start, substeps=task.substeps
+        )
+    task.kernel.proceed(
+        segment, values, memory, None, (), predicted, nothing, first=start, substeps=task.substeps, skip=start > 0
+    )
+    return predicted[start:]
+
+
+def _percent(task: Problem, errors: Sequence[Array], measured: Sequence[Array]) -> dict[str, float]:
+    error, shown = np.concatenate(errors), np.concatenate(measured)
+    share = np.sqrt(np.nanmean(error**2, axis=0)) / np.maximum(np.nanstd(shown, axis=0), 1e-300)
+    return {name: float(100.0 * (1.0 - each)) for name, each in zip(task.kernel.outputs, share, strict=True)}

@@ -1,0 +1,54 @@
+"""A quarter drone: an arm that a propeller lifts, in closed loop; two records are fitted, two others predicted.
+
+    python examples/quarter_drone.py [FOLDER]
+
+FOLDER holds quarter_drone/*.csv: Tempo_s (s), Saida_y (deg, 0 hangs down), Controle_u (% throttle), 100 Hz. The
+model is quarter_drone.toml. Degrees become radians, and a throttle below zero, where the propeller stands still, zero.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from estimators.contract import Estimate
+from estimators.methods import prediction_error
+from estimators.problem import problem
+from estimators.stopwatch import stopwatch
+from estimators.validation import Validation, validate
+from models.model_file import load_model
+from telemetry.channels import Channel, ChannelTable
+from telemetry.recording import Recording
+
+CHANNELS = ChannelTable((Channel("throttle", "1", "of the propeller"), Channel("angle", "rad", "of the arm")))
+FITTED = ("sinal2_degraus", "sinal4_multiseno")
+HELD_OUT = ("sinal3_swept_sine", "sinal1_semi_estatica")
+START_UP = 5.0
+"""s until the filter of the angle's reading has settled."""
+
+
+def load(folder: Path, name: str) -> Recording:
+    """One record, after the start-up."""
+    data = np.genfromtxt(folder / "quarter_drone" / f"{name}_malha_fechada.csv", delimiter=",", names=True)
+    data = data[data["Tempo_s"] >= START_UP]
+    throttle, angle = np.maximum(data["Controle_u"], 0.0) / 100.0, np.radians(data["Saida_y"])
+    time = np.round(data["Tempo_s"] * 1e9).astype(np.int64)
+    return Recording(CHANNELS, time, {"throttle": throttle, "angle": angle}, source=name)
+
+
+def identify(folder: Path) -> tuple[Estimate, dict[str, Validation]]:
+    """The fit, and what it is worth on each record."""
+    began = stopwatch()
+    model = load_model(Path(__file__).with_suffix(".toml"))
+    fitted = prediction_error.fit(problem(model, [load(folder, name) for name in FITTED]))
+    estimate = prediction_error.result(fitted, began)
+    return estimate, {name: validate(fitted, [load(folder, name)], settle=0.5) for name in (*FITTED, *HELD_OUT)}
+
+
+if __name__ == "__main__":
+    estimate, worth = identify(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    print(estimate)
+    for name, each in worth.items():
+        print(f"{name}{' (held out)' if name in HELD_OUT else ''}\n{each}")

@@ -1,0 +1,76 @@
+"""The minimiser of all fits against scipy on the same problem, and its bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from estimators.gauss_newton import Block, minimise
+
+TIME = np.linspace(0.0, 3.0, 60)
+RANDOM = np.random.default_rng(8)
+STARTS = (1.0, -2.0, 3.0)
+DATA = [start * np.exp(-0.7 * TIME) + 0.4 + 0.01 * RANDOM.standard_normal(len(TIME)) for start in STARTS]
+
+
+def evaluate(common: np.ndarray, own: Sequence[np.ndarray]) -> list[Block] | None:
+    """Decays of one rate to one offset, each from a start of its own."""
+    rate, offset = common
+    if rate > 50.0:
+        return None
+    blocks = []
+    for data, (start,) in zip(DATA, own, strict=True):
+        decay = np.exp(-rate * TIME)
+        derivatives = np.stack((-start * TIME * decay, np.ones_like(TIME)), axis=1)
+        blocks.append(Block(start * decay + offset - data, derivatives, decay[:, None]))
+    return blocks
+
+
+def fit(lower: Sequence[float] = (-np.inf, -np.inf), upper: Sequence[float] = (np.inf, np.inf)):  # type: ignore[no-untyped-def]
+    return minimise(
+        evaluate,
+        np.array([0.3, 0.0]),
+        [np.array([0.5]), np.array([-0.5]), np.array([0.5])],
+        scale=np.array([1.0, 1.0]),
+        lower=np.array(lower),
+        upper=np.array(upper),
+        tolerance=1e-10,
+        enough=1e-16,
+    )
+
+
+def test_same_minimum_and_covariance_as_scipy_finds_with_all_unknowns_at_once() -> None:
+    def residual(z: np.ndarray) -> np.ndarray:
+        return np.concatenate([z[2 + k] * np.exp(-z[0] * TIME) + z[1] - DATA[k] for k in range(3)])
+
+    peer = least_squares(residual, [0.3, 0.0, 0.5, -0.5, 0.5], xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    found = fit()
+    assert found.converged
+    assert np.concatenate((found.common, *found.own)) == pytest.approx(peer.x, rel=1e-6)
+    covariance = np.linalg.inv(peer.jac.T @ peer.jac)[:2, :2]
+    assert np.linalg.inv(found.information) == pytest.approx(covariance, rel=1e-5)
+
+
+def test_a_bound_in_the_way_is_kept_and_told() -> None:
+    found = fit(lower=(0.9, -np.inf))
+    assert found.converged
+    assert found.common[0] == 0.9
+    assert found.at_bound.tolist() == [True, False]
+
+
+def test_a_start_without_a_value_is_none_and_a_cliff_is_stepped_back_from() -> None:
+    assert (
+        minimise(
+            lambda common, own: None,
+            np.zeros(1),
+            [],
+            scale=np.ones(1),
+            lower=np.full(1, -np.inf),
+            upper=np.full(1, np.inf),
+        )
+        is None
+    )
+    assert fit(upper=(60.0, np.inf)).common[0] == pytest.approx(0.7, abs=0.02)
