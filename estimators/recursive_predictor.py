@@ -39,9 +39,12 @@ ABSURD = 30.0
 """Standard deviations that no innovation of a predictor that works has."""
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
-GROWTH = 1.5
+GROWTH = 1.2
+FAR = (0.05, 0.3)
 AGAIN = 2.0
 """s of free motion after which the chunks are gone through again for the first time."""
+STALE = 0.05
+"""Share of its weight that the covariance of innovations keeps when they are all found anew."""
 KEPT = 64.0
 """s of free motion from which on no chunks are kept any more."""
 JOINED = 40
@@ -98,6 +101,8 @@ class RecursivePredictor:
         self._gain_slopes = np.zeros((len(gains), logarithms))
         self._kept: list[Chunk] = []
         self._again_at = AGAIN
+        self._seen_from = self._regression.z
+        self._far = np.repeat(FAR, (free, logarithms))
         self.rows = 0
         """Rows that were learned from."""
         self.span = 0.0
@@ -113,9 +118,11 @@ class RecursivePredictor:
             self._state = None
             self.lost += bool(self.rows)
             return
-        if self._again_at < math.inf:
-            self._kept.append(chunk)
-        if self.span >= self._again_at:
+        if self.span > KEPT:
+            self._kept.clear()
+            return
+        self._kept.append(chunk)
+        if self.span >= self._again_at and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
             self._learn_again()
 
     def estimate(self, method: str) -> Estimate:
@@ -190,16 +197,16 @@ class RecursivePredictor:
 
     def _learn_again(self) -> None:
         """All that is kept, seen from where the unknowns are now."""
-        self._again_at *= GROWTH
+        self._again_at = GROWTH * self.span
+        self._seen_from = self._regression.z
         self._regression.forget()
         self._state, self._gain_at = None, None
+        self._squares *= STALE
+        self._weight *= STALE
         self.rows, self.span = 0, 0.0
         for chunk in join(self._kept, JOINED):
             self._learn(chunk, moving=False)
         self._regression.move()
-        if self._again_at > KEPT:
-            self._again_at = math.inf
-            self._kept.clear()
 
     def _steady(self, values: Array) -> Array | None:
         """The gain at the present unknowns: exact where it was computed last, from there on by its slopes."""

@@ -21,7 +21,6 @@ from estimators.contract import EstimationError, Status
 from models.expressions import names_in
 from models.model import Model
 from models.segment import Segment
-from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -101,12 +100,14 @@ def _used_names(model: Model) -> frozenset[str]:
 
 
 def _check(model: Model, recording: Recording) -> None:
-    try:
-        recording.require(*_channels(model))
-    except RecordingError as error:
-        raise DataError(
-            Status.MISSING_CHANNEL, recording.source, str(error).rstrip("."), remedy="record it, or use another model."
-        ) from error
+    for name in _channels(model):
+        if name not in recording.values:
+            raise DataError(
+                Status.MISSING_CHANNEL,
+                f"channel {name}",
+                f"is not in {recording.source}, which has {', '.join(recording.channels.names)}",
+                remedy="record it, or use a model that does without.",
+            )
 
 
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:

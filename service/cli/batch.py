@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +15,8 @@ from service.cli.output import page, parameter_table, people, print_json
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from models.model import Model
+    from service.vehicle_file import VehicleFile
     from telemetry.recording import Recording
 
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
@@ -25,7 +26,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on s
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to `app`."""
-    app.command(epilog="Example: `upright identify recordings/*sweep.arrow --method recursive_least_squares`")(identify)
+    app.command(epilog="Example: `upright identify recordings/*.arrow --picture methods.png`")(identify)
     app.command(epilog="Example: `upright compare recordings/*sweep.arrow --model recordings/*sweep.estimates.json`")(
         compare
     )
@@ -37,32 +38,108 @@ def identify(
     recordings: Recordings,
     vehicle: VehicleOption = "monocab",
     method: Annotated[
-        list[str] | None, typer.Option("--method", "-m", help="Estimator.", show_default="all, side by side")
+        list[str] | None, typer.Option("--method", "-m", help="Method.", show_default="all, side by side")
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option("--model", help="A shipped model or a model file.", show_default="the vehicle's with its CAD values"),
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--every-recording", help="Give each method all recordings, not only those that suit it.")
+    ] = False,
+    bandwidth: Annotated[
+        float | None, typer.Option(help="Hz, of the filter of the regressions.", show_default="5")
+    ] = None,
+    truth: Annotated[
+        list[str] | None,
+        typer.Option("--truth", help="NAME=VALUE that is known to be true, as of a virtual vehicle.", show_default=False),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Estimate the vehicle's parameters from recordings, each with its standard deviation, by several methods."""
+    """Estimate the vehicle's parameters from recordings, each with its standard deviation, by several methods.
+
+    Ctrl-C ends it and shows what is done by then.
+    """
+    from math import tau
+
     from estimators.identify import identify as run
-    from estimators.torque_balance import Method
     from service.vehicle_file import load
 
     file = load(vehicle)
+    known = truths(truth or [])
+    if picture is not None:
+        from diagnosis.method_figure import check_suffix
+
+        check_suffix(picture)
     loaded = [load_recording(path, vehicle) for path in recordings]
-    values, deviations = file.parameters.values, file.parameters.deviations
-    document: dict[str, Any] = {"methods": {}}
-    with working() as step:
-        for name in method or [entry.value for entry in Method]:
-            step(f"estimating: {name}")
-            document["methods"] |= run(
-                loaded, values, file.support, [name], deviations=deviations, stopwatch=time.perf_counter
-            )["methods"]
+    with fitting() as progress:
+        document = run(
+            loaded,
+            file.parameters.values,
+            file.support,
+            method or (),
+            deviations=file.parameters.deviations,
+            model=identified_model(model, file),
+            every=every,
+            bandwidth=None if bandwidth is None else tau * bandwidth,
+            progress=progress,
+        )
+    if picture is not None:
+        from diagnosis.method_figure import save_methods
+
+        save_methods(document, picture, truth=known)
     if json:
         print_json(document)
-        return
-    page.print(parameter_table({"CAD": cad(vehicle), **document["methods"]}))
-    for name, result in document["methods"].items():
-        fits = ", ".join(f"{channel} {percent:.2f} %" for channel, percent in result["fit_percent"].items())
-        page.print(f"{name}: predicts half a second ahead {fits or '-'}; {result['seconds']:.2f} s")
+    else:
+        from service.cli.identify_page import print_methods
+
+        print_methods(document, known)
+        if picture is not None:
+            page.print(f"\nPicture: {picture}")
+    if document["cancelled"]:
+        raise typer.Exit(130)
+    unusable = {"failed", "missing_channel", "bad_data", "not_suited"}
+    if all(entry["status"] in unusable for entry in document["methods"].values()):
+        raise typer.Exit(1)
+
+
+def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
+    """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
+    from estimators.identify import nominal_model, with_values
+    from models.model_file import load_model
+
+    if name is not None and name.endswith(".toml"):
+        return load_model(name)
+    model = nominal_model(vehicle.vehicle.kind) if name is None else load_model(name)
+    return with_values(model, vehicle.parameters.values, vehicle.parameters.deviations)
+
+
+def truths(options: list[str]) -> dict[str, float]:
+    """Name to value of `--truth`."""
+    known = {}
+    for option in options:
+        name, _, value = option.partition("=")
+        try:
+            known[name] = float(value)
+        except ValueError:
+            raise typer.BadParameter(f"{option!r} is not NAME=VALUE, as in inertia=1650", param_hint="--truth") from None
+    return known
+
+
+@contextmanager
+def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
+    """A progress bar over all fits, on stderr."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=people, transient=True) as progress:
+        task = progress.add_task("reading", total=None)
+
+        def told(method: str, label: str, done: int, total: int) -> None:
+            progress.update(task, description=f"{method}: {Path(label).name}", completed=done, total=total)
+
+        yield told
 
 
 def compare(
