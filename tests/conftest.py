@@ -14,6 +14,8 @@ import pytest
 
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
+
 REQUIRE_ALL = os.environ.get("UPRIGHT_REQUIRE_ALL") == "1"
 
 

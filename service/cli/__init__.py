@@ -6,7 +6,11 @@ to stdout; everything meant for people goes to stderr then.
 
 from __future__ import annotations
 
+import os
 import sys
+
+# Matrices are small here: threads for one of them cost more than they gain, tenfold on a busy machine.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 

@@ -42,7 +42,9 @@ def identify(
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option("--model", help="A shipped model or a model file.", show_default="the vehicle's with its CAD values"),
+        typer.Option(
+            "--model", help="A shipped model or a model file.", show_default="the vehicle's with its CAD values"
+        ),
     ] = None,
     every: Annotated[
         bool, typer.Option("--every-recording", help="Give each method all recordings, not only those that suit it.")
@@ -52,7 +54,9 @@ def identify(
     ] = None,
     truth: Annotated[
         list[str] | None,
-        typer.Option("--truth", help="NAME=VALUE that is known to be true, as of a virtual vehicle.", show_default=False),
+        typer.Option(
+            "--truth", help="NAME=VALUE that is known to be true, as of a virtual vehicle.", show_default=False
+        ),
     ] = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     json: JsonOption = False,
@@ -123,7 +127,9 @@ def truths(options: list[str]) -> dict[str, float]:
         try:
             known[name] = float(value)
         except ValueError:
-            raise typer.BadParameter(f"{option!r} is not NAME=VALUE, as in inertia=1650", param_hint="--truth") from None
+            raise typer.BadParameter(
+                f"{option!r} is not NAME=VALUE, as in inertia=1650", param_hint="--truth"
+            ) from None
     return known
 
 
@@ -233,13 +239,6 @@ def load_recording(path: Path, vehicle: str) -> Recording:
 def estimates_beside(recording: Path) -> Path:
     """What the live estimators found while `recording` was made."""
     return recording.with_suffix(".estimates.json")
-
-
-def cad(vehicle: str) -> dict[str, Any]:
-    """The vehicle file's parameters in the shape of an estimate."""
-    from service.vehicle_file import load
-
-    return {"parameters": {name: entry.model_dump() for name, entry in load(vehicle).parameters}}
 
 
 def read_models(path: Path, base: dict[str, float]) -> dict[str, dict[str, float]]:
