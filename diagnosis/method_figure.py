@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,8 @@ STYLES = {
 CAD_COLOUR = "0.25"
 WIDEST = 0.3
 """Share of the reference on either side beyond which the panel does not reach, for a method's sake."""
-SPREAD = 0.5
-"""Of the room of a method, over which its runs are spread."""
+MEAN, FIRST, LAST = -0.27, -0.05, 0.35
+"""Where in the room of a method, 1 wide, its mean is drawn, and the first and the last of its runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,13 +107,13 @@ def _draw(axes: Axes, name: str, columns: Sequence[Column], cad: Mapping[str, An
     axes.errorbar(0, scale * cad["value"], scale * cad["std"], color=CAD_COLOUR, marker="D", markersize=8, capsize=4)
     for place, column in enumerate(columns, start=1):
         colour, marker = STYLES[column.domain]
-        offsets = np.linspace(-0.5, 0.5, len(column.runs)) * SPREAD if len(column.runs) > 1 else [0.0]
-        for offset, (value, std) in zip(offsets, column.runs, strict=False):
+        rooms = np.linspace(FIRST, LAST, 2 * len(column.runs) + 1)[1::2]
+        for room, (value, std) in zip(place + rooms, column.runs, strict=True):
             if not low <= value <= high:
-                _point_at(axes, place + float(offset), value, (low, high), scale, colour, "")
+                _point_at(axes, float(room), value, (low, high), scale, colour, "")
                 continue
             axes.errorbar(
-                place + float(offset), scale * value, scale * std, color=colour, marker=marker, markersize=4,
+                float(room), scale * value, scale * std, color=colour, marker=marker, markersize=4,
                 elinewidth=1.0, capsize=1.5, alpha=0.55, zorder=2,
             )  # fmt: skip
         if column.mean is None:
@@ -121,21 +122,26 @@ def _draw(axes: Axes, name: str, columns: Sequence[Column], cad: Mapping[str, An
                 ha="center", va="bottom", fontsize=8, color="0.45",
             )  # fmt: skip
         elif low <= column.mean <= high:
-            axes.plot(
-                place, scale * column.mean, marker, color=colour, markersize=11, markeredgecolor="white", zorder=3
-            )
+            large = {"markersize": 11, "markeredgecolor": "white", "zorder": 3}
+            axes.plot(place + MEAN, scale * column.mean, marker, color=colour, **large)
         else:
-            _point_at(axes, place, column.mean, (low, high), scale, colour, f"{scale * column.mean:.4g}")
+            _point_at(axes, place + MEAN, column.mean, (low, high), scale, colour, f"{scale * column.mean:.4g}")
     if reference is not None:
         axes.axhline(scale * reference, color="0.2", linestyle="--", linewidth=1.0, zorder=1)
-        share = axes.secondary_yaxis(
-            "right", functions=(lambda y: 100 * (y / scale / middle - 1), lambda p: scale * middle * (1 + p / 100))
-        )
+        unit = scale * middle / 100.0
+
+        def percent(y: Any) -> Any:
+            return y / unit - 100.0
+
+        def absolute(p: Any) -> Any:
+            return (p + 100.0) * unit
+
+        share = axes.secondary_yaxis("right", functions=(percent, absolute))
         share.set_ylabel("deviation, %", fontsize=9)
         share.tick_params(labelsize=9)
     axes.set_ylim(scale * low, scale * high)
     axes.set_xlim(-0.6, len(columns) + 0.6)
-    axes.set_ylabel(f"{name.replace('_', ' ')}, {prefix}{cad['unit']}")
+    axes.set_ylabel(f"{name.replace('_', ' ')}, {prefix}{cad['unit'].replace('^2', '²')}")
     axes.tick_params(labelsize=9)
     axes.grid(axis="y", color="0.9", linewidth=0.8)
     axes.set_axisbelow(True)
@@ -179,7 +185,7 @@ def _name_groups(axes: Axes, columns: Sequence[Column]) -> None:
     figure = axes.figure
     assert isinstance(figure, Figure)
     for panel in figure.axes:
-        for place, (column, following) in enumerate(zip(columns, columns[1:], strict=False), start=1):
+        for place, (column, following) in enumerate(pairwise(columns), start=1):
             if column.domain is not following.domain:
                 panel.axvline(place + 0.5, color="0.8", linewidth=0.8)
         panel.axvline(0.5, color="0.8", linewidth=0.8)

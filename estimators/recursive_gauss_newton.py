@@ -24,7 +24,7 @@ from estimators.fit_result import inverse, with_known
 
 Array = NDArray[np.float64]
 
-LONGEST_STEP = 0.5
+LONGEST_STEP = 2.0
 """Typical sizes that an unknown moves by at most after one chunk."""
 
 
@@ -141,5 +141,5 @@ class RecursiveGaussNewton:
         end = self._end
         information = self._information[:end, :end] + self._prior[:end, :end]
         step = np.linalg.solve(information, self._right[:end])[: self._size] - self.z
-        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
+        step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)
         self.z = np.clip(self.z + step, self._lower, self._upper)

@@ -108,6 +108,7 @@ class RecursivePredictor:
         self.span = 0.0
         """s of free motion."""
         self.lost = 0
+        self._rounds = 0
         """Times that the innovations were absurd."""
 
     def take(self, chunk: Chunk) -> None:
@@ -207,6 +208,10 @@ class RecursivePredictor:
         for chunk in join(self._kept, JOINED):
             self._learn(chunk, moving=False)
         self._regression.move()
+        if self._rounds < 4 and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
+            self._rounds += 1
+            self._learn_again()
+        self._rounds = 0
 
     def _steady(self, values: Array) -> Array | None:
         """The gain at the present unknowns: exact where it was computed last, from there on by its slopes."""

@@ -52,7 +52,7 @@ def identify(folder: Path) -> tuple[list[Estimate], dict[str, Validation]]:
     fitted = prediction_error.fit(problem(model(), [recording]))
     found = [
         prediction_error.result(fitted, began),
-        estimators.least_squares(model(), [recording], bandwidth=2.0 * np.pi * 80.0),
+        estimators.least_squares(model(), [recording], bandwidth=2.0 * np.pi * 60.0),
         estimators.output_error(model(), [recording]),
     ]
     candidates = {each.method: each.values for each in found} | {"published": PUBLISHED}

@@ -12,7 +12,6 @@ import pytest
 from estimators.contract import Estimate
 from estimators.problem import problem
 from estimators.validation import Validation, validate
-from models.library.axis import axis
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EMPS = runpy.run_path(str(EXAMPLES / "emps.py"))
@@ -99,7 +98,8 @@ def test_a_model_with_the_true_values_is_perfect_on_a_record_without_noise() -> 
     time = np.arange(len(force), dtype=np.int64) * 10_000_000
     noisy = position + 1e-4 * np.random.default_rng(1).standard_normal(len(force))
     train = Recording(channels, time, {"position": noisy, "force": force})
-    fitted = prediction_error.fit(problem(axis(process_noise=1e-3, inertia=1.8), [train]))
+    frictionless = EMPS["model"]().change({"inertia": 1.8}, estimated=["inertia"])
+    fitted = prediction_error.fit(problem(frictionless, [train]))
     assert fitted.values[0] == pytest.approx(2.0, rel=0.01)
     clean = Recording(channels, time, {"position": position, "force": force})
     right = validate(fitted, [clean], values={"inertia": 2.0})

@@ -17,7 +17,8 @@ NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset", "
 """Fitted along so that they do not bias the rest; no property of the vehicle. In the JSON they are."""
 
 Columns = list[list[str]]
-"""Column by column, the headings first."""
+"""Column by column, each with heading and unit first; a heading takes a line a word."""
+GAP = 1
 
 
 def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> None:
@@ -34,9 +35,8 @@ def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> No
             _print_drives(name, entry)
     if document["best"]:
         page.print(f"\nTo rely on: [bold]{document['best']}[/bold]")
-    for name, entry in document["methods"].items():
-        for text in _remarks(name, entry):
-            page.print(Padding(Text(text), (0, 0, 0, 2)))
+    for text in _remarks(document["methods"]):
+        page.print(Padding(Text(text), (0, 0, 0, 2)))
 
 
 def shown_parameters(methods: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
@@ -91,8 +91,8 @@ def _value_columns(
     name: str, unit: str, entries: Sequence[Mapping[str, Any] | None], before: Mapping[str, Any] | None
 ) -> Columns:
     """Value and standard deviation, and, where it is known from before, the deviation from that in percent."""
-    first, _, second = name.partition(".")
-    columns = [[first, f"{second}, {unit}" if second else unit, *map(_value, entries)]]
+    words = name.replace(".", "_").split("_")
+    columns = [[" ".join(dict.fromkeys(words)), unit, *map(_value, entries)]]
     if before is not None:
         values = [entry.get("value") if entry else None for entry in entries]
         changes = ["" if v in (None, before["value"]) else f"{100 * (v / before['value'] - 1):+.1f}" for v in values]
@@ -119,22 +119,21 @@ def _number(value: float | None, digits: int) -> str:
 def _print_tables(title: str, groups: Sequence[Columns]) -> None:
     """As many tables below each other as the page is too narrow for one; the methods' names are in each."""
     names, *others = groups
-    gap = 2
 
     def width(columns: Columns) -> int:
-        return sum(max(map(len, column)) + gap for column in columns)
+        return sum(max(map(len, (*heading.split(), *cells))) + GAP for heading, *cells in columns)
 
     tables: list[list[Columns]] = [[names]]
     for group in others:
-        if len(tables[-1]) > 1 and sum(map(width, tables[-1])) + width(group) - gap > page.width:
+        if len(tables[-1]) > 1 and sum(map(width, tables[-1])) + width(group) - GAP > page.width:
             tables.append([names])
         tables[-1].append(group)
     page.print(f"\n{title}", style="bold", markup=False, soft_wrap=True)
     for part in tables:
         columns = [column for group in part for column in group]
-        table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
+        table = Table(box=None, pad_edge=False, padding=(0, GAP), collapse_padding=True, header_style="bold")
         for place, column in enumerate(columns):
-            heading = Text("\n".join(filter(None, column[:2])))
+            heading = Text("\n".join((*column[0].split(), column[1])))
             table.add_column(heading, justify="right" if place else "left", no_wrap=True)
         for row in zip(*(column[2:] for column in columns), strict=True):
             group = row[0].startswith("[")
@@ -153,13 +152,16 @@ def _print_drives(name: str, entry: Mapping[str, Any]) -> None:
         page.print(table)
 
 
-def _remarks(name: str, entry: Mapping[str, Any]) -> Iterator[str]:
-    if entry["status"] != "ok" or entry["reason"]:
-        yield f"{name}: {entry['status']}: {entry['reason']}"
-    others = {
-        (told["reason"], parameter)
-        for parameter, told in entry["parameters"].items()
-        if told.get("reason") and told["reason"] != entry["reason"]
-    }
-    for reason, parameter in sorted(others):
-        yield f"{name}, {parameter}: {reason}"
+def _remarks(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """What is to be said of single methods; those of which the same is to be said, together."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for name, entry in methods.items():
+        whole = entry["reason"]
+        if whole or entry["status"] != "ok":
+            state = "" if entry["status"] == "ok" else f"{entry['status'].replace('_', ' ')}: "
+            said.setdefault(("", f"{state}{whole}"), []).append(name)
+        for parameter, told in entry["parameters"].items():
+            if parameter not in NUISANCES and told.get("reason") not in (None, "", whole):
+                said.setdefault((parameter, told["reason"]), []).append(name)
+    for (parameter, reason), names in said.items():
+        yield f"{', '.join(names)}: {f'{parameter}: ' if parameter else ''}{reason}"

@@ -1,0 +1,41 @@
+"""Identification by hand, cell by cell, as one would in a notebook.
+
+    python examples/identify_in_a_notebook.py [RECORDING]
+
+Without a recording, one is made: the virtual vehicle, with a dry friction of 60 N m that the first model does not have.
+"""
+
+# %% A recording, of a file or of the virtual vehicle
+import sys
+
+import estimators
+from estimators.identify import with_values
+from models import library
+from service.vehicle_file import load
+from service.virtual_run import record
+from telemetry.recording import Recording
+
+if len(sys.argv) > 1:
+    recording = Recording.load(sys.argv[1])
+else:
+    recording = record("monocab", "step", hide=["coulomb_friction"], seed=1)
+
+# %% A model: a shipped one, with the vehicle file's CAD values as the start
+vehicle = load("monocab")
+known = vehicle.parameters
+model = with_values(library.get("monocab_roll"), known.values, known.deviations)
+
+# %% Fit it. In a notebook the last line alone shows the table
+first = estimators.prediction_error(model, [recording])
+print(first)
+first._repr_html_()
+
+# %% The same with an effect added, and what it does to the prediction
+friction = estimators.prediction_error(model.add("coulomb_friction"), [recording])
+print(friction)
+for channel, percent in friction.fit_percent.items():
+    print(f"{channel}: {first.fit_percent[channel]:.2f} % -> {percent:.2f} %, half a second ahead")
+
+# %% Values are plain numbers
+inertia = friction.parameters["inertia"]
+print(f"inertia {inertia.value:.0f} +- {inertia.std:.0f} {inertia.unit}; everything known: {friction.values}")
