@@ -81,8 +81,12 @@ def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | N
     columns = _columns(methods, panels[0])
     _name_groups(axes[0], columns)
     axes[-1].set_xticks(range(len(columns) + 1), ["CAD", *(_label(each) for each in columns)], fontsize=9)
-    reference = "true value" if truth else f"mean of {document['best'].replace('_', ' ')}"
-    figure.legend(handles=_legend(reference), loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    named = ["true value"] if truth.keys() & set(panels) else []
+    if document["best"] and not truth.keys() >= set(panels):
+        named.append(f"mean of {document['best'].replace('_', ' ')}")
+    wide = figure.get_figwidth() > 9.0
+    handles = _legend(", or ".join(named))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4 if wide else 2, frameon=False, fontsize=9)
     return figure
 
 
@@ -122,8 +126,8 @@ def _draw(axes: Axes, name: str, columns: Sequence[Column], cad: Mapping[str, An
                 ha="center", va="bottom", fontsize=8, color="0.45",
             )  # fmt: skip
         elif low <= column.mean <= high:
-            large = {"markersize": 11, "markeredgecolor": "white", "zorder": 3}
-            axes.plot(place + MEAN, scale * column.mean, marker, color=colour, **large)
+            at = place + MEAN, scale * column.mean
+            axes.plot(*at, marker, color=colour, markersize=11, markeredgecolor="white", zorder=3)
         else:
             _point_at(axes, place + MEAN, column.mean, (low, high), scale, colour, f"{scale * column.mean:.4g}")
     if reference is not None:
@@ -200,10 +204,12 @@ def _label(column: Column) -> str:
 
 
 def _legend(reference: str) -> list[Line2D]:
-    grey = {"color": "0.4", "linestyle": "none"}
-    return [
-        Line2D([], [], marker="o", markersize=4, label="one recording ± std", **grey),  # type: ignore[arg-type]
-        Line2D([], [], marker="o", markersize=10, label="mean of the recordings", **grey),  # type: ignore[arg-type]
-        Line2D([], [], marker="D", markersize=7, linestyle="none", color=CAD_COLOUR, label="CAD ± std"),
-        Line2D([], [], linestyle="--", color="0.2", label=reference),
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=size, linestyle="none", label=label)
+        for colour, marker, size, label in (
+            ("0.4", "o", 4, "one recording ± std"),
+            ("0.4", "o", 10, "mean of the recordings"),
+            (CAD_COLOUR, "D", 7, "CAD ± std"),
+        )
     ]
+    return handles + ([Line2D([], [], linestyle="--", color="0.2", label=reference)] if reference else [])

@@ -40,6 +40,8 @@ ABSURD = 30.0
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
 GROWTH = 1.2
+import os
+ROUNDS=int(os.environ.get('ROUNDS','0'))
 FAR = (0.05, 0.3)
 AGAIN = 2.0
 """s of free motion after which the chunks are gone through again for the first time."""
@@ -115,10 +117,15 @@ class RecursivePredictor:
         """The next chunk. One with absurd innovations is left out; the predictor then begins anew."""
         if self._state is None:
             chunk = chunk.as_first()
-        if not self._learn(chunk):
+        error, slopes = self._predict(chunk)
+        if not self._is_possible(error, slopes):
             self._state = None
             self.lost += bool(self.rows)
             return
+        self.rows += len(error)
+        self.span += len(error) * self._period
+        self._learn_noise(error, slopes)
+        self._gather(chunk, error, slopes, moving=True)
         if self.span > KEPT:
             self._kept.clear()
             return
@@ -157,44 +164,43 @@ class RecursivePredictor:
         common = self._start + self._scale * self._regression.z[: self._free]
         return self._problem.values(np.clip(common, self._lower, self._upper))
 
-    def _learn(self, chunk: Chunk, *, moving: bool = True) -> bool:
-        """Predict through `chunk`, gather what the errors say, and move; False where they cannot be true."""
-        kernel, segment, rows = self._problem.kernel, chunk.segment, chunk.rows
+    def _predict(self, chunk: Chunk) -> tuple[Array, Array]:
+        """Errors of the predictor through `chunk`, (n, ny), and the slopes of what it predicts, (n, ny, active)."""
+        segment, rows = chunk.segment, chunk.rows
         values = self._values
         if self._state is None or chunk.begins:
-            self._regression.begin()
-            self._state = kernel.memory(self._measured_state(segment.measured[chunk.first]), self._active)
+            initial = self._measured_state(segment.measured[chunk.first])
+            self._state = self._problem.kernel.memory(initial, self._active)
         else:
             self._find_inputs(self._state, segment, chunk.first, values)
         predicted = np.empty_like(segment.measured)
-        sensitivity = np.empty((*segment.measured.shape, len(self._active)))
-        kernel.proceed(
+        slopes = np.empty((*segment.measured.shape, len(self._active)))
+        self._problem.kernel.proceed(
             segment,
             values,
             self._state,
             self._steady(values),
             self._active,
             predicted,
-            sensitivity,
+            slopes,
             first=chunk.first,
             last=chunk.last,
             substeps=self._problem.substeps,
             skip=not chunk.begins,
         )
-        error, slopes = segment.measured[rows] - predicted[rows], sensitivity[rows]
-        kept = math.exp(-len(error) * self._period / self._memory)
-        if not self._is_possible(error, slopes):
-            return False
-        self._learn_noise(error if self._noise else self._without_start(error, slopes), kept)
-        self.rows += len(error)
-        self.span += len(error) * self._period
+        return segment.measured[rows] - predicted[rows], slopes[rows]
+
+    def _gather(self, chunk: Chunk, error: Array, slopes: Array, *, moving: bool) -> None:
+        """What the errors say, weighed by the covariance that is known now."""
+        if chunk.begins:
+            self._regression.begin()
         whitening = self._whitening()
         white = (whitening @ slopes).reshape(error.size, -1)
         direct, free = len(self._sizes), self._free
         scaled = white[:, :direct] * self._sizes
         columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
+        kept = self._kept_share(error)
         self._regression.add((error @ whitening.T).ravel(), columns, kept, moving=moving)
-        return True
 
     def _learn_again(self) -> None:
         """All that is kept, seen from where the unknowns are now."""
@@ -202,16 +208,22 @@ class RecursivePredictor:
         self._seen_from = self._regression.z
         self._regression.forget()
         self._state, self._gain_at = None, None
-        self._squares *= STALE
-        self._weight *= STALE
-        self.rows, self.span = 0, 0.0
-        for chunk in join(self._kept, JOINED):
-            self._learn(chunk, moving=False)
+        chunks = list(join(self._kept, JOINED))
+        seen = [self._predict(chunk) for chunk in chunks]
+        self._squares *= 1e-3
+        self._weight *= 1e-3
+        for error, slopes in seen:
+            self._learn_noise(error, slopes)
+        for chunk, (error, slopes) in zip(chunks, seen, strict=True):
+            self._gather(chunk, error, slopes, moving=False)
         self._regression.move()
-        if self._rounds < 4 and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
+        if self._rounds < ROUNDS and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
             self._rounds += 1
             self._learn_again()
         self._rounds = 0
+
+    def _kept_share(self, error: Array) -> float:
+        return math.exp(-len(error) * self._period / self._memory)
 
     def _steady(self, values: Array) -> Array | None:
         """The gain at the present unknowns: exact where it was computed last, from there on by its slopes."""
@@ -238,10 +250,14 @@ class RecursivePredictor:
         largest = ABSURD * np.sqrt(np.diagonal(self._covariance()))
         if (np.abs(error) <= largest).all():
             return True
-        self._learn_noise(np.clip(error, -largest, largest), 1.0)
+        self._add_squares(np.clip(error, -largest, largest))
         return False
 
-    def _learn_noise(self, error: Array, kept: float) -> None:
+    def _learn_noise(self, error: Array, slopes: Array) -> None:
+        self._add_squares(error if self._noise else self._without_start(error, slopes))
+
+    def _add_squares(self, error: Array) -> None:
+        kept = self._kept_share(error)
         self._squares = kept * self._squares + error.T @ error
         self._weight = kept * self._weight + len(error)
 

@@ -132,7 +132,18 @@ def fit(task: Problem, *, prior: bool = True) -> Fit:
         if turn == 0 and (first := evaluate(common, own)) is not None:
             covariance = _covariance(first[:-1], weights, task)
             continue
-        minimum = minimise(evaluate, common, own, scale=scale, lower=lower, upper=upper, iterations=25, tolerance=1e-4)
+        minimum = minimise(
+            evaluate,
+            common,
+            own,
+            scale=scale,
+            lower=lower,
+            upper=upper,
+            iterations=25,
+            tolerance=1e-4,
+            enough=ENOUGH,
+            watched=size,
+        )
         if minimum is None:
             raise ArithmeticError("the model runs away from its start values even with the measurement's help")
         settled = turn > 1 and np.max(np.abs(minimum.common[:size] - common[:size]) / task.scale) < 1e-3

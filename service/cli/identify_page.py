@@ -144,7 +144,7 @@ def _print_tables(title: str, groups: Sequence[Columns]) -> None:
 def _print_drives(name: str, entry: Mapping[str, Any]) -> None:
     table = Table(box=None, pad_edge=False, padding=(0, 1))
     for justify in ("left", "right", "left"):
-        table.add_column(justify=justify, no_wrap=True)  # type: ignore[arg-type]
+        table.add_column(justify=justify, no_wrap=True)
     for parameter, told in entry["parameters"].items():
         table.add_row(parameter, _value(told), told["unit"])
     page.print(f"\nDrives ({name})", style="bold", markup=False)
