@@ -28,6 +28,7 @@ from estimators.stopwatch import stopwatch
 from estimators.torque_balance import NUISANCE, TorqueBalance
 from estimators.torque_balance import Method as BalanceMethod
 from models import library
+from models.kernel import compile_model
 from models.model import Model
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError, UprightError
@@ -36,7 +37,9 @@ from telemetry.recording import Recording
 FIT_HORIZON = 0.5
 """s ahead that fit_percent tells of."""
 FIT_CHANNELS = ("roll", "roll_rate")
+RECURSIVE_FITS = ("recursive_output_error", "recursive_prediction_error")
 REGRESSIONS = ("least_squares", "instrumental_variables")
+COMPILED = ("output_error", "output_error_simplex", "prediction_error", *RECURSIVE_FITS)
 NOMINAL = {"monocab": ("monocab_roll", ("static_torque",))}
 """By kind of vehicle: the model that is identified, and the effects that are added to it, as in the paper."""
 
@@ -131,6 +134,9 @@ def identify(
     found: Results = {}
     measure = _measure(recordings, subject)
     try:
+        if any(task.method.name in COMPILED for task in tasks):
+            progress("compiling", model.name, 0, len(tasks))
+            compile_model(model)
         for done, task in enumerate(tasks):
             name = task.method.name
             progress(name, task.label, done, len(tasks))

@@ -39,7 +39,7 @@ ABSURD = 30.0
 """Standard deviations that no innovation of a predictor that works has."""
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
-GROWTH = 1.2
+GROWTH = 1.35
 import os
 ROUNDS=int(os.environ.get('ROUNDS','0'))
 FAR = (0.05, 0.3)
@@ -263,7 +263,8 @@ class RecursivePredictor:
 
     def _covariance(self) -> Array:
         """Of an innovation, (ny, ny)."""
-        return self._squares / self._weight + self._floor
+        covariance = self._squares / self._weight + self._floor
+        return covariance if self._noise else np.diag(np.diagonal(covariance))
 
     def _whitening(self) -> Array:
         """Turns an innovation into independent ones of unit variance, (ny, ny)."""

@@ -1,160 +1,346 @@
-"""From a model's equations to the source of one numba module: slopes, outputs, their exact derivatives, and the loops.
+"""From a model's equations to LLVM's intermediate code: slopes, outputs and their exact derivatives, each just once.
 
-Every derivative is symbolic; common subexpressions are shared between a function and its derivatives, so a derivative
-costs little more than the function. Derivatives by parameters are computed only for columns that are asked for.
+SymPy derives and finds common subexpressions. The products, sums and functions that are left are written down directly,
+which takes a hundredth of the time that numba's front end does. Four functions come out, called by models.kernel_loops:
+
+    prepare    what depends on parameters alone, once a pass
+    slopes     the states' derivatives; where asked, how these depend on states, parameters, inputs and time
+    observe    the outputs, likewise; not by time, since the instants of rows do not move
+    propagate  the sensitivities' part of a Runge-Kutta stage, several columns at once
+
+A derivative by a parameter is worked out only where that parameter has a column, and what nothing else needs with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import sympy
-from sympy.printing.pycode import PythonCodePrinter
 
-from models.equations import Equations, compose
-from models.model import Hold, Model
+from models.equations import Equations, Magnitude, Signum, compose
+from models.machine_code import LANES
+from models.model import Hold, Model, ModelError
 
-LOOPS = Path(__file__).with_name("kernel_loops.py")
-
-
-class _Printer(PythonCodePrinter):  # type: ignore[misc]
-    """Expressions as numba takes them; `places` says where a symbol's value is found."""
-
-    def __init__(self, places: Mapping[sympy.Symbol, str]) -> None:
-        super().__init__({"fully_qualified_modules": True, "human": True})
-        self._places = places
-
-    def _print_Symbol(self, expr: sympy.Symbol) -> str:
-        return self._places.get(expr, expr.name)
-
-    def _print_Signum(self, expr: sympy.Expr) -> str:
-        inner = self._print(expr.args[0])
-        return f"(1.0 if {inner} > 0.0 else (-1.0 if {inner} < 0.0 else 0.0))"
-
-    def _print_Magnitude(self, expr: sympy.Expr) -> str:
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_Heaviside(self, expr: sympy.Expr) -> str:
-        return f"(1.0 if {self._print(expr.args[0])} > 0.0 else 0.0)"
-
-    def _print_DiracDelta(self, expr: sympy.Expr) -> str:
-        return "0.0"
-
-    def _print_Integer(self, expr: sympy.Integer) -> str:
-        return f"{int(expr)}.0"
-
-    def _print_Rational(self, expr: sympy.Rational) -> str:
-        return repr(float(expr))
-
-    def _print_Pow(self, expr: sympy.Pow, rational: bool = False) -> str:
-        base, exponent = expr.args
-        if exponent.is_Integer and 2 <= int(exponent) <= 4:
-            inner = self.parenthesize(base, 100)
-            return "(" + " * ".join([inner] * int(exponent)) + ")"
-        if exponent == -1:
-            return f"(1.0 / {self.parenthesize(base, 100)})"
-        if exponent == sympy.Rational(1, 2):
-            return f"math.sqrt({self._print(base)})"
-        return f"({self._print(base)} ** {self.parenthesize(exponent, 100)})"
+FUNCTIONS = {
+    **{getattr(sympy, name): name for name in ("sin", "cos", "tan", "asin", "acos", "atan")},
+    **{getattr(sympy, name): name for name in ("sinh", "cosh", "tanh", "exp", "log")},
+    Magnitude: "llvm.fabs.f64",
+}
+"""SymPy's functions and whose address they are: the C library's or LLVM's own."""
+ROOT = "llvm.sqrt.f64"
+POWER = "pow"
+_DECLARATIONS = [
+    *(f"declare double @{name}(double)" for name in (*FUNCTIONS.values(), ROOT)),
+    f"declare double @{POWER}(double, double)",
+]
+_ARGUMENTS = (
+    "double %t, ptr %state, ptr %input, ptr %slope, ptr %parameter, ptr %constant, ptr %column, i64 %width, "
+    "i64 %derive, ptr %result, ptr %by_state, ptr %by_parameter, ptr %by_input, ptr %by_time"
+)
 
 
-def generate(model: Model) -> str:
-    """Source of the module for `model`. The same model gives the same text. Raises ModelError."""
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Intermediate code, and the model's sizes and places as the loops take them (`structure` of kernel_loops.run)."""
+
+    text: str
+    structure: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Target:
+    """Where a value goes: a place in an array, or, of a derivative by a parameter, the row."""
+
+    function: str
+    array: str
+    place: int
+    parameter: int = -1
+
+
+def generate(model: Model) -> Code:
+    """The same model gives the same code. Raises ModelError."""
     equations = compose(model)
-    places: dict[sympy.Symbol, str] = {equations.time: "t"}
-    for array, symbols in (
-        ("stage", equations.states),
-        ("value", equations.inputs),
-        ("slope", equations.slopes),
-        ("p", equations.parameters),
-    ):
-        places |= {symbol: f"{array}[{place}]" for place, symbol in enumerate(symbols)}
+    targets: dict[_Target, sympy.Expr] = {}
+    _derive(targets, "slopes", equations.derivatives, equations)
+    _derive(targets, "observe", equations.outputs, equations)
+    symbols = sympy.numbered_symbols("q_")
+    shared, reduced = sympy.cse(list(targets.values()), symbols=symbols, list=False)
+    writer = _Writer(_places(equations), dict(shared))
+    constants = writer.constants(equations.parameters)
+    targets = dict(zip(targets, reduced, strict=True))
     names = [parameter.name for parameter in model.parameters]
     shifts = [(place, names.index(name)) for place, delays in enumerate(equations.delays) for name in delays]
-    lags = [names.index(lag) if lag else -1 for lag in equations.lags]
-    header = [
-        f'"""Generated from the model {model.name}; do not edit: it is made again when it is missing."""',
-        "",
-        "import math",
-        "",
-        "import numpy as np",
-        "from numba import njit",
-        "",
-        f"NX, NU, NY, NP = {len(equations.states)}, {len(equations.inputs)}, {len(equations.outputs)}, {len(names)}",
-        f"FIRST_ORDER = np.array({[each.hold is Hold.FIRST_ORDER for each in model.inputs]}, dtype=np.bool_)",
-        f"DELAY_INPUT = np.array({[shift[0] for shift in shifts]}, dtype=np.int64)",
-        f"DELAY_PARAMETER = np.array({[shift[1] for shift in shifts]}, dtype=np.int64)",
-        f"LAG = np.array({lags}, dtype=np.int64)",
-        f"LAGGING = {any(lag >= 0 for lag in lags)}",
-        "NODES = np.array([0.0, 0.5, 0.5, 1.0, 0.0])",
-        "WEIGHTS = np.array([1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0])",
-        "",
+    structure = (
+        *(len(model.states), len(model.inputs), len(model.outputs), len(names), len(shifts), len(constants)),
+        *(int(each.hold is Hold.FIRST_ORDER) for each in model.inputs),
+        *(names.index(lag) if lag else -1 for lag in equations.lags),
+        *(place for place, _ in shifts),
+        *(parameter for _, parameter in shifts),
+    )
+    lines = [
+        *_DECLARATIONS,
+        *_prepare(writer, constants),
+        *_function("slopes", targets, writer),
+        *_function("observe", targets, writer),
+        *_propagate(targets, len(model.states)),
     ]
-    blocks = {
-        "EQUATIONS_slopes": _block(("f", "A", "B", "G"), equations.derivatives, equations, places),
-        "EQUATIONS_observe": _block(("error", "C", "D", "H"), equations.outputs, equations, places),
-    }
-    lines: list[str] = []
-    for line in LOOPS.read_text().split('"""', 2)[2].splitlines():
-        text = line.strip()
-        indent = " " * (len(line) - len(line.lstrip()))
-        if text in blocks:
-            lines += [indent + each for each in blocks[text]]
-        elif text.startswith("READ_LINE("):
-            when, left, value, slope = text.removeprefix("READ_LINE(").removesuffix(")").split("; ")
-            lines += [indent + each.format(when=when, left=left, value=value, slope=slope) for each in READ_LINE]
-        else:
-            lines.append(line)
-    return "\n".join([*header, *lines, ""])
+    return Code("\n".join([*lines, ""]), structure)
 
 
-READ_LINE = (
-    "if FIRST_ORDER[i]:",
-    "    when = {when} - delay[i]",
-    "    j = pointer[i]",
-    "    while j > 0 and knots[j, i] > when:",
-    "        j -= 1",
-    "    while j < rows - 1 and (knots[j + 1, i] < when or (knots[j + 1, i] == when and not {left})):",
-    "        j += 1",
-    "    pointer[i] = j",
-    "    if j == rows - 1 or when < knots[0, i]:",
-    "        {value} = u[j, i]",
-    "        {slope} = 0.0",
-    "    else:",
-    "        {slope} = (u[j + 1, i] - u[j, i]) / (knots[j + 1, i] - knots[j, i])",
-    "        {value} = u[j, i] + (when - knots[j, i]) * {slope}",
-    "else:",
-    "    {value} = u[pointer[i], i]",
-)
-"""Input i at an instant: held, or on the straight line between two samples; `left` takes the limit from below."""
-
-
-def _block(
-    arrays: tuple[str, str, str, str],
-    expressions: Sequence[sympy.Expr],
-    equations: Equations,
-    places: Mapping[sympy.Symbol, str],
-) -> list[str]:
-    """Source that writes `expressions` and their derivatives by state, active parameter and input into `arrays`."""
-    value, by_state, by_parameter, by_input = arrays
-    targets: list[tuple[str, str, sympy.Expr]] = []
-    for i, expression in enumerate(expressions):
-        targets.append(("", f"{value}[{i}]", expression))
+def _derive(
+    targets: dict[_Target, sympy.Expr], function: str, expressions: Sequence[sympy.Expr], equations: Equations
+) -> None:
+    """Add `expressions` and their derivatives that are not zero to `targets`."""
+    arrays = {"by_state": equations.states, "by_input": equations.inputs}
+    if function == "slopes":
+        arrays["by_time"] = (equations.time,)
+    for row, expression in enumerate(expressions):
+        targets[_Target(function, "result", row)] = expression
         free = expression.free_symbols
-        for array, symbols in ((by_state, equations.states), (by_input, equations.inputs)):
-            for j, symbol in enumerate(symbols):
+        for array, symbols in {**arrays, "by_parameter": equations.parameters}.items():
+            for place, symbol in enumerate(symbols):
                 if symbol in free and (derivative := expression.diff(symbol)) != 0:
-                    targets.append(("", f"{array}[{i}, {j}]", derivative))
-        for j, symbol in enumerate(equations.parameters):
-            if symbol in free and (derivative := expression.diff(symbol)) != 0:
-                targets.append((f"column[{j}]", f"{by_parameter}[{i}, column[{j}]]", derivative))
-    shared, reduced = sympy.cse([target[2] for target in targets], symbols=sympy.numbered_symbols("q_"), list=False)
-    printer = _Printer(places)
-    lines = [f"{symbol.name} = {printer.doprint(expression)}" for symbol, expression in shared]
-    for (condition, target, _), expression in zip(targets, reduced, strict=True):
-        if condition:
-            lines += [f"if {condition} >= 0:", f"    {target} = {printer.doprint(expression)}"]
-        else:
-            lines.append(f"{target} = {printer.doprint(expression)}")
-    return lines
+                    if array == "by_parameter":
+                        targets[_Target(function, array, row, place)] = derivative
+                    else:
+                        targets[_Target(function, array, row * len(symbols) + place)] = derivative
+
+
+def _places(equations: Equations) -> dict[sympy.Symbol, str]:
+    """What a symbol is called, or where its value is found."""
+    places = {equations.time: "%t"}
+    for array, symbols in (
+        ("state", equations.states),
+        ("input", equations.inputs),
+        ("slope", equations.slopes),
+        ("parameter", equations.parameters),
+    ):
+        places |= {symbol: f"{array} {place}" for place, symbol in enumerate(symbols)}
+    return places
+
+
+@dataclass(slots=True)
+class _Writer:
+    """Writes expressions as code. `places` are the known values, `definitions` the shared subexpressions, in order.
+
+    `code` are the lines so far, `values` the names that expressions have in them.
+    """
+
+    places: dict[sympy.Symbol, str]
+    definitions: Mapping[sympy.Symbol, sympy.Expr]
+    code: list[str] = field(default_factory=list)
+    values: dict[sympy.Expr, str] = field(default_factory=dict)
+
+    def inner(self) -> _Writer:
+        """The same for a block of this code: what is worked out there is not known after it."""
+        return _Writer(self.places, self.definitions, self.code, dict(self.values))
+
+    def add(self, *lines: str) -> None:
+        self.code += lines
+
+    def constants(self, parameters: Sequence[sympy.Symbol]) -> list[sympy.Symbol]:
+        """The shared subexpressions of parameters alone."""
+        fixed = set(parameters)
+        constants = []
+        for symbol, definition in self.definitions.items():
+            if definition.free_symbols <= fixed:
+                fixed.add(symbol)
+                constants.append(symbol)
+        return constants
+
+    def needed(self, expressions: Iterable[sympy.Expr]) -> set[sympy.Symbol]:
+        """The shared subexpressions that have to be worked out for `expressions`."""
+        found: set[sympy.Symbol] = set()
+        waiting = list(expressions)
+        while waiting:
+            for symbol in waiting.pop().free_symbols:
+                if symbol in self.definitions and symbol not in found and symbol not in self.places:
+                    found.add(symbol)
+                    waiting.append(self.definitions[symbol])
+        return found
+
+    def work_out(self, symbols: set[sympy.Symbol]) -> None:
+        for symbol, definition in self.definitions.items():
+            if symbol in symbols and symbol not in self.values:
+                self.values[symbol] = self.value(definition)
+
+    def store(self, expression: sympy.Expr, array: str, place: int | str) -> None:
+        value = self.value(expression)
+        pointer = self.new(f"getelementptr double, ptr %{array}, i64 {place}")
+        self.add(f"store double {value}, ptr {pointer}")
+
+    def new(self, instruction: str) -> str:
+        name = f"%n{len(self.code)}"
+        self.add(f"{name} = {instruction}")
+        return name
+
+    def value(self, expression: sympy.Expr) -> str:
+        """The name of the value of `expression`, or the number that it is."""
+        if expression.is_number:
+            return f"0x{struct.unpack('>Q', struct.pack('>d', float(expression)))[0]:016X}"
+        if expression not in self.values:
+            self.values[expression] = self._write(expression)
+        return self.values[expression]
+
+    def _write(self, expression: sympy.Expr) -> str:
+        match expression:
+            case sympy.Symbol():
+                place = self.places[expression]
+                if place.startswith("%"):
+                    return place
+                array, index = place.split()
+                return self.new(f"load double, ptr {self.new(f'getelementptr double, ptr %{array}, i64 {index}')}")
+            case sympy.Add(args=(first, *rest)):
+                total = self.value(first)
+                for term in rest:
+                    negative = term.as_coeff_Mul()[0].is_negative
+                    operation, term = ("fsub", -term) if negative else ("fadd", term)
+                    total = self.new(f"{operation} contract double {total}, {self.value(term)}")
+                return total
+            case sympy.Mul(args=(first, *rest)) if first == -1:
+                return self.new(f"fneg double {self.value(sympy.Mul(*rest))}")
+            case sympy.Mul(args=factors):
+                # What stands under the line last, so that one division does.
+                product = ""
+                for factor in sorted(factors, key=_is_divisor):
+                    if product and _is_divisor(factor):
+                        product = self.new(f"fdiv contract double {product}, {self.value(1 / factor)}")
+                    else:
+                        value = self.value(factor)
+                        product = self.new(f"fmul contract double {product}, {value}") if product else value
+                return product
+            case sympy.Pow(args=(base, exponent)):
+                return self._power(base, exponent)
+            case sympy.Max(args=(first, *rest)) | sympy.Min(args=(first, *rest)):
+                test = "ogt" if isinstance(expression, sympy.Max) else "olt"
+                best = self.value(first)
+                for other in map(self.value, rest):
+                    better = self.new(f"fcmp {test} double {other}, {best}")
+                    best = self.new(f"select i1 {better}, double {other}, double {best}")
+                return best
+            case sympy.Heaviside():
+                return self._switch(expression.args[0], "0.0", "0.5")
+            case Signum():
+                return self._switch(expression.args[0], "-1.0", "0.0")
+            case sympy.DiracDelta():
+                return "0.0"
+            case _ if type(expression) in FUNCTIONS:
+                return self.new(f"call double @{FUNCTIONS[type(expression)]}(double {self.value(expression.args[0])})")
+        raise ModelError("equations", f"{expression} cannot be compiled", remedy="write it in another way.")
+
+    def _power(self, base: sympy.Expr, exponent: sympy.Expr) -> str:
+        """A whole number as exponent becomes products, a half a root."""
+        if exponent.is_number and exponent.is_negative:
+            return self.new(f"fdiv double 1.0, {self.value(base**-exponent)}")
+        value = self.value(base)
+        if exponent == sympy.Rational(1, 2):
+            return self.new(f"call double @{ROOT}(double {value})")
+        if not (exponent.is_Integer and exponent <= 16):
+            return self.new(f"call double @{POWER}(double {value}, double {self.value(exponent)})")
+        power, rest = "", int(exponent)
+        while rest:
+            if rest & 1:
+                power = self.new(f"fmul contract double {power}, {value}") if power else value
+            rest >>= 1
+            value = self.new(f"fmul contract double {value}, {value}") if rest else value
+        return power
+
+    def _switch(self, argument: sympy.Expr, below: str, between: str) -> str:
+        """1 above zero, `below` below it."""
+        value = self.value(argument)
+        negative = self.new(f"fcmp olt double {value}, 0.0")
+        otherwise = self.new(f"select i1 {negative}, double {below}, double {between}")
+        positive = self.new(f"fcmp ogt double {value}, 0.0")
+        return self.new(f"select i1 {positive}, double 1.0, double {otherwise}")
+
+
+def _is_divisor(factor: sympy.Expr) -> bool:
+    return bool(factor.is_Pow and factor.exp.is_number and factor.exp.is_negative)
+
+
+def _prepare(writer: _Writer, constants: Sequence[sympy.Symbol]) -> list[str]:
+    """The code that works out the constants, which are known from then on."""
+    inner = writer.inner()
+    inner.code = []
+    inner.work_out(set(constants))
+    for place, symbol in enumerate(constants):
+        inner.store(symbol, "constant", place)
+        writer.places[symbol] = f"constant {place}"
+    return ["define void @prepare(ptr %parameter, ptr %constant) nounwind {", *inner.code, "ret void", "}"]
+
+
+def _function(name: str, targets: Mapping[_Target, sympy.Expr], writer: _Writer) -> list[str]:
+    """The code of `slopes` or `observe`."""
+    block = _Writer(writer.places, writer.definitions)
+    values: dict[_Target, sympy.Expr] = {}
+    common: dict[_Target, sympy.Expr] = {}
+    parameters: dict[int, dict[_Target, sympy.Expr]] = {}
+    for target, expression in targets.items():
+        if target.function == name:
+            group = common if target.parameter < 0 else parameters.setdefault(target.parameter, {})
+            (values if target.array == "result" else group)[target] = expression
+    block.work_out(block.needed(values.values()))
+    for target, expression in values.items():
+        block.store(expression, target.array, target.place)
+    asked = block.new("icmp ne i64 %derive, 0")
+    block.add(f"br i1 {asked}, label %derivatives, label %end", "derivatives:")
+    needed = [block.needed(rows.values()) for rows in parameters.values()]
+    shared = {symbol for symbols in needed for symbol in symbols if sum(symbol in other for other in needed) > 1}
+    block.work_out(shared | block.needed(common.values()))
+    for target, expression in common.items():
+        block.store(expression, target.array, target.place)
+    for parameter, rows in sorted(parameters.items()):
+        column = block.new(f"load i64, ptr {block.new(f'getelementptr i64, ptr %column, i64 {parameter}')}")
+        wanted = block.new(f"icmp sge i64 {column}, 0")
+        block.add(f"br i1 {wanted}, label %by{parameter}, label %after{parameter}", f"by{parameter}:")
+        inner = block.inner()
+        inner.work_out(inner.needed(rows.values()))
+        for target, expression in rows.items():
+            row = inner.new(f"mul i64 %width, {target.place}")
+            inner.store(expression, target.array, inner.new(f"add i64 {row}, {column}"))
+        block.add(f"br label %after{parameter}", f"after{parameter}:")
+    head = f"define void @{name}({_ARGUMENTS}) nounwind {{"
+    return [head, "entry:", *block.code, "br label %end", "end:", "ret void", "}"]
+
+
+def _propagate(targets: Mapping[_Target, sympy.Expr], states: int) -> list[str]:
+    """k = A S + B; total += weight k; S = start + ahead k, for LANES columns at a time. B is called `rest`."""
+    kind = f"<{LANES} x double>"
+    code = _Writer({}, {})
+
+    def wide(value: str) -> str:
+        first = code.new(f"insertelement {kind} poison, double {value}, i64 0")
+        return code.new(f"shufflevector {kind} {first}, {kind} poison, <{LANES} x i32> zeroinitializer")
+
+    def row(array: str, number: int) -> tuple[str, str]:
+        """Where a row's columns are, and their values."""
+        place = code.new(f"add i64 %column, {code.new(f'mul i64 %width, {number}')}")
+        pointer = code.new(f"getelementptr double, ptr %{array}, i64 {place}")
+        return pointer, code.new(f"load {kind}, ptr {pointer}, align 8")
+
+    def plus(sum: str, factor: str, value: str) -> str:
+        return code.new(f"fadd contract {kind} {sum}, {code.new(f'fmul contract {kind} {factor}, {value}')}")
+
+    entries = {}
+    for target in targets:
+        if (target.function, target.array) == ("slopes", "by_state"):
+            pointer = code.new(f"getelementptr double, ptr %by_state, i64 {target.place}")
+            entries[target.place] = wide(code.new(f"load double, ptr {pointer}"))
+    ahead, weight = wide("%ahead"), wide("%weight")
+    code.add("br label %columns", "columns:", "%column = phi i64 [0, %entry], [%next, %columns]")
+    before = [row("S", number) for number in range(states)]
+    for number, (pointer, _) in enumerate(before):
+        _, slope = row("rest", number)
+        for column, (_, value) in enumerate(before):
+            if number * states + column in entries:
+                slope = plus(slope, entries[number * states + column], value)
+        place, total = row("total", number)
+        code.add(f"store {kind} {plus(total, weight, slope)}, ptr {place}, align 8")
+        _, start = row("start", number)
+        code.add(f"store {kind} {plus(start, ahead, slope)}, ptr {pointer}, align 8")
+    code.add(f"%next = add i64 %column, {LANES}", "%more = icmp slt i64 %next, %width")
+    code.add("br i1 %more, label %columns, label %end", "end:")
+    arguments = "i64 %width, ptr %by_state, ptr %rest, ptr %start, ptr %S, ptr %total, double %ahead, double %weight"
+    return [f"define void @propagate({arguments}) nounwind {{", "entry:", *code.code, "ret void", "}"]

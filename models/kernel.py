@@ -1,34 +1,36 @@
 """A compiled model: one pass over a stretch of data gives predictions and all sensitivities.
 
 With no gain it is a simulation; with a Kalman gain the state is corrected row by row and the errors are innovations.
-The generated module is kept in the user's cache directory, named by the model's structure, with numba's machine code
-beside it: a second start generates and compiles nothing, and does not import SymPy. Parameter values are no part of
-the structure.
+A model's equations become machine code in a fraction of a second, the loops around them in seconds, once on a computer.
+Both are kept on disk (models.machine_code), named by the model's structure and all the code that makes them: a later
+start compiles nothing and imports neither numba nor SymPy. Parameter values are no part of the structure.
 """
 
 from __future__ import annotations
 
+import ctypes
+import functools
 import hashlib
-import importlib.util
-import os
-import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from models import machine_code
 from models.model import Model, ModelError
 from models.segment import Segment
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-_loaded: dict[str, Kernel] = {}
+FUNCTIONS = ("prepare", "slopes", "observe", "propagate")
+"""What the code of a model consists of (models.codegen)."""
+LOOPS = "upright_run"
+
+_loaded: dict[str, machine_code.Loaded] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ class Kernel:
     outputs: tuple[str, ...]
     parameters: tuple[str, ...]
     defaults: Array
-    module: ModuleType
+    code: machine_code.Loaded
 
     def vector(self, values: Mapping[str, float] | None = None) -> Array:
         """Parameter values (np,), those in `values` instead of the model's. Raises ModelError for an unknown name."""
@@ -106,8 +108,8 @@ class Kernel:
         """One pass over `segment` from the state `initial` (nx,) with parameters `values` (np,).
 
         `gain` (nx, ny) corrects the state by gain * (measured - predicted); None simulates. `active` numbers what to
-        differentiate by: parameter i, np + j for the initial state j, np + nx + j * ny + k for gain (j, k). A state that grows beyond all bounds gives
-        values that are not finite, no error.
+        differentiate by: parameter i, np + j for the initial state j, np + nx + j * ny + k for gain (j, k). A state
+        that grows beyond all bounds gives values that are not finite, no error.
         """
         memory = self.memory(initial, active)
         predicted = np.empty((len(segment), len(self.outputs)))
@@ -132,54 +134,114 @@ class Kernel:
     ) -> None:
         """Rows `first` to `last` from where `memory` stands, which is moved on; results go into the arrays given.
 
-        `skip`: row `first` was predicted and corrected before.
+        `skip`: row `first` was predicted and corrected before. Raises ModelError for an array that does not fit.
         """
-        if gain is None:
-            gain = np.zeros((len(self.states), len(self.outputs)))
-        self.module.run(
-            segment.time,
-            segment.knots,
-            segment.inputs,
-            segment.measured,
-            values,
-            np.asarray(active, dtype=np.int64),
-            gain,
-            memory.x,
-            memory.S,
-            memory.lag,
-            memory.lag_S,
-            memory.pointer,
+        rows, columns = len(segment), len(active)
+        states, inputs, outputs, parameters = map(len, (self.states, self.inputs, self.outputs, self.parameters))
+        last = rows - 1 if last is None else last
+        numbers = np.array(active, dtype=np.int64).reshape(columns)
+        limit = parameters + states * (1 + outputs)
+        if not (0 <= first <= last < rows and substeps >= 1 and all(0 <= number < limit for number in active)):
+            what = (
+                f"there is no row {first} to {last} of {rows}, {substeps} substeps, columns {tuple(active)} of {limit}"
+            )
+            raise ModelError("pass", what, remedy="ask for what there is.")
+        structure: Array = self.code.facts["structure"]
+        delays, constants = int(structure[4]), int(structure[5])
+        width = -(-columns // machine_code.LANES) * machine_code.LANES
+        space = constants + states * (states + inputs + 4) + outputs * (states + inputs + 1) + inputs * 9
+        space += width * (4 * states + 2 * inputs + outputs + 4)
+        work, places = np.zeros(space), np.zeros(parameters + 2 * delays + inputs, dtype=np.int64)
+        _loops()(
+            *(self.code.addresses[name] for name in FUNCTIONS),
+            structure.ctypes.data,
+            rows,
+            _pointer("time", segment.time, rows),
+            _pointer("knots", segment.knots, rows, inputs),
+            _pointer("inputs", segment.inputs, rows, inputs),
+            _pointer("measured", segment.measured, rows, outputs),
+            _pointer("values", values, parameters),
+            columns,
+            numbers.ctypes.data,
+            _pointer("gain", np.zeros((states, outputs)) if gain is None else gain, states, outputs),
+            _pointer("state", memory.x, states),
+            _pointer("sensitivities of the state", memory.S, states, columns),
+            _pointer("lags", memory.lag, inputs),
+            _pointer("sensitivities of the lags", memory.lag_S, inputs, columns),
+            memory.pointer.ctypes.data,
             first,
-            len(segment) - 1 if last is None else last,
+            last,
             substeps,
             skip,
-            predicted,
-            sensitivity,
+            _pointer("predicted", predicted, rows, outputs),
+            _pointer("sensitivity", sensitivity, rows, outputs, columns),
+            work.ctypes.data,
+            places.ctypes.data,
         )
 
 
+def _pointer(name: str, array: Array, *shape: int) -> int:
+    """Where `array` begins: machine code looks at no sizes, so what does not fit is refused here."""
+    if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
+        what = f"is {array.dtype} {array.shape}, and should be float64 {shape}, C-contiguous"
+        raise ModelError(name, what, remedy="use np.ascontiguousarray, and the kernel's own sizes.")
+    return int(array.ctypes.data)
+
+
 def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
-    """The kernel of `model`, from memory, from the cache on disk, or made now (seconds; `progress` is told in words).
+    """The kernel of `model`, from memory, from the cache on disk, or made now (`progress` is told in words).
 
     Raises ModelError where its equations are wrong.
     """
-    name = f"{model.name.replace('-', '_').replace('.', '_')}_{fingerprint(model)}"
-    module = _loaded[name].module if name in _loaded else _module(name, model, progress or (lambda text: None))
-    kernel = Kernel(
+    progress = progress or (lambda text: None)
+    name = f"{model.name}-{fingerprint(model)}"
+    if name not in _loaded:
+        _loops(progress)
+        found = machine_code.recall(name)
+        if found is None:
+            from models.codegen import generate
+
+            progress(f"model {model.name}: compiling")
+            made = generate(model)
+            found = machine_code.assemble(made.text, {"structure": made.structure})
+            machine_code.keep(name, found)
+        code = machine_code.load(found, FUNCTIONS)
+        structure = np.array(code.facts["structure"], dtype=np.int64)
+        _loaded[name] = machine_code.Loaded(code.addresses, {"structure": structure}, code.engine)
+    return Kernel(
         states=tuple(state.name for state in model.states),
         inputs=tuple(each.name for each in model.inputs),
         outputs=tuple(each.name for each in model.outputs),
         parameters=tuple(parameter.name for parameter in model.parameters),
         defaults=np.array([parameter.value for parameter in model.parameters]),
-        module=module,
+        code=_loaded[name],
     )
-    _loaded[name] = kernel
-    return kernel
+
+
+def _loops(progress: Progress | None = None) -> Any:
+    """models.kernel_loops.run, compiled."""
+    if LOOPS not in _loaded:
+        name = f"loops-{_digest(_sources(), machine_code.processor())}"
+        found = machine_code.recall(name)
+        if found is None:
+            if progress is not None:
+                progress("compiling the integrator, once on this computer")
+            from models.kernel_loops import intermediate_code
+
+            found = machine_code.assemble(intermediate_code(LOOPS), {})
+            machine_code.keep(name, found)
+        code = machine_code.load(found, (LOOPS,))
+        integer, pointer = ctypes.c_int64, ctypes.c_void_p
+        kinds = (*[integer] * 4, pointer, integer, *[pointer] * 5, integer, *[pointer] * 7)
+        prototype = ctypes.CFUNCTYPE(None, *kinds, *[integer] * 4, *[pointer] * 4)
+        function = prototype(code.addresses[LOOPS])
+        _loaded[LOOPS] = machine_code.Loaded(code.addresses, {"function": function}, code.engine)
+    return _loaded[LOOPS].facts["function"]
 
 
 def fingerprint(model: Model) -> str:
-    """What tells apart models that need code of their own: names, equations, holds, delays, and the code generator."""
-    parts: list[Any] = [_generator(), model.name]
+    """What tells apart models that need code of their own: names, equations, holds, delays, and what makes the code."""
+    parts: list[Any] = [_sources(), machine_code.processor(), model.name]
     parts += [(state.name, state.derivative) for state in model.base_states]
     parts += [(each.name, each.hold.value, each.delays, each.lag) for each in model.inputs]
     parts += [(each.name, each.expression) for each in model.outputs]
@@ -193,52 +255,18 @@ def fingerprint(model: Model) -> str:
         expressions = (effect.force, effect.command, effect.angle_reading, effect.rate_reading)
         states = [(state.name, state.derivative) for state in effect.states]
         names = [parameter.name for parameter in effect.parameters]
-        parts += [
-            (attached.name, attached.at, effect.place.value, expressions, effect.delay, effect.lag, states, names)
-        ]
+        shifts = (effect.delay, effect.lag)
+        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, states, names)]
+    return _digest(*parts)
+
+
+def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
-def cache_directory() -> Path:
-    """Where generated modules are kept: UPRIGHT_CACHE, systemd's CACHE_DIRECTORY, or the user's cache."""
-    for variable in ("UPRIGHT_CACHE", "CACHE_DIRECTORY"):
-        if os.environ.get(variable):
-            return Path(os.environ[variable].split(":")[0]) / "kernels"
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    return Path(base) / "upright" / "kernels"
-
-
-def _generator() -> str:
-    """Changes with any change of the code that generates."""
+@functools.cache
+def _sources() -> str:
+    """Changes with any change of the code that makes machine code."""
     here = Path(__file__).parent
-    sources = [here / name for name in ("codegen.py", "equations.py", "expressions.py", "kernel_loops.py")]
-    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
-
-
-def _module(name: str, model: Model, progress: Progress) -> ModuleType:
-    path = cache_directory() / f"{name}.py"
-    if not path.exists():
-        progress(f"model {model.name}: deriving its equations")
-        from models.codegen import generate
-
-        path = _keep(path, generate(model))
-        progress(f"model {model.name}: compiling")
-    spec = importlib.util.spec_from_file_location(f"upright_kernels.{name}", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def _keep(path: Path, source: str) -> Path:
-    """Write `source` whole or not at all; where the cache cannot be written, into a directory for this process."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
-            file.write(source)
-        os.replace(file.name, path)
-    except OSError:
-        path = Path(tempfile.mkdtemp(prefix="upright-kernels-")) / path.name
-        path.write_text(source)
-    return path
+    names = ("codegen", "equations", "expressions", "expression_syntax", "kernel_loops", "machine_code")
+    return hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()

@@ -1,119 +1,292 @@
-"""The loops of a compiled model: one pass over a stretch of data, with all sensitivities.
-
-This file is a template: models.codegen writes the model's sizes in front of it and its equations in place of the lines
-that begin with `EQUATIONS`, once each, so that numba compiles model and loops as one function, without calls in between.
+"""The loops of every compiled model: one pass over a stretch of data, with all sensitivities.
 
 Classical Runge-Kutta of order four on states and variational equations: discretise, then differentiate, so the
 sensitivities are those of the numbers that are returned. A step is cut where a held input changes; moving that instant
 by a delay moves the ends of two pieces, which is how a delay gets its derivative. An input behind a first-order lag is
 the exact response to a straight line, in the mean over each piece, and is exactly neutral at lag 0.
+
+numba translates this file once on a computer, not once a model: sizes are arguments and a model's equations
+(models.codegen) are called by address. Arrays are bare pointers, row by row; nothing is allocated and nothing can
+raise. models.kernel, the only caller, sees to the sizes.
 """
 
-# ruff: noqa
 # mypy: ignore-errors
 
+from __future__ import annotations
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _lagged(h, tau, start, chord, memory):
-    """How a first-order lag moves the mean of a straight line over h, and where it ends; with all derivatives."""
-    decay = math.exp(-h / tau) if tau > 0.0 else 0.0
-    over = decay / tau if tau > 0.0 else 0.0
-    share = tau / h * (1.0 - decay)
-    gap = memory - start + chord * tau
-    mean = -chord * tau + gap * share
-    end = start + chord * h - chord * tau + gap * decay
-    mean_tau = -chord + chord * share + gap * ((1.0 - decay) / h - over)
-    end_tau = -chord + chord * decay + (gap * over * h / tau if tau > 0.0 else 0.0)
-    return mean, end, mean_tau, end_tau, gap * (decay - share) / h, chord - gap * over, share, decay
+import math
+
+from llvmlite import ir
+from numba import cfunc, config, njit, types
+from numba.extending import intrinsic
+
+from models.machine_code import LANES
+
+NUMBER, INTEGER = types.float64, types.int64
+NUMBERS, INTEGERS = types.CPointer(NUMBER), types.CPointer(INTEGER)
+OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
+INLINE = {**OPTIONS, "forceinline": True}
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def run(time, knots, u, y, p, active, gain, x, S, memory, memory_S, pointer, first, last, substeps, skip, predicted, sensitivity):
+def _call(builder, context, values):
+    """Call the function whose address is values[0] with the others."""
+    kind = ir.FunctionType(ir.VoidType(), [value.type for value in values[1:]])
+    builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
+    return context.get_dummy_value()
+
+
+@intrinsic
+def _prepare(typing, address, p, constants):
+    """constants = what depends on parameters alone."""
+    return types.void(INTEGER, NUMBERS, NUMBERS), lambda context, builder, _, values: _call(builder, context, values)
+
+
+@intrinsic
+def _equations(typing, address, t, x, u, slope, p, constants, column, width, derive, result, A, B, G, T):
+    """result, and where `derive` its derivatives by state, active parameter (its `column`), input and time."""
+    kinds = (INTEGER, NUMBER, *[NUMBERS] * 5, INTEGERS, INTEGER, INTEGER, *[NUMBERS] * 5)
+    return types.void(*kinds), lambda context, builder, _, values: _call(builder, context, values)
+
+
+@intrinsic
+def _propagate(typing, address, width, A, B, S, stage_S, total_S, ahead, weight):
+    """The sensitivities' part of a stage: k = A stage_S + B, total_S += weight k, stage_S = S + ahead k."""
+    kinds = (INTEGER, INTEGER, *[NUMBERS] * 5, NUMBER, NUMBER)
+    return types.void(*kinds), lambda context, builder, _, values: _call(builder, context, values)
+
+
+@intrinsic
+def _at(typing, pointer, offset):
+    """The pointer to pointer[offset]."""
+    return pointer(pointer, INTEGER), lambda context, builder, _, values: builder.gep(values[0], [values[1]])
+
+
+@njit(NUMBER(INTEGER, NUMBER, types.boolean, INTEGER, INTEGER, *[NUMBERS] * 2, INTEGERS, *[NUMBERS] * 2), **INLINE)
+def _line(i, when, left, rows, NU, knots, u, pointer, line, slope):
+    """Input i at an instant, on the straight line between two samples; `left`: where two meet, the one before.
+
+    `line` (NU, 4) is the line found last: where it begins and ends, a knot on it and its value there.
+    """
+    mine = 4 * i
+    if not (line[mine] <= when and (when < line[mine + 1] or (left and when == line[mine + 1]))):
+        j = pointer[i]
+        while j > 0 and knots[j * NU + i] > when:
+            j -= 1
+        while j < rows - 1 and (knots[(j + 1) * NU + i] < when or (not left and knots[(j + 1) * NU + i] == when)):
+            j += 1
+        pointer[i] = j
+        knot = knots[j * NU + i]
+        line[mine + 2], line[mine + 3] = knot, u[j * NU + i]
+        slope[i] = 0.0
+        if when < knot or (left and when == knot and j == 0):  # before the first sample
+            line[mine], line[mine + 1] = -math.inf, knot
+        elif j == rows - 1:
+            line[mine], line[mine + 1] = knot, math.inf
+        else:
+            line[mine], line[mine + 1] = knot, knots[(j + 1) * NU + i]
+            slope[i] = (u[(j + 1) * NU + i] - u[j * NU + i]) / (line[mine + 1] - knot)
+    return line[mine + 3] + (when - line[mine + 2]) * slope[i]
+
+
+@njit(NUMBER(INTEGER, *[NUMBER] * 4, types.boolean, *[INTEGER] * 3, *[NUMBERS] * 6), **INLINE)
+def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, stretch, mean_S):
+    """The mean over h of what a lag does to a straight line from `start` to `end`; moves the lag's memory on.
+
+    The line's ends have derivatives `begin_S` and `end_S`, h has `stretch` where `moved`, and column `own` is tau's.
+    """
+    gone, over = 1.0, 0.0
+    if tau > 0.0:
+        gone = -math.expm1(-h / tau)
+        over = (1.0 - gone) / tau
+    decay = 1.0 - gone
+    share = tau / h * gone
+    chord = (end - start) / h
+    gap = memory[i] - start + chord * tau
+    for c in range(na):
+        longer = stretch[c] if moved else 0.0
+        chord_c = (end_S[c] - begin_S[c] - chord * longer) / h
+        gap_c = memory_S[i * width + c] - begin_S[c] + chord_c * tau
+        mean_c = gap_c * share - chord_c * tau + gap * (decay - share) / h * longer
+        end_c = end_S[c] - chord_c * tau + gap_c * decay - gap * over * longer
+        if c == own:
+            mean_c += chord * share - chord + gap * (gone / h - over)
+            end_c += chord * decay - chord + (gap * over * h / tau if tau > 0.0 else 0.0)
+        mean_S[i * width + c] = mean_c
+        memory_S[i * width + c] = end_c
+    memory[i] = end - chord * tau + gap * decay
+    return gap * share - chord * tau
+
+
+def run(
+    prepare,
+    slopes,
+    observe,
+    propagate,
+    structure,
+    rows,
+    time,
+    knots,
+    u,
+    y,
+    p,
+    na,
+    active,
+    gain,
+    x,
+    given_S,
+    memory,
+    given_memory_S,
+    pointer,
+    first,
+    last,
+    substeps,
+    skip,
+    predicted,
+    sensitivity,
+    work,
+    places,
+):
     """Rows first to last: predict the outputs, correct the state by gain * (measured - predicted), integrate on.
 
-    x, S (NX, na), memory, memory_S and pointer are taken over and left as they are after the last row's correction.
-    `skip`: the first row was predicted and corrected already. `active`: parameter number, NP + number of an initial
-    state, or NP + NX + i * NY + j for the gain from output j to state i.
+    x, given_S (NX, na), memory, given_memory_S (NU, na) and pointer are taken over and left as they are after the last
+    row's correction. `skip`: the first row was predicted and corrected already. `active`: parameter number, NP + number
+    of an initial state, or NP + NX + i * NY + j for the gain from output j to state i. `structure` is
+    models.codegen.Structure as a row of numbers; `work` and `places` are space, all zero.
     """
-    na = len(active)
-    rows = len(u)
-    column = np.full(NP, -1, dtype=np.int64)
+    NX, NU, NY, NP, ND, NC = structure[0], structure[1], structure[2], structure[3], structure[4], structure[5]
+    first_order = _at(structure, 6)
+    lag = _at(first_order, NU)
+    delay_input = _at(lag, NU)
+    delay_parameter = _at(delay_input, ND)
+    width = (na + LANES - 1) // LANES * LANES
+    derive = 1 if na > 0 else 0
+
+    column = places
+    moves = _at(places, NP)  # what delays that are active move: input, column
+    lagged = _at(moves, 2 * ND)
+    constants = work
+    delay = _at(constants, NC)
+    f = _at(delay, NU)
+    A = _at(f, NX)
+    G = _at(A, NX * NX)
+    T = _at(G, NX * NU)
+    C = _at(T, NX)
+    H = _at(C, NY * NX)
+    error = _at(H, NY * NU)
+    total = _at(error, NY)
+    stage = _at(total, NX)
+    value = _at(stage, NX)
+    held = _at(value, NU)
+    slope = _at(held, NU)
+    shift = _at(slope, NU)
+    line = _at(shift, NU)
+    B = _at(line, 4 * NU)
+    D = _at(B, NX * width)
+    S = _at(D, NY * width)
+    total_S = _at(S, NX * width)
+    stage_S = _at(total_S, NX * width)
+    memory_S = _at(stage_S, NX * width)
+    mean_S = _at(memory_S, NU * width)
+    later = _at(mean_S, NU * width)
+    stretch = _at(later, width)
+    begin_S = _at(stretch, width)
+    end_S = _at(begin_S, width)
+
+    _prepare(prepare, p, constants)
+    gains = False
+    for i in range(NP):
+        column[i] = -1
     for c in range(na):
         if active[c] < NP:
             column[active[c]] = c
-    delay = np.zeros(NU)
-    moves = np.zeros((len(DELAY_INPUT), 2), dtype=np.int64)  # what delays that are active move: input, column
+        gains |= active[c] >= NP + NX
+        for i in range(NX):
+            S[i * width + c] = given_S[i * na + c]
+        for i in range(NU):
+            memory_S[i * width + c] = given_memory_S[i * na + c]
+    correcting = gains
+    for i in range(NX * NY):
+        correcting |= gain[i] != 0.0
     count = 0
-    lines = False
-    switching = False
-    for d in range(len(DELAY_INPUT)):
-        delay[DELAY_INPUT[d]] += p[DELAY_PARAMETER[d]]
-        if column[DELAY_PARAMETER[d]] >= 0:
-            moves[count, 0] = DELAY_INPUT[d]
-            moves[count, 1] = column[DELAY_PARAMETER[d]]
+    switching, lines, lagging = False, False, False
+    for d in range(ND):
+        delay[delay_input[d]] += p[delay_parameter[d]]
+        if column[delay_parameter[d]] >= 0:
+            moves[2 * count] = delay_input[d]
+            moves[2 * count + 1] = column[delay_parameter[d]]
             count += 1
-            lines |= FIRST_ORDER[DELAY_INPUT[d]]
-            switching |= not FIRST_ORDER[DELAY_INPUT[d]]
-
-    f = np.zeros(NX)
-    A = np.zeros((NX, NX))
-    B = np.zeros((NX, na))
-    G = np.zeros((NX, NU))
-    C = np.zeros((NY, NX))
-    D = np.zeros((NY, na))
-    H = np.zeros((NY, NU))
-    value = np.zeros(NU)
-    slope = np.zeros(NU)
-    shift = np.zeros(NU)
-    bend = np.zeros((NU, na))
-    error = np.zeros(NY)
-    total = np.zeros(NX)
-    stage = np.zeros(NX)
-    total_S = np.zeros((NX, na))
-    stage_S = np.zeros((NX, na))
-    k_S = np.zeros((NX, na))
-    stretch = np.zeros(na)
-    ends = np.zeros((2, NU))
-    end_slopes = np.zeros((2, NU))
+            if first_order[delay_input[d]]:
+                lines = True
+            else:
+                switching = True
+    for i in range(NU):
+        if lag[i] >= 0 and (p[lag[i]] > 0.0 or column[lag[i]] >= 0):
+            lagged[i] = 1
+            lagging = True
+        line[4 * i], line[4 * i + 1] = math.inf, -math.inf
+    patched = derive and (lines or switching or lagging)  # B gets more than the equations put into it
 
     if not skip:
         for i in range(NU):
             pointer[i] = 0
-            while pointer[i] < rows - 1 and knots[pointer[i] + 1, i] + delay[i] < time[first]:
-                pointer[i] += 1
-            memory[i] = u[pointer[i], i]
+            if first_order[i]:
+                memory[i] = _line(i, time[first] - delay[i], True, rows, NU, knots, u, pointer, line, slope)
+                for q in range(count):
+                    if moves[2 * q] == i:
+                        memory_S[i * width + moves[2 * q + 1]] -= slope[i]
+            else:
+                while pointer[i] < rows - 1 and knots[(pointer[i] + 1) * NU + i] + delay[i] < time[first]:
+                    pointer[i] += 1
+                memory[i] = u[pointer[i] * NU + i]
 
     for k in range(first, last + 1):
         if k > first or not skip:
             for i in range(NU):
-                READ_LINE(time[k]; True; value[i]; slope[i])
-            t = time[k]
-            for i in range(NX):
-                stage[i] = x[i]
-            EQUATIONS_observe
+                if first_order[i]:
+                    value[i] = _line(i, time[k] - delay[i], True, rows, NU, knots, u, pointer, line, slope)
+                else:
+                    value[i] = u[pointer[i] * NU + i]
+                if lagged[i]:
+                    value[i] = memory[i]
+            _equations(observe, time[k], x, value, slope, p, constants, column, width, derive, error, C, D, H, T)
             for j in range(NY):
-                predicted[k, j] = error[j]
-                error[j] = y[k, j] - error[j]
-                for c in range(na):
-                    sensitivity[k, j, c] = D[j, c]
-                for i in range(NX):
-                    if C[j, i] != 0.0:
-                        for c in range(na):
-                            sensitivity[k, j, c] += C[j, i] * S[i, c]
-                if lines:
-                    for q in range(count):
-                        sensitivity[k, j, moves[q, 1]] -= H[j, moves[q, 0]] * slope[moves[q, 0]]
-            for j in range(NY):
-                if math.isfinite(error[j]):
+                predicted[k * NY + j] = error[j]
+                error[j] = y[k * NY + j] - error[j]
+            if derive:
+                for j in range(NY):
+                    shown = _at(sensitivity, (k * NY + j) * na)
+                    for c in range(na):
+                        shown[c] = D[j * width + c]
                     for i in range(NX):
-                        if gain[i, j] != 0.0:
-                            x[i] += gain[i, j] * error[j]
+                        by_state = C[j * NX + i]
+                        if by_state != 0.0:
                             for c in range(na):
-                                S[i, c] -= gain[i, j] * sensitivity[k, j, c]
-            for c in range(na):
-                entry = active[c] - NP - NX
-                if entry >= 0 and math.isfinite(error[entry % NY]):
-                    S[entry // NY, c] += error[entry % NY]
+                                shown[c] += by_state * S[i * width + c]
+                    if lagging:
+                        for i in range(NU):
+                            if lagged[i]:
+                                for c in range(na):
+                                    shown[c] += H[j * NU + i] * memory_S[i * width + c]
+                    if lines:
+                        for q in range(count):
+                            i = moves[2 * q]
+                            if not lagged[i]:
+                                shown[moves[2 * q + 1]] -= H[j * NU + i] * slope[i]
+            if correcting:
+                for j in range(NY):
+                    if math.isfinite(error[j]):
+                        shown = _at(sensitivity, (k * NY + j) * na)
+                        for i in range(NX):
+                            share = gain[i * NY + j]
+                            if share != 0.0:
+                                x[i] += share * error[j]
+                                for c in range(na):
+                                    S[i * width + c] -= share * shown[c]
+                if gains:
+                    for c in range(na):
+                        entry = active[c] - NP - NX
+                        if entry >= 0 and math.isfinite(error[entry % NY]):
+                            S[entry // NY * width + c] += error[entry % NY]
         if k == last:
             break
         begin = time[k]
@@ -123,109 +296,150 @@ def run(time, knots, u, y, p, active, gain, x, S, memory, memory_S, pointer, fir
             cut = finish
             following = -1
             for i in range(NU):
-                if not FIRST_ORDER[i] and pointer[i] < rows - 1:
-                    candidate = knots[pointer[i] + 1, i] + delay[i]
+                if not first_order[i] and pointer[i] < rows - 1:
+                    candidate = knots[(pointer[i] + 1) * NU + i] + delay[i]
                     if candidate < cut:
-                        cut = max(candidate, begin)
+                        cut = candidate if candidate > begin else begin
                         following = i
             h = (cut - begin) / substeps
-            steps = substeps if h > 0.0 else 0
             moving = False
             if switching:
                 for c in range(na):
                     stretch[c] = 0.0
+                    later[c] = 0.0
                 for q in range(count):
-                    if moves[q, 0] == following:
-                        stretch[moves[q, 1]] += 1.0
+                    if moves[2 * q] == following:
+                        stretch[moves[2 * q + 1]] += 1.0 / substeps
                         moving = True
-                    if moves[q, 0] == owner:
-                        stretch[moves[q, 1]] -= 1.0
+                    if moves[2 * q] == owner:
+                        stretch[moves[2 * q + 1]] -= 1.0 / substeps
+                        later[moves[2 * q + 1]] += 1.0
                         moving = True
-                if moving and steps == 0:
-                    steps = 1  # no time goes by, but the state moves with the instant
-            for c in range(na):
-                stretch[c] /= max(steps, 1)
-            for step in range(steps):
+            for i in range(NU):
+                if not first_order[i]:
+                    held[i] = u[pointer[i] * NU + i]
+            if moving and h <= 0.0:  # no time goes by, but the state moves with the instant
+                for i in range(NU):
+                    value[i] = held[i]
+                    if first_order[i]:
+                        value[i] = _line(i, begin - delay[i], False, rows, NU, knots, u, pointer, line, slope)
+                    if lagged[i] and p[lag[i]] > 0.0:
+                        for c in range(na):
+                            climb = (value[i] - memory[i]) / p[lag[i]]
+                            memory_S[i * width + c] += substeps * stretch[c] * climb
+                        value[i] = memory[i]
+                _equations(slopes, begin, x, value, slope, p, constants, column, width, 0, f, A, B, G, T)
+                for i in range(NX):
+                    for c in range(na):
+                        S[i * width + c] += substeps * stretch[c] * f[i]
+            for step in range(substeps if h > 0.0 else 0):
                 start = begin + step * h
-                if LAGGING and h > 0.0:
-                    for side in range(2):
-                        for i in range(NU):
-                            READ_LINE(start + side * h; side == 1; ends[side, i]; end_slopes[side, i])
-                    for i in range(NU):
-                        if LAG[i] >= 0:
-                            chord = (ends[1, i] - ends[0, i]) / h
-                            mean, after, mean_tau, after_tau, mean_h, after_h, share, decay = _lagged(
-                                h, p[LAG[i]], ends[0, i], chord, memory[i]
-                            )
-                            for c in range(na):
-                                start_c = 0.0
-                                end_c = 0.0
-                                if FIRST_ORDER[i]:
-                                    for q in range(count):
-                                        if moves[q, 0] == i and moves[q, 1] == c:
-                                            start_c -= end_slopes[0, i]
-                                            end_c -= end_slopes[1, i]
-                                chord_c = (end_c - start_c) / h
-                                gap_c = memory_S[i, c] - start_c + chord_c * p[LAG[i]]
-                                bend[i, c] = -chord_c * p[LAG[i]] + gap_c * share
-                                memory_S[i, c] = end_c - chord_c * p[LAG[i]] + gap_c * decay
-                                if column[LAG[i]] == c:
-                                    bend[i, c] += mean_tau
-                                    memory_S[i, c] += after_tau
-                                if moving:
-                                    bend[i, c] += mean_h * stretch[c]
-                                    memory_S[i, c] += after_h * stretch[c]
-                            shift[i] = mean
-                            memory[i] = after
+                for i in range(NU):
+                    value[i] = held[i]
+                    if lagged[i]:
+                        head = value[i]
+                        tail = value[i]
+                        for c in range(na):
+                            begin_S[c] = 0.0
+                            end_S[c] = 0.0
+                        if first_order[i]:
+                            head = _line(i, start - delay[i], False, rows, NU, knots, u, pointer, line, slope)
+                            for q in range(count):
+                                if moves[2 * q] == i:
+                                    begin_S[moves[2 * q + 1]] -= slope[i]
+                            if moving:
+                                for c in range(na):
+                                    begin_S[c] += slope[i] * later[c]
+                            tail = _line(i, start + h - delay[i], True, rows, NU, knots, u, pointer, line, slope)
+                            for q in range(count):
+                                if moves[2 * q] == i:
+                                    end_S[moves[2 * q + 1]] -= slope[i]
+                            if moving:
+                                for c in range(na):
+                                    end_S[c] += slope[i] * (later[c] + stretch[c])
+                        own = column[lag[i]]
+                        shift[i] = _lagged(
+                            i, h, p[lag[i]], head, tail, moving, own,
+                            na, width, memory, memory_S, begin_S, end_S, stretch, mean_S,
+                        )  # fmt: skip
+                        if not first_order[i]:
+                            value[i] += shift[i]
                 for i in range(NX):
                     stage[i] = x[i]
                     total[i] = 0.0
-                    for c in range(na):
-                        stage_S[i, c] = S[i, c]
-                        total_S[i, c] = 0.0
+                for i in range(NX * width):
+                    stage_S[i] = S[i]
+                    total_S[i] = 0.0
                 for r in range(4):
-                    t = start + NODES[r] * h
+                    node = 0.0 if r == 0 else (1.0 if r == 3 else 0.5)
+                    t = start + node * h
                     if r != 2:
                         for i in range(NU):
-                            READ_LINE(t; r == 3; value[i]; slope[i])
-                            value[i] += shift[i]
-                    EQUATIONS_slopes
-                    for i in range(NX):
-                        for c in range(na):
-                            k_S[i, c] = B[i, c]
-                        for j in range(NX):
-                            a = A[i, j]
-                            if a != 0.0:
+                            if first_order[i]:
+                                value[i] = _line(i, t - delay[i], r == 3, rows, NU, knots, u, pointer, line, slope)
+                                value[i] += shift[i]
+                    if patched:
+                        for i in range(NX * width):
+                            B[i] = 0.0
+                    _equations(slopes, t, stage, value, slope, p, constants, column, width, derive, f, A, B, G, T)
+                    if patched:
+                        for i in range(NX):
+                            if lines:
+                                for q in range(count):
+                                    B[i * width + moves[2 * q + 1]] -= G[i * NU + moves[2 * q]] * slope[moves[2 * q]]
+                            if lagging:
+                                for j in range(NU):
+                                    if lagged[j]:
+                                        for c in range(na):
+                                            B[i * width + c] += G[i * NU + j] * mean_S[j * width + c]
+                            if moving:  # the instant of this stage moves, and with it what changes steadily
+                                drift = T[i]
+                                for j in range(NU):
+                                    if first_order[j]:
+                                        drift += G[i * NU + j] * slope[j]
                                 for c in range(na):
-                                    k_S[i, c] += a * stage_S[j, c]
-                        if lines:
-                            for q in range(count):
-                                k_S[i, moves[q, 1]] -= G[i, moves[q, 0]] * slope[moves[q, 0]]
-                        if LAGGING:
-                            for j in range(NU):
-                                if LAG[j] >= 0:
-                                    for c in range(na):
-                                        k_S[i, c] += G[i, j] * bend[j, c]
-                    ahead = h * NODES[r + 1]
-                    weight = WEIGHTS[r]
+                                    B[i * width + c] += drift * (later[c] + node * stretch[c])
+                    next_node = 1.0 if r == 2 else (0.5 if r < 2 else 0.0)
+                    ahead = next_node * h
+                    weight = 1.0 / 6.0 if r == 0 or r == 3 else 1.0 / 3.0
+                    if derive:
+                        _propagate(propagate, width, A, B, S, stage_S, total_S, ahead, weight)
                     for i in range(NX):
                         total[i] += weight * f[i]
                         stage[i] = x[i] + ahead * f[i]
-                        for c in range(na):
-                            total_S[i, c] += weight * k_S[i, c]
-                            stage_S[i, c] = S[i, c] + ahead * k_S[i, c]
-                        if moving:
+                    if moving:
+                        for i in range(NX):
                             for c in range(na):
-                                stage_S[i, c] += NODES[r + 1] * stretch[c] * f[i]
+                                stage_S[i * width + c] += next_node * stretch[c] * f[i]
                 for i in range(NX):
                     x[i] += h * total[i]
-                    for c in range(na):
-                        S[i, c] += h * total_S[i, c]
-                    if moving:
+                for i in range(NX * width):
+                    S[i] += h * total_S[i]
+                if moving:
+                    for i in range(NX):
                         for c in range(na):
-                            S[i, c] += stretch[c] * total[i]
+                            S[i * width + c] += stretch[c] * total[i]
+                    for c in range(na):
+                        later[c] += stretch[c]
             begin = cut
             owner = following
             if following < 0:
                 break
             pointer[following] += 1
+    for c in range(na):
+        for i in range(NX):
+            given_S[i * na + c] = S[i * width + c]
+        for i in range(NU):
+            given_memory_S[i * na + c] = memory_S[i * width + c]
+
+
+def intermediate_code(name: str) -> str:
+    """`run` as LLVM's intermediate code, in which it is called `name`."""
+    kinds = (*[INTEGER] * 4, INTEGERS, INTEGER, *[NUMBERS] * 5, INTEGER, INTEGERS, *[NUMBERS] * 5, INTEGERS)
+    kinds += (*[INTEGER] * 4, *[NUMBERS] * 3, INTEGERS)
+    vectorise, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # what is worth it is `propagate`, made by hand
+    try:
+        compiled = cfunc(types.void(*kinds), **OPTIONS)(run)
+    finally:
+        config.LOOP_VECTORIZE = vectorise
+    return compiled.inspect_llvm().replace(compiled.native_name, name)

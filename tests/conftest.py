@@ -24,6 +24,11 @@ def _in_throwaway_systemd() -> bool:
     return "User Mode Linux" in Path("/proc/cpuinfo").read_text() and Path("/run/systemd/system").is_dir()
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compiled models outlive a run of the tests, and are not mixed with the user's."""
+    os.environ.setdefault("UPRIGHT_CACHE", str(config.rootpath / ".pytest_cache" / "upright"))
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("vcan") and not Path("/sys/class/net/vcan0").exists():
         pytest.skip("no vcan0 here; `make vcan-test` runs this in a guest that has one")

@@ -37,7 +37,7 @@ def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle(experiment: str, w
     vehicle = loop.vehicle
     recording = recording_of(recorded(loop, experiment))
     known, deviations = vehicle.parameters.values, vehicle.parameters.deviations
-    document = identify([recording], known, vehicle.support, deviations=deviations)["methods"][METHOD]
+    document = identify([recording], known, vehicle.support, [METHOD], deviations=deviations)["methods"][METHOD]
     assert document["status"] == "ok"
     for name, truth in (("inertia", TRUTH.inertia), ("gravity_stiffness", TRUTH.gravity_stiffness)):
         parameter = document["parameters"][name]

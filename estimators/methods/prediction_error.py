@@ -33,6 +33,8 @@ ROUNDS = 10
 """Times, at most, that parameters and the innovations' covariance are estimated in turn."""
 ENOUGH = 1e-3
 """Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
+FLOOR = 10.0
+"""Times the known noise of a sensor below which its innovations are no information about the vehicle."""
 HORIZON = 0.5
 """s ahead that fit_percent tells of."""
 
@@ -176,8 +178,8 @@ def _covariance(blocks: Sequence[Block], weights: Array, task: Problem) -> Array
     )
     back = np.linalg.inv(weights)
     covariance = back @ (white.T @ white / len(white)) @ back.T
-    # What is known of a sensor is a floor: innovations that seem smaller are no information about the vehicle.
-    floor = [output.noise if output.noise_known else 1e-9 * output.noise for output in task.model.outputs]
+    shares = [FLOOR if output.noise_known else 1e-9 for output in task.model.outputs]
+    floor = np.array([share * output.noise for share, output in zip(shares, task.model.outputs, strict=True)])
     return np.asarray(covariance + np.diag(np.square(floor)))
 
 

@@ -7,7 +7,7 @@ neither the speed loops nor their coupling to roll matter then. MONOCAB_REDUCED 
 follows its setpoint with `speed_loop_lag`. MONOCAB_FULL is (1), with the trim mass and the precession angle.
 
 The roll filter's error is no white noise but the gyro's, integrated, and a slow correction; so each model has it as a
-state, `roll_error`, which has no part in the motion. From row to row the recorded roll is the integrated roll rate to
+state, `roll_error`, which has no part in the motion, and what is left of the gyro's bias as `rate_error`. From row to row the recorded roll is the integrated roll rate to
 1e-6 rad, which says nothing about the vehicle but all about the filter: 1e-5 rad are put down as its noise, so that no
 fit builds on it. Source: Griese et al., with the gravity term's sign set right
 and the static torque left to an effect.
@@ -57,15 +57,23 @@ _ROLL_RATE = State(
 _ROLL_ERROR = State(
     "roll_error",
     "rad",
-    "-roll_error / roll_error_time",
-    initial_std=1e-3,
+    "rate_error - roll_error / roll_error_time",
+    initial_std=3e-4,
     process_noise=3e-5,
     noise_of="roll_rate",
     meaning="error of the roll filter: the gyro's noise integrated, and slow corrections",
 )
+_RATE_ERROR = State(
+    "rate_error",
+    "rad/s",
+    "0",
+    initial_std=3e-5,
+    process_noise=2e-6,
+    meaning="what the roll filter has not learned of the gyro's bias",
+)
 _OUTPUTS = (
     Output("roll", "rad", "roll + roll_error", noise=1e-5, noise_known=True),
-    Output("roll_rate", "rad/s", "roll_rate", noise=4e-4),
+    Output("roll_rate", "rad/s", "roll_rate + rate_error", noise=4e-4),
 )
 _IMU = Sensor("imu", angle="roll", rate="roll_rate", angle_scale=0.02, rate_scale=0.05)
 
@@ -106,7 +114,7 @@ MONOCAB_ROLL = Model(
     name="monocab_roll",
     title="MONOCAB, roll alone: the measured motion of gimbals and trim mass is its input",
     source="Griese et al., equation (3)",
-    base_states=(_ROLL, _ROLL_RATE, _ROLL_ERROR),
+    base_states=(_ROLL, _ROLL_RATE, _ROLL_ERROR, _RATE_ERROR),
     inputs=(
         Input("precession_rate", "rad/s", age="drive_age", delays=("drive_offset",)),
         Input("precession", "rad", age="drive_age", delays=("drive_offset",)),
@@ -140,6 +148,7 @@ MONOCAB_REDUCED = Model(
             process_noise=1e-2,
         ),
         _ROLL_ERROR,
+        _RATE_ERROR,
     ),
     inputs=(
         Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
@@ -180,6 +189,7 @@ MONOCAB_FULL = Model(
             process_noise=1e-2,
         ),
         _ROLL_ERROR,
+        _RATE_ERROR,
     ),
     inputs=(
         Input("trim_rate_setpoint", "m/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),

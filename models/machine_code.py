@@ -1,0 +1,116 @@
+"""Machine code from LLVM's intermediate code, kept on disk: assembled once, loaded in a millisecond ever after.
+
+A file is a SHA-256 digest of the rest, a line of JSON and an object file for this computer's processor. It is written
+whole or not at all, so processes that start together do not disturb each other; one that is damaged is as good as
+missing. Where the cache cannot be written, all works as it does without one.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+LANES = 4
+"""Numbers that are worked on at once; rows of sensitivities are padded to a multiple of it."""
+DIGEST = hashlib.sha256().digest_size
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """Object code, and what else is to be known of it (JSON)."""
+
+    code: bytes
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """Code in memory: functions by address, for as long as `engine` lives."""
+
+    addresses: Mapping[str, int]
+    facts: Mapping[str, Any]
+    engine: Any
+
+
+def cache_directory() -> Path:
+    """Where machine code is kept: UPRIGHT_CACHE, systemd's CACHE_DIRECTORY, or the user's cache."""
+    for variable in ("UPRIGHT_CACHE", "CACHE_DIRECTORY"):
+        if os.environ.get(variable):
+            return Path(os.environ[variable].split(":")[0]) / "kernels"
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(base) / "upright" / "kernels"
+
+
+def recall(name: str) -> Assembled | None:
+    """What was kept under `name`; None where there is nothing, or not what was written."""
+    try:
+        content = (cache_directory() / name).read_bytes()
+    except OSError:
+        return None
+    rest = content[DIGEST:]
+    if hashlib.sha256(rest).digest() != content[:DIGEST]:
+        return None
+    line, _, code = rest.partition(b"\n")
+    return Assembled(code, json.loads(line))
+
+
+def keep(name: str, assembled: Assembled) -> None:
+    """Keep it under `name`, if that can be."""
+    rest = json.dumps(dict(assembled.facts)).encode() + b"\n" + assembled.code
+    path = cache_directory() / name
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            file.write(hashlib.sha256(rest).digest() + rest)
+        os.replace(file.name, path)
+    except OSError:
+        return
+
+
+def assemble(text: str, facts: Mapping[str, Any]) -> Assembled:
+    """Machine code for this processor from intermediate code."""
+    from llvmlite import binding  # type: ignore[import-untyped]
+
+    return Assembled(_machine().emit_object(binding.parse_assembly(text)), facts)
+
+
+def load(assembled: Assembled, functions: tuple[str, ...]) -> Loaded:
+    """Bring code into memory; `functions` are those whose addresses are wanted."""
+    from llvmlite import binding
+
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _machine())
+    engine.add_object_file(binding.ObjectFileRef.from_data(assembled.code))
+    engine.finalize_object()
+    return Loaded({name: engine.get_function_address(name) for name in functions}, assembled.facts, engine)
+
+
+@functools.cache
+def processor() -> str:
+    """What the code is made for: machine code of one processor need not run on another."""
+    import llvmlite
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features().flatten()
+    return f"{llvmlite.__version__} {binding.get_process_triple()} {binding.get_host_cpu_name()} {features}"
+
+
+def _machine() -> Any:
+    from llvmlite import binding
+
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=2,
+        reloc="default",
+        codemodel="jitdefault",
+        jit=True,
+    )

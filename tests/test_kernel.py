@@ -1,0 +1,463 @@
+"""Compiled models: what a pass returns is right, its sensitivities are the derivatives of it, and the cache is safe.
+
+One small model has all that a pass can do: held and straight-line inputs, delays, lags, terms in time, and outputs that
+show inputs. Central differences of a pass in float64 are good to about 1e-9 of the largest slope at the steps used
+here; the bound of 1e-6 leaves room for curvature.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from models import kernel as kernels
+from models import machine_code
+from models.expressions import number
+from models.kernel import LOOPS, Kernel, compile_model
+from models.model import Hold, Input, Model, ModelError, Output, Parameter, State
+from models.segment import Segment
+
+Array = NDArray[np.float64]
+
+PLANT = Model(
+    name="test-plant",
+    title="a mass on a hardening spring with friction, pushed by a command, a motor and the wind",
+    base_states=(
+        State("x", "m", "v"),
+        State("v", "m/s", "(push + motor + wind - k * x - x**3 - c * v - f * tanh(v / 0.2) + sin(3 * time)) / m"),
+        State("z", "m", "(x - z) / 0.3 + 0.02 * seen_slope"),
+    ),
+    inputs=(
+        Input("push", "N", Hold.ZERO_ORDER, delays=("push_delay", "both_delay")),
+        Input("motor", "N", Hold.ZERO_ORDER, delays=("both_delay",), lag="motor_lag"),
+        Input("wind", "N", Hold.FIRST_ORDER, delays=("wind_delay",), lag="wind_lag"),
+        Input("seen", "N", Hold.FIRST_ORDER),
+    ),
+    outputs=(
+        Output("position", "m", "x + 0.1 * z", noise=0.01),
+        Output("rate", "m/s", "v * m + 0.3 * wind + 0.2 * seen", noise=0.01),
+    ),
+    base_parameters=(
+        Parameter("m", "kg", 0.7),
+        Parameter("k", "N/m", 20.0),
+        Parameter("c", "N s/m", 0.6),
+        Parameter("f", "N", 0.8),
+        *(Parameter(name, "s", 0.0) for name in ("push_delay", "both_delay", "motor_lag", "wind_delay", "wind_lag")),
+    ),
+)
+NEUTRAL = replace(
+    PLANT,
+    inputs=tuple(replace(each, delays=(), lag="") for each in PLANT.inputs),
+    base_parameters=PLANT.base_parameters[:4],
+)
+INITIAL = np.array([0.2, -0.4, 0.1])
+GAIN = np.array([[0.2, 0.01], [0.5, 0.3], [0.0, 0.1]])
+ROWS = 150
+
+
+@pytest.fixture(scope="module")
+def plant() -> Kernel:
+    return compile_model(PLANT)
+
+
+def segment(*, regular: bool = False, rows: int = ROWS, seed: int = 1) -> Segment:
+    """Rows 1/128 s apart, whose sums are exact; unless `regular`, with jitter, and inputs sampled in between."""
+    source = np.random.default_rng(seed)
+    time = np.arange(rows) / 128.0
+    knots = np.repeat(time[:, None], len(PLANT.inputs), axis=1)
+    knots[:, 1] -= 0.003  # no two inputs change at once: which comes first would decide
+    if not regular:
+        time = time + source.uniform(-2e-3, 2e-3, rows)
+        knots = knots - source.uniform(0.0, 4e-3, knots.shape)
+    held = np.repeat(source.uniform(-5.0, 5.0, (rows // 3 + 1, 2)), 3, axis=0)[:rows]
+    smooth = 3.0 * np.sin(np.outer(time, (11.0, 7.0)) + np.array([0.0, 1.0]))
+    measured = 0.3 * np.sin(np.outer(time, (5.0, 5.0))) + source.normal(0.0, 0.05, (rows, 2))
+    return Segment(time, knots, np.column_stack((held, smooth)), measured)
+
+
+def predicted(kernel: Kernel, data: Segment, unknowns: Array, substeps: int = 1) -> Array:
+    """A pass with `unknowns`: parameters, initial state and gain in one row."""
+    values, initial, gain = np.split(unknowns, np.cumsum([len(kernel.parameters), len(kernel.states)]))
+    return kernel.run(data, values, initial, gain=gain.reshape(GAIN.shape), substeps=substeps).predicted
+
+
+def assert_exact(kernel: Kernel, data: Segment, sided: Sequence[str] = (), substeps: int = 1, **given: float) -> None:
+    """Every sensitivity equals a difference of second order; one from above for the parameters in `sided`."""
+    values = kernel.vector(given)
+    everything = np.concatenate((values, INITIAL, GAIN.ravel()))
+    active = range(len(everything))
+    exact = kernel.run(data, values, INITIAL, gain=GAIN, active=active, substeps=substeps).sensitivity
+    for place in active:
+        name = kernel.parameters[place] if place < len(kernel.parameters) else f"unknown {place}"
+        step = np.zeros_like(everything)
+        step[place] = 1e-6
+
+        def at(steps: float, step: Array = step) -> Array:
+            return predicted(kernel, data, everything + steps * step, substeps)
+
+        if name in sided:
+            slope = (4.0 * at(1.0) - at(2.0) - 3.0 * at(0.0)) / 2e-6
+        else:
+            slope = (at(1.0) - at(-1.0)) / 2e-6
+        largest = np.max(np.abs(slope))
+        assert largest > 1e-4, f"{name} cannot be seen"
+        assert np.max(np.abs(exact[:, :, place] - slope)) < 1e-6 * max(largest, 1.0), name
+
+
+# --- derivatives
+
+
+SHIFTED = {"push_delay": 0.0034, "both_delay": 0.0021, "wind_delay": 0.0057, "motor_lag": 0.013, "wind_lag": 0.021}
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_sensitivities_with_everything_shifted(plant: Kernel, substeps: int) -> None:
+    assert_exact(plant, segment(), substeps=substeps, **SHIFTED)
+
+
+def test_sensitivities_at_negative_delays_without_lags(plant: Kernel) -> None:
+    lags = ("motor_lag", "wind_lag")
+    assert_exact(plant, segment(), sided=lags, push_delay=-0.0034, both_delay=-0.0021, wind_delay=-0.0057)
+
+
+def test_sensitivities_where_held_inputs_change_exactly_on_a_row(plant: Kernel) -> None:
+    # At delay 0 a change at a row acts from there on; to a delay below 0 the row's prediction answers otherwise.
+    delays, lags = ("push_delay", "both_delay"), ("motor_lag", "wind_lag")
+    assert_exact(plant, segment(regular=True), sided=(*delays, *lags), wind_delay=0.003)
+    assert_exact(plant, segment(regular=True), sided=delays, wind_delay=0.003, motor_lag=0.02, wind_lag=0.03)
+
+
+def test_sensitivities_where_a_delay_is_a_whole_row(plant: Kernel) -> None:
+    delays = {"push_delay": 0.0, "both_delay": 1.0 / 128.0}
+    assert_exact(plant, segment(regular=True), sided=tuple(delays), **{**SHIFTED, **delays})
+
+
+def test_only_active_columns_are_computed_and_they_are_the_same(plant: Kernel) -> None:
+    values, size = plant.vector(SHIFTED), len(plant.parameters) + len(INITIAL) + GAIN.size
+    whole = plant.run(segment(), values, INITIAL, gain=GAIN, active=range(size)).sensitivity
+    some = [3, size - 1, 0, len(plant.parameters) + 1, 5]
+    part = plant.run(segment(), values, INITIAL, gain=GAIN, active=some)
+    assert np.array_equal(part.sensitivity, whole[:, :, some])
+    assert np.array_equal(part.predicted, plant.run(segment(), values, INITIAL, gain=GAIN).predicted)
+
+
+EXPRESSIONS = (
+    "sin(a) + cos(b) + tan(a * b)",
+    "asin(a / 2) + acos(b / 3) + atan(a - b)",
+    "sinh(a) + cosh(b) + tanh(a * b)",
+    "exp(-(a / b) ** 2) + log(a + b) + sqrt(a * b)",
+    "abs(a - 1) * sign(b - a) + min(a, b) * max(a - 2, max(b, 0.1))",
+    "a ** 3 - b ** -2 + a ** 0.5 + b ** 2.5 + a ** b - (a + b) ** 9 / 1e3 + 2 ** a",
+    "1 / (1 + a) / b - pi * a / (3 - b) * 0.1",
+    "min(a, b * x) - x",
+)
+
+
+def test_every_operation_has_its_value_and_its_derivatives() -> None:
+    """Against the interpreter of models.expressions, which shares nothing with the compiler."""
+    names = ("a", "b")
+    model = Model(
+        name="test-operations",
+        title="",
+        base_states=(State("x", "", "0 * x"),),
+        inputs=(),
+        outputs=tuple(Output(f"y{place}", "", text, noise=1.0) for place, text in enumerate(EXPRESSIONS)),
+        base_parameters=tuple(Parameter(name, "", 1.0) for name in names),
+    )
+    kernel = compile_model(model)
+    data = Segment(np.zeros(1), np.zeros((1, 0)), np.zeros((1, 0)), np.zeros((1, len(EXPRESSIONS))))
+    for point in ({"a": 0.7, "b": 1.3}, {"a": 1.4, "b": 0.6}):
+        run = kernel.run(data, kernel.vector(point), np.array([0.8]), active=(0, 1, 2))
+        for place, text in enumerate(EXPRESSIONS):
+            known = {**point, "x": 0.8}
+            assert run.predicted[0, place] == pytest.approx(number(text, known), rel=1e-14), text
+            for column, name in enumerate((*names, "x")):
+                up, down = ({**known, name: known[name] + by} for by in (1e-6, -1e-6))
+                slope = (number(text, up) - number(text, down)) / 2e-6
+                assert run.sensitivity[0, place, column] == pytest.approx(slope, rel=1e-8, abs=1e-8), (text, name)
+
+
+# --- values
+
+
+def test_lags_and_delays_of_zero_change_no_bit(plant: Kernel) -> None:
+    bare = compile_model(NEUTRAL)
+    for data in (segment(), segment(regular=True)):
+        with_them = plant.run(data, plant.vector(), INITIAL, gain=GAIN, active=range(4))
+        without = bare.run(data, bare.vector(), INITIAL, gain=GAIN, active=range(4))
+        assert np.array_equal(with_them.predicted, without.predicted)
+        assert np.array_equal(with_them.sensitivity, without.sensitivity)
+
+
+def cart(hold: Hold, *, lag: float = 0.0, delay: float = 0.0) -> tuple[Kernel, Array]:
+    """A free mass of 1 kg: position and rate are integrals of the force."""
+    force = Input("force", "N", hold, delays=("delay",), lag="lag")
+    model = Model(
+        name="test-cart",
+        title="",
+        base_states=(State("x", "m", "v"), State("v", "m/s", "force")),
+        inputs=(force,),
+        outputs=(Output("position", "m", "x", noise=1.0), Output("rate", "m/s", "v", noise=1.0)),
+        base_parameters=(Parameter("delay", "s", delay), Parameter("lag", "s", lag)),
+    )
+    return compile_model(model), np.array([delay, lag])
+
+
+TIME = 0.1 * np.arange(40)
+KNOTS = np.array([-0.05, 0.33, 0.34, 1.0, 2.5])
+FORCES = np.array([1.0, -2.0, 3.0, 0.5, -1.0])
+
+
+def cart_segment(knots: Array, forces: Array) -> Segment:
+    """Rows beyond the last knot carry on with it."""
+    later = TIME[-1] + 1.0 + np.arange(len(TIME) - len(knots))
+    column = np.concatenate((knots, later))[:, None]
+    filled = np.concatenate((forces, np.full(len(later), forces[-1])))[:, None]
+    return Segment(TIME, column, filled, np.zeros((len(TIME), 2)))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.123])
+def test_a_held_force_is_integrated_exactly(delay: float) -> None:
+    kernel, values = cart(Hold.ZERO_ORDER, delay=delay)
+    run = kernel.run(cart_segment(KNOTS, FORCES), values, np.array([0.3, -0.2]))
+    jumps = np.diff(FORCES)
+    since = np.maximum(TIME[:, None] - KNOTS[1:] - delay, 0.0)
+    rate = -0.2 + FORCES[0] * TIME + since @ jumps
+    position = 0.3 - 0.2 * TIME + 0.5 * FORCES[0] * TIME**2 + 0.5 * since**2 @ jumps
+    assert run.predicted == pytest.approx(np.column_stack((position, rate)), abs=1e-13)
+
+
+def test_a_force_in_straight_lines_is_integrated_exactly() -> None:
+    kernel, values = cart(Hold.FIRST_ORDER)
+    forces = np.sin(TIME) + np.cos(3.0 * TIME)
+    data = Segment(TIME, TIME[:, None].copy(), forces[:, None].copy(), np.zeros((40, 2)))
+    run = kernel.run(data, values, np.zeros(2))
+    slopes = np.diff(forces) / 0.1
+    rate = np.concatenate(([0.0], np.cumsum(0.05 * (forces[1:] + forces[:-1]))))
+    steps = 0.1 * rate[:-1] + forces[:-1] * 0.1**2 / 2.0 + slopes * 0.1**3 / 6.0
+    position = np.concatenate(([0.0], np.cumsum(steps)))
+    assert run.predicted == pytest.approx(np.column_stack((position, rate)), abs=1e-13)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 30.0])
+def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
+    """What a lag lets through is, in the mean, the force less lag times the rise of what came through."""
+    kernel, values = cart(Hold.ZERO_ORDER, lag=lag)
+    rate = kernel.run(cart_segment(KNOTS, FORCES), values, np.zeros(2)).predicted[:, 1]
+    since = np.maximum(TIME[:, None] - KNOTS[1:], 0.0)
+    through = 1.0 - np.exp(-since / lag) if lag else (since > 0.0).astype(float)
+    expected = FORCES[0] * TIME + (since - lag * through) @ np.diff(FORCES)
+    assert rate == pytest.approx(expected, abs=1e-13)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 30.0])
+def test_a_lag_is_the_exact_response_to_ramps(lag: float) -> None:
+    kernel, values = cart(Hold.FIRST_ORDER, lag=lag)
+    knots = TIME[[0, 3, 4, 10, 25]]
+    rate = kernel.run(cart_segment(knots, FORCES), values, np.zeros(2)).predicted[:, 1]
+    bends = np.diff(np.concatenate(([0.0], np.diff(FORCES) / np.diff(knots), [0.0])))
+    since = np.maximum(TIME[:, None] - knots, 0.0)
+    through = since - lag * (1.0 - np.exp(-since / lag)) if lag else since
+    expected = FORCES[0] * TIME + (0.5 * since**2 - lag * through) @ bends
+    assert rate == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_error_of_the_integration_is_of_fourth_order(plant: Kernel) -> None:
+    data = segment(regular=True, rows=40)
+    data = replace(data, time=8.0 * data.time, knots=8.0 * data.knots)
+    values = plant.vector()
+    best = plant.run(data, values, INITIAL, substeps=64).predicted
+    errors = [np.max(np.abs(plant.run(data, values, INITIAL, substeps=n).predicted - best)) for n in (8, 16)]
+    assert 12.0 < errors[0] / errors[1] < 20.0  # 16 in the limit of small steps
+
+
+def test_a_row_that_is_not_measured_corrects_nothing(plant: Kernel) -> None:
+    data = segment(rows=3)
+    unknown = replace(data, measured=np.array([[math.nan, math.nan], [0.1, math.nan], [0.0, 0.0]]))
+    run = plant.run(unknown, plant.vector(), INITIAL, gain=GAIN, active=(0, 9))
+    free = plant.run(data, plant.vector(), INITIAL, active=(0, 9))
+    assert np.array_equal(run.predicted[:2], free.predicted[:2])
+    assert np.array_equal(run.sensitivity[:2], free.sensitivity[:2])
+    assert not np.any(run.predicted[2] == free.predicted[2])
+    assert np.all(np.isfinite(run.sensitivity))
+
+
+@pytest.mark.parametrize("given", [{}, SHIFTED], ids=["plain", "shifted"])
+def test_a_pass_in_parts_gives_the_same_bits(plant: Kernel, given: Mapping[str, float]) -> None:
+    data, values, active = segment(), plant.vector(given), (0, 3, 4, 5, 6, 7, 8, 9, 12, 14)
+    whole = plant.run(data, values, INITIAL, gain=GAIN, active=active)
+    memory = plant.memory(INITIAL, active)
+    outputs, sensitivity = np.full_like(whole.predicted, math.nan), np.full_like(whole.sensitivity, math.nan)
+    ends = [0, 1, 2, 40, 41, 77, ROWS - 1]
+    for first, last in zip([0, *ends], ends, strict=False):
+        place = {"first": first, "last": last, "skip": first < last or first > 0}
+        plant.proceed(data, values, memory, GAIN, active, outputs, sensitivity, **place)
+    assert np.array_equal(outputs, whole.predicted)
+    assert np.array_equal(sensitivity, whole.sensitivity)
+    assert np.array_equal(memory.x, whole.final)
+
+
+def test_a_state_that_runs_away_is_no_error() -> None:
+    model = Model(
+        name="test-runaway",
+        title="",
+        base_states=(State("x", "", "p * x + x**3"),),
+        inputs=(),
+        outputs=(Output("y", "", "x", noise=1.0),),
+        base_parameters=(Parameter("p", "", 50.0),),
+    )
+    kernel = compile_model(model)
+    data = Segment(0.1 * np.arange(400), np.zeros((400, 0)), np.zeros((400, 0)), np.zeros((400, 1)))
+    run = kernel.run(data, kernel.vector(), np.array([0.1]), active=(0, 1))
+    assert np.isfinite(run.predicted[0]).all()
+    assert not np.isfinite(run.predicted[-1, 0])
+
+
+# --- what is refused
+
+
+def test_arrays_that_do_not_fit_are_refused(plant: Kernel) -> None:
+    data, values = segment(rows=10), plant.vector()
+    for wrong in (
+        replace(data, time=data.time[:-1]),
+        replace(data, knots=np.asfortranarray(data.knots)),
+        replace(data, inputs=data.inputs[:, :2].copy()),
+        replace(data, measured=data.measured.astype(np.float32)),
+    ):
+        with pytest.raises(ModelError, match="C-contiguous"):
+            plant.run(wrong, values, INITIAL)
+    with pytest.raises(ModelError, match="values"):
+        plant.run(data, values[:-1], INITIAL)
+    with pytest.raises(ModelError, match="state"):
+        plant.run(data, values, INITIAL[:-1])
+    with pytest.raises(ModelError, match="gain"):
+        plant.run(data, values, INITIAL, gain=GAIN.T)
+    for active in ((-1,), (len(values) + len(INITIAL) + GAIN.size,)):
+        with pytest.raises(ModelError, match="there is no"):
+            plant.run(data, values, INITIAL, active=active)
+    memory = plant.memory(INITIAL)
+    with pytest.raises(ModelError, match="there is no"):
+        plant.proceed(data, values, memory, None, (), np.empty((10, 2)), np.empty((10, 2, 0)), last=10)
+
+
+def test_an_unknown_parameter_is_named(plant: Kernel) -> None:
+    with pytest.raises(ModelError, match=r"parameter mass.*use one of: m, k"):
+        plant.vector({"mass": 1.0})
+
+
+# --- the cache
+
+
+@pytest.fixture
+def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Kernel) -> Path:
+    """A cache directory with nothing in it but the loops, and a process that knows nothing but these."""
+    loops = _files(machine_code.cache_directory(), "loops-")[-1]
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    (folder / loops.name).write_bytes(loops.read_bytes())
+    monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
+    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
+    return folder
+
+
+def _files(folder: Path, start: str) -> list[Path]:
+    found = [path for path in folder.iterdir() if path.name.startswith(start)]
+    return sorted(found, key=lambda path: path.stat().st_mtime)
+
+
+def _final(kernel: Kernel) -> list[float]:
+    return kernel.run(segment(), kernel.vector(SHIFTED), INITIAL, gain=GAIN).final.tolist()
+
+
+def test_what_was_compiled_is_found_again(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    assert _final(compile_model(PLANT, progress=told.append)) == _final(plant)
+    assert told == ["model test-plant: compiling"]
+    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
+    other = PLANT.change({"m": 5.0})  # values are no part of it
+    again = compile_model(other, progress=told.append)
+    assert len(told) == 1
+    assert again.vector()[0] == 5.0
+    assert _final(compile_model(PLANT)) == _final(plant)
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "changed", "foreign"])
+def test_a_damaged_file_is_made_again(plant: Kernel, empty: Path, damage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compile_model(PLANT)
+    (path,) = _files(empty, "test-plant")
+    good = path.read_bytes()
+    middle = len(good) // 2
+    bad = {
+        "cut": good[:middle],
+        "empty": b"",
+        "changed": good[:middle] + bytes([good[middle] ^ 1]) + good[middle + 1 :],
+        "foreign": b"# what an earlier version kept under this name" * 9,
+    }
+    path.write_bytes(bad[damage])
+    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
+    assert _final(compile_model(PLANT)) == _final(plant)
+    assert machine_code.recall(path.name) is not None
+
+
+def test_without_a_cache_that_can_be_written_all_works(
+    plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (empty / "file").touch()
+    monkeypatch.setenv("UPRIGHT_CACHE", str(empty / "file"))  # no folder can be made in a file, whoever one is
+    assert _final(compile_model(PLANT)) == _final(plant)
+
+
+def test_code_for_another_processor_is_not_taken(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = kernels.fingerprint(PLANT)
+    monkeypatch.setattr(machine_code, "processor", lambda: "another")
+    assert kernels.fingerprint(PLANT) != name
+
+
+def test_a_change_of_structure_is_another_model(plant: Kernel) -> None:
+    first, *rest = PLANT.inputs
+    for other in (
+        replace(PLANT, inputs=(replace(first, hold=Hold.FIRST_ORDER), *rest)),
+        replace(PLANT, inputs=(replace(first, delays=("push_delay",)), *rest)),
+        replace(PLANT, inputs=(replace(first, lag="wind_lag"), *rest)),
+        replace(PLANT, outputs=PLANT.outputs[:1]),
+        replace(PLANT, base_states=(*PLANT.base_states[:2], replace(PLANT.base_states[2], derivative="-z"))),
+    ):
+        assert kernels.fingerprint(other) != kernels.fingerprint(PLANT)
+    assert kernels.fingerprint(PLANT.change({"m": 2.0})) == kernels.fingerprint(PLANT)
+
+
+START = """
+import json, sys
+from models import library
+from models.kernel import compile_model
+told = []
+kernel = compile_model(library.get("monocab_roll"), progress=told.append)
+print(json.dumps([told, sorted({"sympy", "numba"} & set(sys.modules)), len(kernel.code.addresses)]))
+"""
+
+
+def _start() -> subprocess.Popen[str]:
+    root = Path(__file__).resolve().parents[1]
+    return subprocess.Popen([sys.executable, "-c", START], cwd=root, stdout=subprocess.PIPE, text=True, env=os.environ)
+
+
+def test_processes_share_the_cache(empty: Path) -> None:
+    """Two at once both compile, undisturbed; a third finds all, and imports neither SymPy nor numba."""
+    for process in [_start(), _start()]:
+        output, _ = process.communicate(timeout=60)
+        assert process.returncode == 0
+        assert json.loads(output)[2] == 4
+    assert len(_files(empty, "monocab_roll")) == 1
+    assert not [path for path in empty.iterdir() if path.suffix == ".tmp"]
+    output, _ = _start().communicate(timeout=60)
+    assert json.loads(output) == [[], [], 4]
