@@ -88,7 +88,7 @@ def experiment_of(recording: Recording) -> Experiment:
     """The experiment of a recording's metadata."""
     try:
         definition = json.loads(recording.metadata.get("experiment_definition", "{}"))
-        return Experiment(str(definition.get("excitation", "")), str(definition.get("at", "")))
+        return Experiment(str(definition.get("excitation") or ""), str(definition.get("at") or ""))
     except (ValueError, AttributeError):
         return Experiment()
 

@@ -39,10 +39,10 @@ ABSURD = 30.0
 """Standard deviations that no innovation of a predictor that works has."""
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
-GROWTH = 1.35
+GROWTH = 1.5
 import os
 ROUNDS=int(os.environ.get('ROUNDS','0'))
-FAR = (0.05, 0.3)
+FAR = (0.05, 1.0)
 AGAIN = 2.0
 """s of free motion after which the chunks are gone through again for the first time."""
 STALE = 0.05

