@@ -87,8 +87,9 @@ class FrameChunks:
         self, model: Model, channels: ChannelTable, *, support: float | None, rows: int, window: float = 0.0
     ) -> None:
         coordinate = model.joints[0].coordinate if model.joints and support is not None else ""
-        ages = [each.age for each in (*model.inputs, *model.outputs)]
-        names = list(dict.fromkeys((*_names(model), *filter(None, (coordinate, *ages)))))
+        ages = [each.age for each in model.inputs] + [each.age for each in model.outputs]
+        channels_used = [each.name for each in model.inputs] + [each.name for each in model.outputs]
+        names = list(dict.fromkeys((*channels_used, *filter(None, (coordinate, *ages)))))
         for name in names:
             if name not in channels.names:
                 what = f"model {model.name} needs it, the vehicle has none"
@@ -189,10 +190,6 @@ class FrameChunks:
         self._begins = bool(self._window)
         self._wanted = self._first + self._length + 1
         return chunk
-
-
-def _names(model: Model) -> list[str]:
-    return [each.name for each in (*model.inputs, *model.outputs)]
 
 
 def _reach(model: Model) -> float:

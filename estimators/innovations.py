@@ -133,8 +133,8 @@ def steady_gain(transition: Array, output: Array, process: Array, sensor: Array,
         if covariance is None:
             return None
         innovation = output @ covariance @ _turned(output) + sensor
-        ahead: Array = np.linalg.solve(innovation, _turned(transition @ covariance @ _turned(output) + across))
-        gain: Array = np.linalg.solve(transition, _turned(ahead))
+        ahead = np.linalg.solve(innovation, _turned(transition @ covariance @ _turned(output) + across))
+        gain = np.linalg.solve(transition, _turned(np.asarray(ahead, dtype=np.float64)))
     except np.linalg.LinAlgError:
         return None
     return np.ascontiguousarray(gain) if np.all(np.isfinite(gain)) else None

@@ -3,13 +3,14 @@
 Its unknowns are the estimated parameters and the logarithms of the noise (estimators.innovations), hence the Kalman
 gain; with them each stretch's initial state. Innovations are weighed by their covariance, which is learned along.
 
-What the first chunks say is said at a start value that may be far off: derivatives, gain and weights there are as wrong.
-So the last minute's chunks are kept and gone through again, with the unknowns held, when as much has come in again as
-there was: at 2, 4, 8, ... s of free motion. Each time is one Gauss-Newton step of the batch fit, for which it costs as
-much again as the recursion itself.
+What the first chunks say is said at a start value that may be far off: derivatives, gain and weights there are as
+wrong, and weighing late data more only wears that off. So chunks are kept for a minute, and when the unknowns have
+moved far from where they were seen, all are gone through again with the unknowns held: a Gauss-Newton step of the batch
+fit. Each time is a fifth of free motion later than the one before, so the cost a cycle stays bounded.
 
-Without a gain it is a simulation, to be begun anew every second where the plant is unstable. Its errors are alike from
-row to row, so what is known is then told from how the gradient varies between chunks.
+Without a gain it is a simulation, begun anew every second since an unstable plant's errors grow without bound. They are
+alike from row to row, so what is known is told from how the gradient varies between chunks. Where hardly anything is
+excited, feedback biases it, as it does every output error; the predictor with a gain is the sound one.
 """
 
 from __future__ import annotations
@@ -33,24 +34,22 @@ from models.segment import Segment
 
 Array = NDArray[np.float64]
 
-MOVED = (0.5, 0.5)
+GAIN_MOVES = (0.5, 0.5)
 """Typical sizes of a parameter, and natural logarithms of a noise, after which the gain is computed anew."""
+FAR = (0.05, 0.3)
+"""The same after which what is kept is gone through again."""
+SOONEST, GROWTH = 2.0, 1.2
+"""s of free motion after which this is done at the soonest, and the factor to the next time."""
+KEPT = 64.0
+"""s of free motion from which on no chunks are kept any more."""
+JOINED = 40
+"""Chunks that are gone through in one."""
+STALE = 1e-3
+"""Share of its weight that the innovations' covariance keeps when all innovations are found anew."""
 ABSURD = 30.0
 """Standard deviations that no innovation of a predictor that works has."""
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
-GROWTH = 1.5
-import os
-ROUNDS=int(os.environ.get('ROUNDS','0'))
-FAR = (0.05, 1.0)
-AGAIN = 2.0
-"""s of free motion after which the chunks are gone through again for the first time."""
-STALE = 0.05
-"""Share of its weight that the covariance of innovations keeps when they are all found anew."""
-KEPT = 64.0
-"""s of free motion from which on no chunks are kept any more."""
-JOINED = 40
-"""Chunks that are gone through in one when they are gone through again."""
 
 
 class RecursivePredictor:
@@ -76,7 +75,7 @@ class RecursivePredictor:
         spread = [model.states[place].initial_std for place in problem.own]
         held = [model.parameters[place].std for place in problem.uncertain]
         self._sizes = np.concatenate((problem.scale, spread, held))
-        self._own = slice(free + logarithms, free + logarithms + len(spread))
+        self._own = slice(free, free + len(spread))
         self._free = free
         self._start, self._scale, (self._lower, self._upper) = problem.start, problem.scale, problem.bounds
         known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
@@ -102,15 +101,15 @@ class RecursivePredictor:
         self._gain = np.zeros((states, outputs))
         self._gain_slopes = np.zeros((len(gains), logarithms))
         self._kept: list[Chunk] = []
-        self._again_at = AGAIN
+        self._again_at = SOONEST
         self._seen_from = self._regression.z
         self._far = np.repeat(FAR, (free, logarithms))
+        self._gain_moves = np.repeat(GAIN_MOVES, (free, logarithms))
         self.rows = 0
         """Rows that were learned from."""
         self.span = 0.0
         """s of free motion."""
         self.lost = 0
-        self._rounds = 0
         """Times that the innovations were absurd."""
 
     def take(self, chunk: Chunk) -> None:
@@ -206,21 +205,19 @@ class RecursivePredictor:
         """All that is kept, seen from where the unknowns are now."""
         self._again_at = GROWTH * self.span
         self._seen_from = self._regression.z
-        self._regression.forget()
-        self._state, self._gain_at = None, None
         chunks = list(join(self._kept, JOINED))
         seen = [self._predict(chunk) for chunk in chunks]
-        self._squares *= 1e-3
-        self._weight *= 1e-3
+        if not all(np.isfinite(slopes).all() for _, slopes in seen):
+            self._state = None
+            return
+        self._regression.forget()
+        self._squares *= STALE
+        self._weight *= STALE
         for error, slopes in seen:
             self._learn_noise(error, slopes)
         for chunk, (error, slopes) in zip(chunks, seen, strict=True):
             self._gather(chunk, error, slopes, moving=False)
         self._regression.move()
-        if self._rounds < ROUNDS and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
-            self._rounds += 1
-            self._learn_again()
-        self._rounds = 0
 
     def _kept_share(self, error: Array) -> float:
         return math.exp(-len(error) * self._period / self._memory)
@@ -231,9 +228,9 @@ class RecursivePredictor:
             return None
         z, free = self._regression.z, self._free
         if self._gain_at is not None:
-            moved = np.abs(z - self._gain_at)
-            if max(moved[:free]) <= MOVED[0] and max(moved[free:], default=0.0) <= MOVED[1]:
-                return self._gain + (self._gain_slopes @ (z - self._gain_at)[free:]).reshape(self._gain.shape)
+            moved = z - self._gain_at
+            if (np.abs(moved) <= self._gain_moves).all():
+                return self._gain + (self._gain_slopes @ moved[free:]).reshape(self._gain.shape)
         gain = self._noise.gain(values, z[free:])
         slopes = self._noise.slopes(values, z[free:], (), np.zeros(0))
         if gain is not None and slopes is not None:
@@ -273,11 +270,10 @@ class RecursivePredictor:
     def _without_start(self, error: Array, slopes: Array) -> Array:
         """`error` (n, ny) less what an initial state that is not quite as measured explains."""
         whitening = self._whitening()
-        free, ends = self._free, self._free + self._own.stop - self._own.start
-        own = (whitening @ slopes[:, :, free:ends]).reshape(error.size, -1) * self._sizes[free:ends]
-        residual = (error @ whitening.T).ravel()
-        start = np.linalg.solve(own.T @ own + np.eye(ends - free), own.T @ residual)
-        return np.asarray((residual - own @ start).reshape(error.shape) @ np.linalg.inv(whitening).T)
+        own = (whitening @ slopes[:, :, self._own]).reshape(error.size, -1) * self._sizes[self._own]
+        start = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (error @ whitening.T).ravel())
+        explained: Array = slopes[:, :, self._own] @ (self._sizes[self._own] * start)
+        return error - explained
 
     def _find_inputs(self, state: Memory, segment: Segment, row: int, values: Array) -> None:
         """Rows have moved up since the last chunk: which sample of each input acts at `row`."""
