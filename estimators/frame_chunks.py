@@ -16,9 +16,9 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.contract import EstimationError
-from estimators.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN
-from models.model import Model
+from estimators.contract import Status
+from estimators.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError
+from models.model import Hold, Model
 from models.segment import Segment
 from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
@@ -29,6 +29,8 @@ LISTENING = 25
 """Cycles from which the sampling period is told, before the first one is used."""
 OLDEST = 0.1
 """s up to which an older sample of another device tells of now."""
+EARLIER_NS = 1_000_000_000
+"""ns by which a cycle that is no late one but another recording's is earlier than the one before."""
 FARTHEST = 0.1
 """s by which a delay without bounds can move an input."""
 
@@ -80,7 +82,7 @@ class FrameChunks:
     """Takes control cycles, gives a chunk of `rows` rows whenever one is complete.
 
     With `window` > 0 s a chunk is that long, and each is a stretch of its own. `support` rad is the size of the first
-    joint's coordinate at which the vehicle is carried. Raises EstimationError where a channel is not in the table.
+    joint's coordinate at which the vehicle is carried. Raises DataError where a channel is not in the table.
     """
 
     def __init__(
@@ -92,15 +94,16 @@ class FrameChunks:
         names = list(dict.fromkeys((*channels_used, *filter(None, (coordinate, *ages)))))
         for name in names:
             if name not in channels.names:
-                what = f"model {model.name} needs it, the vehicle has none"
-                remedy = f"use a model that makes do with {', '.join(channels.names)}."
-                raise EstimationError(f"channel {name}", what, remedy=remedy)
+                what = f"model {model.name} needs it, and there are {', '.join(channels.names)}"
+                remedy = "record it, or use a model that does without."
+                raise DataError(Status.MISSING_CHANNEL, f"channel {name}", what, remedy=remedy)
         # A constant zero stands for the age of what is sampled with the row.
         self._pick = itemgetter(*(channels.index_of(name) for name in names))
         zero = len(names)
         self._coordinate = names.index(coordinate) if coordinate else zero
         self._free_angle = support - SUPPORT_MARGIN if coordinate and support is not None else math.inf
         self._inputs = [names.index(each.name) for each in model.inputs]
+        self._lines = np.array([each.hold is Hold.FIRST_ORDER for each in model.inputs])
         self._outputs = [names.index(each.name) for each in model.outputs]
         places = [names.index(age) if age else zero for age in ages]
         self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]
@@ -124,7 +127,10 @@ class FrameChunks:
         """The chunk that this cycle completes, if any. Raises nothing: what cannot be used is passed over."""
         stamp = frame.timestamp_ns
         if self.cycles and stamp <= self._last:
-            return None
+            if self._last - stamp < EARLIER_NS:
+                return None
+            self._end_stretch()
+            self._start, self._last = stamp, stamp - 1
         self.cycles += 1
         before, self._last = self._last, stamp
         if not self.period:
@@ -147,7 +153,9 @@ class FrameChunks:
         time = (stamp - self._start) * 1e-9
         self._times.append(time)
         self._rows.append(row)
-        if len(self._times) < self._wanted or time - oldest < self._times[self._first + self._length] + self._reach:
+        known = self._known
+        self._known = time - oldest
+        if len(self._times) < self._wanted or known < self._times[self._first + self._length] + self._reach:
             return None
         return self._cut()
 
@@ -166,10 +174,11 @@ class FrameChunks:
     def _end_stretch(self) -> None:
         self._times: list[float] = []
         self._rows: list[tuple[float, ...]] = []
-        self._first = 0
+        self._known: float = -math.inf  # until when the inputs are, with the sample after it
+        self._first: int = 0
         self._begins = True
-        self._length = self._chunk - 1 if self._window else self._chunk
-        self._wanted = max(SHORTEST, self._length + 1)
+        self._length: int = self._chunk - 1 if self._window else self._chunk
+        self._wanted: int = max(SHORTEST, self._length + 1)
 
     def _cut(self) -> Chunk:
         first, last = self._first, self._first + self._length
@@ -180,11 +189,14 @@ class FrameChunks:
             if age in self._ages:
                 measured[:, column] = np.interp(time, time - table[:, age], measured[:, column])
         knots = time[:, None] - np.take(table, self._input_ages, axis=1)
-        segment = Segment(time, knots, np.take(table, self._inputs, axis=1), measured, "live")
+        inputs = np.take(table, self._inputs, axis=1)
+        # Lines with the integral of the curve that was sampled, see estimators.segments.
+        inputs[1:-1] -= np.diff(inputs, 2, axis=0) * (self._lines / 12.0)
+        segment = Segment(time, knots, inputs, measured, "live")
         chunk = Chunk(segment, first, last, self._begins)
         begin = last + 1 if self._window else last
         # What is still needed before the next chunk begins.
-        kept = max(0, int(np.searchsorted(time, time[last] - self._reach)) - 1)
+        kept = max(0, int(np.searchsorted(time, time[last] - self._reach)) - 2)
         del self._times[:kept], self._rows[:kept]
         self._first = begin - kept
         self._begins = bool(self._window)

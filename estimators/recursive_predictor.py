@@ -10,7 +10,8 @@ fit. Each time is a fifth of free motion later than the one before, so the cost 
 
 Without a gain it is a simulation, begun anew every second since an unstable plant's errors grow without bound. They are
 alike from row to row, so what is known is told from how the gradient varies between chunks. Where hardly anything is
-excited, feedback biases it, as it does every output error; the predictor with a gain is the sound one.
+excited, feedback biases it as it does every output error, and it may go astray: the predictor with a gain is the sound
+one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
 from estimators.innovations import SPREAD, WIDEST, NoiseModel
+from estimators.methods.prediction_error import FLOOR
 from estimators.problem import Problem
 from estimators.recursive_gauss_newton import RecursiveGaussNewton
 from models.expressions import number
@@ -89,9 +91,10 @@ class RecursivePredictor:
             held=len(held),
             clustered=self._noise is None,
         )
-        # What is known of a sensor is a floor: innovations that seem smaller are no information about the vehicle.
-        floor = [output.noise if output.noise_known else 1e-9 * output.noise for output in model.outputs]
-        self._floor = np.diag(np.square(floor))
+        shares = [FLOOR if corrected and output.noise_known else 1e-9 for output in model.outputs]
+        self._floor = np.diag(
+            [(share * output.noise) ** 2 for share, output in zip(shares, model.outputs, strict=True)]
+        )
         self._squares = np.diag(np.square([output.noise for output in model.outputs]))
         self._weight = 1.0
         self._delays = tuple(tuple(map(kernel.index, each.delays)) for each in model.inputs)
@@ -203,10 +206,18 @@ class RecursivePredictor:
 
     def _learn_again(self) -> None:
         """All that is kept, seen from where the unknowns are now."""
-        self._again_at = GROWTH * self.span
-        self._seen_from = self._regression.z
+        self._again_at = self.span * (GROWTH if self._noise else 1.0)
         chunks = list(join(self._kept, JOINED))
-        seen = [self._predict(chunk) for chunk in chunks]
+        seen = self._see(chunks)
+        if self._noise is None:
+            # A simulation that went astray finds back from the start values only.
+            here, self._regression.z = self._regression.z, np.zeros_like(self._regression.z)
+            before = self._see(chunks)
+            if self._size_of(before) < self._size_of(seen):
+                seen = before
+            else:
+                self._regression.z = here
+        self._seen_from = self._regression.z
         if not all(np.isfinite(slopes).all() for _, slopes in seen):
             self._state = None
             return
@@ -218,6 +229,15 @@ class RecursivePredictor:
         for chunk, (error, slopes) in zip(chunks, seen, strict=True):
             self._gather(chunk, error, slopes, moving=False)
         self._regression.move()
+
+    def _see(self, chunks: Sequence[Chunk]) -> list[tuple[Array, Array]]:
+        return [self._predict(chunk) for chunk in chunks]
+
+    def _size_of(self, seen: Sequence[tuple[Array, Array]]) -> float:
+        """Of the errors, each output's in its own share: the logarithm of the likelihood, but for sign and factor."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = sum(np.sum(self._without_start(error, slopes) ** 2, axis=0) for error, slopes in seen)
+            return float(np.sum(np.log(squares)))
 
     def _kept_share(self, error: Array) -> float:
         return math.exp(-len(error) * self._period / self._memory)

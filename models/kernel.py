@@ -151,7 +151,7 @@ class Kernel:
         width = -(-columns // machine_code.LANES) * machine_code.LANES
         space = constants + states * (states + inputs + 4) + outputs * (states + inputs + 1) + inputs * 9
         space += width * (4 * states + 2 * inputs + outputs + 4)
-        work, places = np.zeros(space), np.zeros(parameters + 2 * delays + inputs, dtype=np.int64)
+        work, places = np.zeros(space), np.zeros(parameters + 3 * delays + inputs, dtype=np.int64)
         _loops()(
             *(self.code.addresses[name] for name in FUNCTIONS),
             structure.ctypes.data,

@@ -22,6 +22,9 @@ from numba.extending import intrinsic
 
 from models.machine_code import LANES
 
+NOTHING = 1e-150
+"""Sensitivities that are less are 0: what dies away would end in numbers that processors take ten times as long for."""
+
 NUMBER, INTEGER = types.float64, types.int64
 NUMBERS, INTEGERS = types.CPointer(NUMBER), types.CPointer(INTEGER)
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
@@ -163,7 +166,8 @@ def run(
 
     column = places
     moves = _at(places, NP)  # what delays that are active move: input, column
-    lagged = _at(moves, 2 * ND)
+    shifting = _at(moves, 2 * ND)  # the columns whose delays move instants at which a step is cut
+    lagged = _at(shifting, ND)
     constants = work
     delay = _at(constants, NC)
     f = _at(delay, NU)
@@ -207,8 +211,8 @@ def run(
     correcting = gains
     for i in range(NX * NY):
         correcting |= gain[i] != 0.0
-    count = 0
-    switching, lines, lagging = False, False, False
+    count, several = 0, 0
+    lines, lagging = False, False
     for d in range(ND):
         delay[delay_input[d]] += p[delay_parameter[d]]
         if column[delay_parameter[d]] >= 0:
@@ -218,13 +222,18 @@ def run(
             if first_order[delay_input[d]]:
                 lines = True
             else:
-                switching = True
+                shifting[several] = column[delay_parameter[d]]
+                several += 1
+                for q in range(several - 1):
+                    if shifting[q] == shifting[several - 1]:
+                        several -= 1
+                        break
     for i in range(NU):
         if lag[i] >= 0 and (p[lag[i]] > 0.0 or column[lag[i]] >= 0):
             lagged[i] = 1
             lagging = True
         line[4 * i], line[4 * i + 1] = math.inf, -math.inf
-    patched = derive and (lines or switching or lagging)  # B gets more than the equations put into it
+    patched = derive and (lines or several > 0 or lagging)  # B gets more than the equations put into it
 
     if not skip:
         for i in range(NU):
@@ -303,10 +312,10 @@ def run(
                         following = i
             h = (cut - begin) / substeps
             moving = False
-            if switching:
-                for c in range(na):
-                    stretch[c] = 0.0
-                    later[c] = 0.0
+            if several > 0:
+                for q in range(several):
+                    stretch[shifting[q]] = 0.0
+                    later[shifting[q]] = 0.0
                 for q in range(count):
                     if moves[2 * q] == following:
                         stretch[moves[2 * q + 1]] += 1.0 / substeps
@@ -324,14 +333,14 @@ def run(
                     if first_order[i]:
                         value[i] = _line(i, begin - delay[i], False, rows, NU, knots, u, pointer, line, slope)
                     if lagged[i] and p[lag[i]] > 0.0:
-                        for c in range(na):
+                        for q in range(several):
                             climb = (value[i] - memory[i]) / p[lag[i]]
-                            memory_S[i * width + c] += substeps * stretch[c] * climb
+                            memory_S[i * width + shifting[q]] += substeps * stretch[shifting[q]] * climb
                         value[i] = memory[i]
                 _equations(slopes, begin, x, value, slope, p, constants, column, width, 0, f, A, B, G, T)
                 for i in range(NX):
-                    for c in range(na):
-                        S[i * width + c] += substeps * stretch[c] * f[i]
+                    for q in range(several):
+                        S[i * width + shifting[q]] += substeps * stretch[shifting[q]] * f[i]
             for step in range(substeps if h > 0.0 else 0):
                 start = begin + step * h
                 for i in range(NU):
@@ -348,14 +357,15 @@ def run(
                                 if moves[2 * q] == i:
                                     begin_S[moves[2 * q + 1]] -= slope[i]
                             if moving:
-                                for c in range(na):
-                                    begin_S[c] += slope[i] * later[c]
+                                for q in range(several):
+                                    begin_S[shifting[q]] += slope[i] * later[shifting[q]]
                             tail = _line(i, start + h - delay[i], True, rows, NU, knots, u, pointer, line, slope)
                             for q in range(count):
                                 if moves[2 * q] == i:
                                     end_S[moves[2 * q + 1]] -= slope[i]
                             if moving:
-                                for c in range(na):
+                                for q in range(several):
+                                    c = shifting[q]
                                     end_S[c] += slope[i] * (later[c] + stretch[c])
                         own = column[lag[i]]
                         shift[i] = _lagged(
@@ -397,7 +407,8 @@ def run(
                                 for j in range(NU):
                                     if first_order[j]:
                                         drift += G[i * NU + j] * slope[j]
-                                for c in range(na):
+                                for q in range(several):
+                                    c = shifting[q]
                                     B[i * width + c] += drift * (later[c] + node * stretch[c])
                     next_node = 1.0 if r == 2 else (0.5 if r < 2 else 0.0)
                     ahead = next_node * h
@@ -409,18 +420,18 @@ def run(
                         stage[i] = x[i] + ahead * f[i]
                     if moving:
                         for i in range(NX):
-                            for c in range(na):
-                                stage_S[i * width + c] += next_node * stretch[c] * f[i]
+                            for q in range(several):
+                                stage_S[i * width + shifting[q]] += next_node * stretch[shifting[q]] * f[i]
                 for i in range(NX):
                     x[i] += h * total[i]
                 for i in range(NX * width):
-                    S[i] += h * total_S[i]
+                    moved = S[i] + h * total_S[i]
+                    S[i] = 0.0 if -NOTHING < moved < NOTHING else moved
                 if moving:
-                    for i in range(NX):
-                        for c in range(na):
-                            S[i * width + c] += stretch[c] * total[i]
-                    for c in range(na):
-                        later[c] += stretch[c]
+                    for q in range(several):
+                        for i in range(NX):
+                            S[i * width + shifting[q]] += stretch[shifting[q]] * total[i]
+                        later[shifting[q]] += stretch[shifting[q]]
             begin = cut
             owner = following
             if following < 0:

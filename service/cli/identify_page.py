@@ -9,6 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from estimators.method_document import CANCELLED
 from estimators.method_table import Domain
 from estimators.report import significant
 from service.cli.output import page
@@ -23,15 +24,16 @@ GAP = 1
 
 def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> None:
     """The whole page: joint estimates, the runs' means, the drives, what is to be said of single methods."""
-    methods = {name: e for name, e in document["methods"].items() if e["domain"] != Domain.DRIVES}
+    begun = {name: entry for name, entry in document["methods"].items() if entry["status"] != CANCELLED}
+    methods = {name: entry for name, entry in begun.items() if entry["domain"] != Domain.DRIVES}
     if methods:
         count = len(document["recordings"])
         title = "All recordings together" if count > 1 else document["recordings"][0]["recording"]
         _print_tables(title, _joint(methods, document, truth))
         if any(mean["runs"] > 1 for entry in methods.values() for mean in entry["mean"].values()):
             _print_tables("Mean of the single recordings, ± their scatter", _means(methods, document))
-    for name, entry in document["methods"].items():
-        if entry["domain"] == Domain.DRIVES:
+    for name, entry in begun.items():
+        if entry["domain"] == Domain.DRIVES and entry["parameters"]:
             _print_drives(name, entry)
     if document["best"]:
         page.print(f"\nTo rely on: [bold]{document['best']}[/bold]")
@@ -61,7 +63,7 @@ def _joint(methods: Mapping[str, Any], document: Mapping[str, Any], truth: Mappi
         groups.append(_value_columns(name, unit, entries, before.get(name)))
     heading = "fit" if document["fit_measured_alike"] else "own fit"
     fits = [min(entry.get("fit_percent", {}).values(), default=None) if entry else None for _, entry in rows]
-    seconds = [entry.get("seconds") if entry and "status" in entry else None for _, entry in rows]
+    seconds = [entry.get("seconds") or None if entry else None for _, entry in rows]
     groups.append([[heading, "%", *(_number(fit, 1) for fit in fits)]])
     groups.append([["took", "s", *(_number(each, 1) for each in seconds)]])
     return groups
@@ -148,8 +150,7 @@ def _print_drives(name: str, entry: Mapping[str, Any]) -> None:
     for parameter, told in entry["parameters"].items():
         table.add_row(parameter, _value(told), told["unit"])
     page.print(f"\nDrives ({name})", style="bold", markup=False)
-    if entry["parameters"]:
-        page.print(table)
+    page.print(table)
 
 
 def _remarks(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
