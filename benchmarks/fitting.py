@@ -18,8 +18,8 @@ from one held command to the next), with noise. The peers:
                (JIT). Also what its example does not do: the variational equations written out by hand, so that one
                mapaccum carries the sensitivities on, as upright's loops do
 
-Peers are told the channels' noise; upright estimates it, and standard deviations that allow for correlated errors, which
-takes it half of its time. Times are of the wall. OPENBLAS_NUM_THREADS=1 is fair to all: no method needs more.
+Peers are told the channels' noise; upright estimates it, and standard deviations that allow for correlated errors,
+which takes it half of its time. Times are of the wall. OPENBLAS_NUM_THREADS=1 is fair to all: no method needs more.
 """
 
 from __future__ import annotations

@@ -121,6 +121,7 @@ class FrameChunks:
         """s between two cycles; 0 until that is known."""
         self._early: list[int] = []
         self._start = self._last = 0
+        self._known = -math.inf  # s until which the inputs are known, a sample beyond included
         self._end_stretch()
 
     def update(self, frame: Frame) -> Chunk | None:
@@ -174,8 +175,8 @@ class FrameChunks:
     def _end_stretch(self) -> None:
         self._times: list[float] = []
         self._rows: list[tuple[float, ...]] = []
-        self._known: float = -math.inf  # until when the inputs are, with the sample after it
-        self._first: int = 0
+        self._known = -math.inf
+        self._first = 0
         self._begins = True
         self._length: int = self._chunk - 1 if self._window else self._chunk
         self._wanted: int = max(SHORTEST, self._length + 1)

@@ -92,24 +92,33 @@ class RecursiveGaussNewton:
         self._meat[np.ix_(others, others)] = meat
         self._right[others] = right
 
-    def add(self, residual: Array, columns: Array, kept: float, *, moving: bool = True) -> None:
-        """Take a chunk: `residual` (m,), `columns` (m, n + own + held) derivatives of the prediction, and move on.
+    def add(self, residual: Array, columns: Array, kept: float) -> None:
+        """Take a chunk: `residual` (m,), `columns` (m, n + own + held) derivatives of the prediction.
 
         `kept` is the share of their weight that all former chunks keep.
         """
         self._information *= kept
         self._right *= kept
         self._meat *= kept * kept
-        before = self.z
         added = columns.T @ columns
         self._information += added
-        self._right += columns.T @ residual + added[:, : self._size] @ before
-        if moving:
-            self.move()
+        self._right += columns.T @ residual + added[:, : self._size] @ self.z
         if self._clustered:
-            score = columns.T @ (residual - columns[:, : self._size] @ (self.z - before))
+            score = columns.T @ residual
             added = np.outer(score, score)
         self._meat += added
+
+    def move(self, about: Array, reach: Array) -> bool:
+        """Go to the solution, but not too far at once, nor farther from `about` (n,) than `reach` (n,), nor beyond the
+        bounds; whether `reach` held it back."""
+        end = self._end
+        information = self._information[:end, :end] + self._prior[:end, :end]
+        step = np.linalg.solve(information, self._right[:end])[: self._size] - self.z
+        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
+        away = self.z + step - about
+        share = float(np.min(reach / np.maximum(np.abs(away), 1e-300)))
+        self.z = np.clip(about + min(1.0, share) * away, self._lower, self._upper)
+        return share < 1.0
 
     def uncertainty(self) -> Uncertainty:
         """How well the unknowns asked for are known now."""
@@ -135,11 +144,3 @@ class RecursiveGaussNewton:
         prior = np.zeros_like(self._prior)
         prior[self._own, self._own] = self._prior[self._own, self._own]
         return prior
-
-    def move(self) -> None:
-        """To the solution, not too far at once, and within bounds."""
-        end = self._end
-        information = self._information[:end, :end] + self._prior[:end, :end]
-        step = np.linalg.solve(information, self._right[:end])[: self._size] - self.z
-        step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)
-        self.z = np.clip(self.z + step, self._lower, self._upper)

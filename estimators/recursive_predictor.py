@@ -4,14 +4,14 @@ Its unknowns are the estimated parameters and the logarithms of the noise (estim
 gain; with them each stretch's initial state. Innovations are weighed by their covariance, which is learned along.
 
 What the first chunks say is said at a start value that may be far off: derivatives, gain and weights there are as
-wrong, and weighing late data more only wears that off. So chunks are kept for a minute, and when the unknowns have
-moved far from where they were seen, all are gone through again with the unknowns held: a Gauss-Newton step of the batch
-fit. Each time is a fifth of free motion later than the one before, so the cost a cycle stays bounded.
+wrong. So chunks are kept for a minute, and when the unknowns have moved far from where these were seen, all are gone
+through again with the unknowns held: a Gauss-Newton step of the batch fit. Farther than a reach from there they do not
+go before that, since equations that were linear somewhere else lead astray, and a feedback loop at rest leads them on.
+Each time is at least a twentieth of free motion later than the one before, so the cost a cycle stays bounded.
 
 Without a gain it is a simulation, begun anew every second since an unstable plant's errors grow without bound. They are
 alike from row to row, so what is known is told from how the gradient varies between chunks. Where hardly anything is
-excited, feedback biases it as it does every output error, and it may go astray: the predictor with a gain is the sound
-one.
+excited, feedback biases it as any output error: the predictor with a gain is the sound one.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ Array = NDArray[np.float64]
 
 GAIN_MOVES = (0.5, 0.5)
 """Typical sizes of a parameter, and natural logarithms of a noise, after which the gain is computed anew."""
-FAR = (0.05, 0.3)
-"""The same after which what is kept is gone through again."""
-SOONEST, GROWTH = 2.0, 1.2
-"""s of free motion after which this is done at the soonest, and the factor to the next time."""
+FAR, REACH = (0.05, 0.3), (0.5, 0.5)
+"""The same after which what is kept is gone through again, and how far from there the unknowns may go before it is."""
+SOONEST, USUAL, URGENT = 2.0, 1.2, 1.05
+"""s of free motion after which this is done at the soonest, and factors to the next time: `URGENT` where the reach
+holds the unknowns back."""
 KEPT = 64.0
 """s of free motion from which on no chunks are kept any more."""
 JOINED = 40
@@ -104,10 +105,10 @@ class RecursivePredictor:
         self._gain = np.zeros((states, outputs))
         self._gain_slopes = np.zeros((len(gains), logarithms))
         self._kept: list[Chunk] = []
-        self._again_at = SOONEST
-        self._seen_from = self._regression.z
-        self._far = np.repeat(FAR, (free, logarithms))
-        self._gain_moves = np.repeat(GAIN_MOVES, (free, logarithms))
+        self._seen_from, self._seen_at = self._regression.z, 0.0
+        self._far, self._reach, self._gain_moves = (
+            np.repeat(sizes, (free, logarithms)) for sizes in (FAR, REACH, GAIN_MOVES)
+        )
         self.rows = 0
         """Rows that were learned from."""
         self.span = 0.0
@@ -127,12 +128,15 @@ class RecursivePredictor:
         self.rows += len(error)
         self.span += len(error) * self._period
         self._learn_noise(error, slopes)
-        self._gather(chunk, error, slopes, moving=True)
+        self._gather(chunk, error, slopes)
         if self.span > KEPT:
             self._kept.clear()
+            self._regression.move(self._regression.z, self._reach)
             return
         self._kept.append(chunk)
-        if self.span >= self._again_at and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
+        held_back = self._regression.move(self._seen_from, self._reach)
+        again_at = max(SOONEST, self._seen_at * (URGENT if held_back or self._noise is None else USUAL))
+        if self.span >= again_at and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
             self._learn_again()
 
     def estimate(self, method: str) -> Estimate:
@@ -192,7 +196,7 @@ class RecursivePredictor:
         )
         return segment.measured[rows] - predicted[rows], slopes[rows]
 
-    def _gather(self, chunk: Chunk, error: Array, slopes: Array, *, moving: bool) -> None:
+    def _gather(self, chunk: Chunk, error: Array, slopes: Array) -> None:
         """What the errors say, weighed by the covariance that is known now."""
         if chunk.begins:
             self._regression.begin()
@@ -201,23 +205,21 @@ class RecursivePredictor:
         direct, free = len(self._sizes), self._free
         scaled = white[:, :direct] * self._sizes
         columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
-        kept = self._kept_share(error)
-        self._regression.add((error @ whitening.T).ravel(), columns, kept, moving=moving)
+        self._regression.add((error @ whitening.T).ravel(), columns, self._kept_share(error))
 
     def _learn_again(self) -> None:
         """All that is kept, seen from where the unknowns are now."""
-        self._again_at = self.span * (GROWTH if self._noise else 1.0)
+        self._seen_at = self.span
         chunks = list(join(self._kept, JOINED))
-        seen = self._see(chunks)
+        seen = [self._predict(chunk) for chunk in chunks]
         if self._noise is None:
             # A simulation that went astray finds back from the start values only.
             here, self._regression.z = self._regression.z, np.zeros_like(self._regression.z)
-            before = self._see(chunks)
-            if self._size_of(before) < self._size_of(seen):
-                seen = before
+            there = [self._predict(chunk) for chunk in chunks]
+            if self._size_of(there) < self._size_of(seen):
+                seen = there
             else:
                 self._regression.z = here
-        self._seen_from = self._regression.z
         if not all(np.isfinite(slopes).all() for _, slopes in seen):
             self._state = None
             return
@@ -227,11 +229,9 @@ class RecursivePredictor:
         for error, slopes in seen:
             self._learn_noise(error, slopes)
         for chunk, (error, slopes) in zip(chunks, seen, strict=True):
-            self._gather(chunk, error, slopes, moving=False)
-        self._regression.move()
-
-    def _see(self, chunks: Sequence[Chunk]) -> list[tuple[Array, Array]]:
-        return [self._predict(chunk) for chunk in chunks]
+            self._gather(chunk, error, slopes)
+        self._regression.move(self._regression.z, np.full_like(self._reach, np.inf))
+        self._seen_from = self._regression.z
 
     def _size_of(self, seen: Sequence[tuple[Array, Array]]) -> float:
         """Of the errors, each output's in its own share: the logarithm of the likelihood, but for sign and factor."""
@@ -301,7 +301,7 @@ class RecursivePredictor:
         passed = np.count_nonzero(segment.knots + late < segment.time[row], axis=0)
         state.pointer[:] = np.maximum(passed - 1, 0)
 
-    def _measured_state(self, measured: Sequence[float] | Array) -> Array:
+    def _measured_state(self, measured: Array) -> Array:
         """The state (nx,) as the outputs `measured` (ny,) show it."""
         shown = zip(self._problem.kernel.outputs, map(float, measured), strict=True)
         known = {**self._problem.model.values, **dict(shown)}

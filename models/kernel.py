@@ -9,7 +9,6 @@ start compiles nothing and imports neither numba nor SymPy. Parameter values are
 from __future__ import annotations
 
 import ctypes
-import functools
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -221,7 +220,7 @@ def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
 def _loops(progress: Progress | None = None) -> Any:
     """models.kernel_loops.run, compiled."""
     if LOOPS not in _loaded:
-        name = f"loops-{_digest(_sources(), machine_code.processor())}"
+        name = f"loops-{_digest(SOURCES, machine_code.processor())}"
         found = machine_code.recall(name)
         if found is None:
             if progress is not None:
@@ -241,7 +240,7 @@ def _loops(progress: Progress | None = None) -> Any:
 
 def fingerprint(model: Model) -> str:
     """What tells apart models that need code of their own: names, equations, holds, delays, and what makes the code."""
-    parts: list[Any] = [_sources(), machine_code.processor(), model.name]
+    parts: list[Any] = [SOURCES, machine_code.processor(), model.name]
     parts += [(state.name, state.derivative) for state in model.base_states]
     parts += [(each.name, each.hold.value, each.delays, each.lag) for each in model.inputs]
     parts += [(each.name, each.expression) for each in model.outputs]
@@ -264,9 +263,12 @@ def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
 
 
-@functools.cache
 def _sources() -> str:
     """Changes with any change of the code that makes machine code."""
     here = Path(__file__).parent
     names = ("codegen", "equations", "expressions", "expression_syntax", "kernel_loops", "machine_code")
     return hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()
+
+
+SOURCES = _sources()
+"""Of the code that is loaded: taken at import, since an upgrade may change the files while this process runs."""

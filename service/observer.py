@@ -18,6 +18,7 @@ import signal
 import socket
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,9 @@ ESTIMATE_PERIOD = 0.25
 LAST_DATA = 0.5
 """s that the last rows of a recording may take after the order to stop it."""
 
+LATE_ESTIMATES = 5.0
+"""s that the end of a recording waits for estimators that are still being made."""
+
 PACKETS_A_TURN = 32
 """Packets that are handled before other tasks get their turn."""
 
@@ -55,14 +59,11 @@ class Observer:
         self._channels = TABLES[hello["kind"]]
         self._codec = link.FrameCodec(len(self._channels))
         given = hello["parameters"]
-        self._estimators = EstimatorBank(
-            online_estimators(
-                hello["kind"],
-                {name: entry["value"] for name, entry in given.items()},
-                {name: entry["std"] for name, entry in given.items()},
-                hello["support"],
-            )
-        )
+        values = {name: entry["value"] for name, entry in given.items()}
+        deviations = {name: entry["std"] for name, entry in given.items()}
+        self._new_bank = partial(online_estimators, hello["kind"], values, deviations, hello["support"])
+        self._estimators = self._new_bank()
+        self._compiled = asyncio.Event()
         self._recorder: Recorder | None = None
         self._end: dict[str, str] = {}
         self._end_timer: asyncio.TimerHandle | None = None
@@ -85,6 +86,7 @@ class Observer:
             asyncio.create_task(self._write_regularly(), name="write"),
             asyncio.create_task(self._estimate_regularly(), name="estimate"),
         ]
+        compiling = asyncio.create_task(self._compile(), name="compile")
         mqtt = asyncio.create_task(self._run_mqtt(self._mqtt), name="mqtt") if self._mqtt is not None else None
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         failures = [task.exception() for task in tasks if task.done()]
@@ -95,7 +97,7 @@ class Observer:
             self._mqtt.close()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(mqtt, GOODBYE_TIME)
-        for task in tasks:
+        for task in (*tasks, compiling):
             task.cancel()
         for failure in failures:
             if failure is not None:
@@ -153,7 +155,9 @@ class Observer:
     def _start_recording(self, order: dict[str, Any]) -> None:
         self._end = self._end or {"end_reason": "another recording began"}
         self._close_recording()
-        self._estimators.reset()
+        self._estimators = self._new_bank()
+        if self._compiled.is_set():
+            self._estimators.join()
         raw_buses = RAW_BUSES if order["raw_log"] else ()
         stem = Path(order["stem"])
         try:
@@ -183,14 +187,18 @@ class Observer:
             self._end_timer = None
         if recorder is None:
             return
-        estimates = self._estimators.results()
-        self._publish_parameters(estimates)
-        storing = asyncio.create_task(self._store(recorder, end, estimates), name=f"store {recorder.path.name}")
+        storing = asyncio.create_task(self._store(recorder, end, self._estimators), name=f"store {recorder.path.name}")
         self._storing.add(storing)
         storing.add_done_callback(self._storing.discard)
 
-    async def _store(self, recorder: Recorder, end: dict[str, str], estimates: dict[str, Any]) -> None:
+    async def _store(self, recorder: Recorder, end: dict[str, str], estimators: EstimatorBank) -> None:
         failure = ""
+        if not estimators.complete:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._compiled.wait(), LATE_ESTIMATES)
+                estimators.join()
+        estimates = estimators.results()
+        self._publish_parameters(estimates)
         async with self._writing:
             try:
                 await asyncio.to_thread(recorder.finish, end, estimates)
@@ -222,6 +230,12 @@ class Observer:
             })  # fmt: skip
 
     # Results
+
+    async def _compile(self) -> None:
+        """Once in a thread, so that from then on all estimators are made at once."""
+        await asyncio.to_thread(self._new_bank().join)
+        self._compiled.set()
+        self._estimators.join()
 
     async def _estimate_regularly(self) -> None:
         while True:

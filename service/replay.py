@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from service import assembly, export
-from service.online_estimators import EstimatorBank, online_estimators
+from service.online_estimators import online_estimators
 from service.rows import rows_from_frames
 from service.vehicle_file import VehicleFile
 from telemetry import recording as recordings
@@ -75,11 +75,10 @@ def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
     Raises:
         RecordingError: a channel that the estimators take is missing.
     """
-    bank = EstimatorBank(
-        online_estimators(
-            vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
-        )
+    bank = online_estimators(
+        vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
     )
+    bank.join()
     bank.update(recording.frames(assembly.channels(vehicle)))
     return bank.results()
 
