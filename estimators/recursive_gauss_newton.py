@@ -24,9 +24,6 @@ from estimators.fit_result import inverse, with_known
 
 Array = NDArray[np.float64]
 
-LONGEST_STEP = 2.0
-"""Typical sizes that an unknown moves by at most after one chunk."""
-
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
@@ -109,13 +106,11 @@ class RecursiveGaussNewton:
         self._meat += added
 
     def move(self, about: Array, reach: Array) -> bool:
-        """Go to the solution, but not too far at once, nor farther from `about` (n,) than `reach` (n,), nor beyond the
-        bounds; whether `reach` held it back."""
+        """Go to the solution, but not farther from `about` (n,) than `reach` (n,), nor beyond the bounds; whether
+        `reach` held it back."""
         end = self._end
         information = self._information[:end, :end] + self._prior[:end, :end]
-        step = np.linalg.solve(information, self._right[:end])[: self._size] - self.z
-        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
-        away = self.z + step - about
+        away = np.linalg.solve(information, self._right[:end])[: self._size] - about
         share = float(np.min(reach / np.maximum(np.abs(away), 1e-300)))
         self.z = np.clip(about + min(1.0, share) * away, self._lower, self._upper)
         return share < 1.0

@@ -17,7 +17,6 @@ excited, feedback biases it as any output error: the predictor with a gain is th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +39,7 @@ GAIN_MOVES = (0.5, 0.5)
 """Typical sizes of a parameter, and natural logarithms of a noise, after which the gain is computed anew."""
 FAR, REACH = (0.05, 0.3), (0.5, 0.5)
 """The same after which what is kept is gone through again, and how far from there the unknowns may go before it is."""
-SOONEST, USUAL, URGENT = 2.0, 1.2, 1.05
+SOONEST, USUAL, URGENT = 0.5, 1.2, 1.05
 """s of free motion after which this is done at the soonest, and factors to the next time: `URGENT` where the reach
 holds the unknowns back."""
 KEPT = 64.0
@@ -106,6 +105,8 @@ class RecursivePredictor:
         self._gain_slopes = np.zeros((len(gains), logarithms))
         self._kept: list[Chunk] = []
         self._seen_from, self._seen_at = self._regression.z, 0.0
+        self._rounds = 0
+        self._settled = True
         self._far, self._reach, self._gain_moves = (
             np.repeat(sizes, (free, logarithms)) for sizes in (FAR, REACH, GAIN_MOVES)
         )
@@ -135,9 +136,11 @@ class RecursivePredictor:
             return
         self._kept.append(chunk)
         held_back = self._regression.move(self._seen_from, self._reach)
+        moved = np.abs(self._regression.z - self._seen_from)
         again_at = max(SOONEST, self._seen_at * (URGENT if held_back or self._noise is None else USUAL))
-        if self.span >= again_at and np.any(np.abs(self._regression.z - self._seen_from) > self._far):
-            self._learn_again()
+        if self.span >= again_at and np.any(moved > self._far):
+            moved = self._learn_again()
+        self._settled = bool(np.all(moved[: self._free] < 0.99 * self._reach[: self._free]))
 
     def estimate(self, method: str) -> Estimate:
         """What is known now, under the name `method`."""
@@ -150,8 +153,8 @@ class RecursivePredictor:
             cost=0.0,
             blocks=(),
             information=np.zeros((self._free, self._free)),
-            iterations=0,
-            converged=True,
+            iterations=self._rounds,
+            converged=self._settled,
             at_bound=(common <= self._lower) | (common >= self._upper),
         )
         return assemble(
@@ -207,22 +210,15 @@ class RecursivePredictor:
         columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
         self._regression.add((error @ whitening.T).ravel(), columns, self._kept_share(error))
 
-    def _learn_again(self) -> None:
-        """All that is kept, seen from where the unknowns are now."""
+    def _learn_again(self) -> Array:
+        """All that is kept, seen from where the unknowns are now; how far they move then, (n,)."""
         self._seen_at = self.span
         chunks = list(join(self._kept, JOINED))
         seen = [self._predict(chunk) for chunk in chunks]
-        if self._noise is None:
-            # A simulation that went astray finds back from the start values only.
-            here, self._regression.z = self._regression.z, np.zeros_like(self._regression.z)
-            there = [self._predict(chunk) for chunk in chunks]
-            if self._size_of(there) < self._size_of(seen):
-                seen = there
-            else:
-                self._regression.z = here
         if not all(np.isfinite(slopes).all() for _, slopes in seen):
             self._state = None
-            return
+            return self._reach
+        self._rounds += 1
         self._regression.forget()
         self._squares *= STALE
         self._weight *= STALE
@@ -230,14 +226,9 @@ class RecursivePredictor:
             self._learn_noise(error, slopes)
         for chunk, (error, slopes) in zip(chunks, seen, strict=True):
             self._gather(chunk, error, slopes)
-        self._regression.move(self._regression.z, np.full_like(self._reach, np.inf))
         self._seen_from = self._regression.z
-
-    def _size_of(self, seen: Sequence[tuple[Array, Array]]) -> float:
-        """Of the errors, each output's in its own share: the logarithm of the likelihood, but for sign and factor."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = sum(np.sum(self._without_start(error, slopes) ** 2, axis=0) for error, slopes in seen)
-            return float(np.sum(np.log(squares)))
+        self._regression.move(self._seen_from, self._reach)
+        return np.abs(self._regression.z - self._seen_from)
 
     def _kept_share(self, error: Array) -> float:
         return math.exp(-len(error) * self._period / self._memory)

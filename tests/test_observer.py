@@ -18,13 +18,24 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
+from estimators.identify import nominal_model
+from estimators.recursive_prediction_error import RecursivePredictionError
+from estimators.torque_balance import make as make_plain
 from service import link, replay
+from service.observer import Observer
 from service.observer_client import ObserverClient
 from service.observer_pipe import MOST_MESSAGES
+from service.online_estimators import EstimatorBank, online_estimators
 from telemetry.candump import CandumpReader
 from telemetry.channels import MONOCAB
 from telemetry.recording import load
 from telemetry.samples import CanFrame, Frame
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """The model is in the cache: to compile it, the first start on a computer needs longer than these tests wait."""
+    online_estimators("monocab", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support).join()
 
 
 @pytest.fixture
@@ -58,8 +69,59 @@ async def test_recording_live_results_and_replay_are_one(client: ObserverClient)
     results = replay.replay(recording, VEHICLE)
     assert results == summary["estimates"] == client.estimates
     assert results["recursive_least_squares"]["samples"] > 100
+    assert results["recursive_prediction_error"]["samples"] > 100
     beside = Path(summary["recording"].replace(".arrow", ".estimates.json"))
     assert json.loads(beside.read_text())["methods"] == results
+
+
+async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on the first start on a computer: a recording begins, and ends, before the model is compiled."""
+    compiled = threading.Event()
+
+    def slowly(*given: Any) -> EstimatorBank:
+        def make() -> RecursivePredictionError:
+            compiled.wait(20.0)
+            return RecursivePredictionError(
+                nominal_model("monocab"), parameters=given[1], deviations=given[2], support=given[3]
+            )
+
+        return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
+
+    monkeypatch.setattr("service.observer.online_estimators", slowly)
+    own, other = link.pair()
+    loop = asyncio.get_running_loop()
+    running = asyncio.create_task(Observer(other, hello(tmp_path)).run())
+    frames, codec = cycles(), link.FrameCodec(len(MONOCAB))
+    stem = str(tmp_path / "first")
+    start = {"type": "start_recording", "stem": stem, "start_ns": 0, "metadata": {}, "raw_log": False}
+    await loop.sock_sendall(own, link.pack_json(start))
+    for place in range(0, len(frames), 20):
+        await loop.sock_sendall(own, codec.pack(frames[place : place + 20]))
+
+    async def told(what: str) -> dict[str, Any]:
+        while True:
+            message = link.unpack_json(await asyncio.wait_for(loop.sock_recv(own, link.LARGEST), 20.0))
+            if message["type"] == what:
+                return message
+
+    meanwhile = (await told("estimates"))["estimates"]
+    assert meanwhile["recursive_prediction_error"]["status"] == "starting"
+    assert "compiled" in meanwhile["recursive_prediction_error"]["reason"]
+    assert meanwhile["recursive_least_squares"]["samples"] > 10
+    end = {"end_ns": frames[-2].timestamp_ns, "raw_end_ns": 0, "reason": "done", "dropped_frames": 0}
+    await loop.sock_sendall(own, link.pack_json({"type": "stop_recording", **end}))
+    await asyncio.sleep(0.3)
+    compiled.set()
+    finished = await told("finished")
+    assert finished["rows"] == len(frames)
+    live = finished["estimates"]["recursive_prediction_error"]
+    assert live == replay.replay(load(Path(finished["recording"])), VEHICLE)["recursive_prediction_error"]
+    assert live["samples"] > 100
+    own.close()
+    await running
+    other.close()
 
 
 async def test_estimates_come_while_it_records_and_begin_anew_with_each_recording(client: ObserverClient) -> None:

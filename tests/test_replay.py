@@ -64,6 +64,8 @@ def test_the_raw_log_rebuilds_every_row_and_every_estimate(run: Path) -> None:
     results = replay.replay(recorded, VEHICLE)
     assert results == replay.replay(rebuilt, VEHICLE)
     assert results["recursive_least_squares"]["samples"] > 10
+    assert results["recursive_prediction_error"]["samples"] > 500
+    assert results["recursive_prediction_error"]["status"] == "ok"
 
 
 def test_a_log_alone_gives_all_that_was_on_the_bus(run: Path, tmp_path: Path) -> None:
@@ -87,6 +89,7 @@ def test_a_log_alone_gives_the_plain_estimates_bit_for_bit(run: Path, tmp_path: 
     plain, instrumental = "recursive_least_squares", "recursive_instrumental_variables"
     assert recorded[plain]["span"] > 0.4
     assert rebuilt[plain] == recorded[plain]
+    assert rebuilt["recursive_prediction_error"] == recorded["recursive_prediction_error"]
     assert rebuilt[instrumental]["status"] == "missing_channel"
     assert "raw log does not hold it" in rebuilt[instrumental]["reason"]
     assert rebuilt[instrumental]["samples"] == 0

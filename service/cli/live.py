@@ -52,9 +52,14 @@ def demo(
     from service.cli.talk import follow
     from service.demo import run_demo
     from service.demo_figure import save_run
+    from service.online_estimators import online_estimators
     from service.vehicle_file import load
 
     file = load(vehicle)
+    given = file.parameters
+    with working() as step:
+        step("preparing the estimators (on the first start on a computer, their model is compiled)")
+        online_estimators(file.vehicle.kind, given.values, given.deviations, file.support).join()
     recordings = run_demo(file, hide or [], experiment or ["step", "sweep"], data or Path("recordings"), seed, follow)
     for path in recordings:
         picture = path.with_suffix(".png")
