@@ -10,9 +10,6 @@ from typing import Any
 
 import pytest
 
-from service.online_estimators import online_estimators
-from service.vehicle_file import load
-
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 
@@ -31,10 +28,6 @@ def document(*words: str) -> Any:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    vehicle = load("monocab")
-    values, deviations = vehicle.parameters.values, vehicle.parameters.deviations
-    # The model is in the cache: in simulated time the first run might be over before a busy machine has compiled it.
-    online_estimators(vehicle.vehicle.kind, values, deviations, vehicle.support).join()
     folder = tmp_path_factory.mktemp("demo")
     upright("demo", "--data", str(folder))
     return {name: next(folder.glob(f"*_{name}.arrow")) for name in ("step", "sweep")}
