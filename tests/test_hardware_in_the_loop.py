@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 
 from service.api import ApiError, call
+from service.online_estimators import online_estimators
 from service.vehicle_file import load
 from telemetry.candump import CandumpReader
 from telemetry.recording import load as load_recording
@@ -135,6 +136,13 @@ def rig(
                 process.wait()
         log.close()
         sys.stderr.write((folder / "daemon.log").read_text())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """The live estimator's model is in the cache: on the guest's one processor, compiling it takes a minute."""
+    values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
+    online_estimators(VEHICLE.vehicle.kind, values, deviations, VEHICLE.support).join()
 
 
 @pytest.fixture(scope="class")
