@@ -36,16 +36,17 @@ FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in
 everything. The vehicle comes first, since a real one waits for nobody."""
 
 
-HEARTBEAT_TIMEOUT = 0.4
+HEARTBEAT_TIMEOUT = 0.6
 
 
 def patient(text: str) -> str:
     """The shipped vehicle file for a machine that is itself not real-time.
 
     A virtual machine shares its processor with others: a bare loop with 4 ms to sleep was seen held up for 76 ms on
-    such a host, and for 7 ms every few seconds in the guest. The shipped limit of 12 ms would stop a run then, rightly.
+    such a host, and for 7 ms every few seconds in the guest; with other work on the host a set of IMU frames was seen
+    114 ms late. The shipped limit of 12 ms would stop a run then, rightly.
     """
-    for key, shipped, here in (("missed_cycles", "3 ", "25 "), ("heartbeat_timeout", "0.12", str(HEARTBEAT_TIMEOUT))):
+    for key, shipped, here in (("missed_cycles", "3 ", "60 "), ("heartbeat_timeout", "0.12", str(HEARTBEAT_TIMEOUT))):
         assert f"{key} = {shipped}" in text
         text = text.replace(f"{key} = {shipped}", f"{key} = {here}")
     return text
@@ -96,11 +97,14 @@ class Rig:
         raise AssertionError(f"{words!r} not said within {limit} s, but {said!r}")
 
     def until_phase(self, phase: str, limit: float = 40.0) -> None:
+        status: dict[str, Any] = {}
         for _ in range(int(limit / 0.3)):
-            if self.status()["phase"] == phase:
+            status = self.status()
+            if status["phase"] == phase:
                 return
+            assert status["mode"] != "fault", f"phase {phase} not reached: {status['reason']}"
             time.sleep(0.3)
-        raise AssertionError(f"phase {phase} not reached within {limit} s: {self.status()}")
+        raise AssertionError(f"phase {phase} not reached within {limit} s: {status}")
 
     @contextmanager
     def experiment(self, name: str) -> Iterator[Future[tuple[int, dict[str, Any]]]]:
