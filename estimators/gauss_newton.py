@@ -2,14 +2,17 @@
 
 Every stretch of data has its own initial state, so the normal equations have an arrow's shape: each stretch's own
 unknowns are eliminated before the common ones are solved for, and a fit over forty windows costs hardly more than over
-one. Levenberg-Marquardt steps with Nielsen's damping, bounds by an active set. Source: Madsen, Nielsen and Tingleff,
-"Methods for non-linear least squares problems" (2004), algorithm 3.16; Schur complement as in bundle adjustment.
+one. Levenberg-Marquardt steps in a box that grows with success, bounds by an active set. Where residuals stay large,
+what Gauss-Newton leaves out of the curvature is learned from step to step (symmetric rank one).
+Sources: Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems" (2004); Nocedal and Wright,
+"Numerical optimization", 2nd ed., sections 6.2 and 10.3; Schur complement as in bundle adjustment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +20,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LONGEST_STEP = 2.0
-"""Typical sizes by which a parameter moves at most in one step."""
+"""Typical sizes by which a parameter moves at most in the first step; twice as far after each that went as foreseen."""
+LEAST_DAMPING, FIRST_DAMPING, STIFFER = 1e-7, 1e-3, 10.0
+"""Share of the diagonal that is added to it: at least, after a step too far, and the factor from step to step."""
+LAST_DAMPING = 1e-4
+"""The same for the last step, which is not tried: where the data tell nothing it must not go far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +36,38 @@ class Block:
     own: Array
 
 
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """One stretch's share of the normal equations: J'J (p + k, p + k) and J'r (p + k,), its own k unknowns last."""
+
+    matrix: Array
+    vector: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Expansion:
+    """The cost at a point and how it changes from there, by stretch."""
+
+    cost: float
+    normals: tuple[Normal, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stacked(Expansion):
+    blocks: tuple[Block, ...]
+
+
 Evaluate = Callable[[Array, Sequence[Array]], list[Block] | None]
 """Of common parameters and own parameters by stretch; None where there is no finite value."""
+E = TypeVar("E", bound=Expansion)
 
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Where it ended. `information` (p, p) is J'J of the common parameters with the own ones eliminated."""
+    """Where it ended. `information` (p, p) is J'J of the common parameters with the own ones eliminated.
+
+    `blocks` are those of `minimise` alone.
+    """
 
     common: Array
     own: tuple[Array, ...]
@@ -58,77 +90,115 @@ def minimise(
     iterations: int = 50,
     tolerance: float = 1e-6,
     enough: float = 1e-6,
-    watched: int | None = None,
 ) -> Minimum | None:
-    """The least half sum of squares from `common` (p,) and `own` on; `scale` (p,) are typical sizes of the first.
+    """The least half sum of squares. Arguments and result as for `descend`."""
+
+    def expand(common: Array, own: Sequence[Array]) -> _Stacked | None:
+        blocks = evaluate(common, own)
+        if blocks is None:
+            return None
+        cost = 0.5 * sum(float(block.residual @ block.residual) for block in blocks)
+        return _Stacked(cost, tuple(map(_normal, blocks)), tuple(blocks))
+
+    found = descend(
+        expand,
+        common,
+        own,
+        scale=scale,
+        lower=lower,
+        upper=upper,
+        iterations=iterations,
+        tolerance=tolerance,
+        enough=enough,
+    )
+    return found and replace(found[0], blocks=found[1].blocks)
+
+
+def descend(
+    expand: Callable[[Array, Sequence[Array]], E | None],
+    common: Array,
+    own: Sequence[Array],
+    *,
+    scale: Array,
+    lower: Array,
+    upper: Array,
+    iterations: int,
+    tolerance: float,
+    enough: float,
+    watched: int | None = None,
+) -> tuple[Minimum, E] | None:
+    """The least cost from `common` (p,) and `own` on, and its expansion; `scale` (p,) are typical sizes of the first.
 
     It is converged when no step moves one of the first `watched` parameters (all by default) by more than `tolerance`
     of its scale, or the cost is not expected to fall by more than `enough`: with residuals of unit variance a fall of x
-    moves no parameter by more than sqrt(2 x) standard deviations. None where the start itself has no finite value.
+    moves no parameter by more than sqrt(2 x) standard deviations. The curvature by the others is more than J'J: what
+    is missing is learned. That last step is still made; the expansion is from where it begins. None where the start
+    itself has no finite value.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]
-    blocks = evaluate(common, own)
-    if blocks is None:
+    here = expand(common, own)
+    if here is None:
         return None
-    cost = _cost(blocks)
-    damping, growth = 1e-4, 2.0
+    missing = np.zeros((len(common), len(common)))
+    damping, reach = LEAST_DAMPING, LONGEST_STEP
     done = False
     taken = 0
-    information, gradient, _, _ = _reduce(blocks, scale, 0.0)
+    information, gradient, _, _ = _reduce(here, scale, 0.0)
     while taken < iterations and not done:
         taken += 1
         free = ~(((common <= lower) & (gradient > 0.0)) | ((common >= upper) & (gradient < 0.0)))
         if not free.any() and not any(len(part) for part in own):
             done = True
             break
-        reduced, slope, reserve, parts = _reduce(blocks, scale, damping)
+        reduced, slope, reserve, parts = _reduce(here, scale, damping)
+        some = np.ix_(free, free)
+        curvature = reduced + missing if _is_definite((information + missing)[some]) else reduced
+        fall = reserve + 0.5 * float(slope[free] @ _solved(curvature[some], slope[free]))
+        done = fall <= enough
+        stiffer = (max(damping, LAST_DAMPING) if done else damping) * np.diag(np.diag(information)[free] + 1e-12)
         step = np.zeros_like(common)
-        fall = reserve
-        if free.any():
-            system = reduced[np.ix_(free, free)]
-            fall += 0.5 * float(slope[free] @ np.linalg.lstsq(system, slope[free], rcond=None)[0])
-            system += damping * np.diag(np.diag(information)[free] + 1e-12)
-            step[free] = -np.linalg.lstsq(system, slope[free], rcond=None)[0]
-        if fall <= enough:
-            done = True
-            break
-        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
+        step[free] = -_solved(curvature[some] + stiffer, slope[free])
+        step *= min(1.0, reach / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
         trial = np.clip(common + scale * step, lower, upper)
         step = (trial - common) / scale
         moves = [-(gain @ step + offset) for gain, offset in parts]
         trial_own = [part + move for part, move in zip(own, moves, strict=True)]
-        expected = -float(slope @ step) - 0.5 * float(step @ reduced @ step) + reserve
-        trial_blocks = evaluate(trial, trial_own)
-        trial_cost = _cost(trial_blocks) if trial_blocks is not None else np.inf
-        small = float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
-        if trial_blocks is not None and trial_cost <= cost:
-            gained = cost - trial_cost
-            blocks, common, own = trial_blocks, trial, trial_own
-            done = small
-            cost = trial_cost
-            ratio = gained / max(expected, 1e-300)
-            damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-12)
-            growth = 2.0
-            information, gradient, _, _ = _reduce(blocks, scale, 0.0)
-        else:
-            done = small
-            damping *= growth
-            growth *= 2.0
+        if done:
+            common, own = trial, trial_own
+            break
+        foreseen = -float(slope @ step) - 0.5 * float(step @ curvature @ step) + reserve
+        there = expand(trial, trial_own)
+        done = float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
+        if there is None or there.cost > here.cost:
+            damping = max(STIFFER * damping, FIRST_DAMPING)
+            reach = 0.5 * float(np.max(np.abs(step), initial=0.0))
             if damping > 1e14:
                 break
-    information, _, _, _ = _reduce(blocks, scale, 0.0)
-    outer = np.outer(scale, scale)
-    return Minimum(
+            continue
+        ratio = (here.cost - there.cost) / max(foreseen, 1e-300)
+        if ratio > 0.75:
+            damping, reach = max(damping / STIFFER, LEAST_DAMPING), 2.0 * reach
+        elif ratio < 0.25:
+            damping = max(STIFFER * damping, FIRST_DAMPING)
+        here, common, own = there, trial, trial_own
+        before = gradient
+        information, gradient, _, _ = _reduce(here, scale, 0.0)
+        if watched is not None:
+            missing[watched:, watched:] = _learned(
+                missing[watched:, watched:], step[watched:], (gradient - before - information @ step)[watched:]
+            )
+    minimum = Minimum(
         common=common,
         own=tuple(own),
-        cost=cost,
-        blocks=tuple(blocks),
-        information=information / outer,
+        cost=here.cost,
+        blocks=(),
+        information=information / np.outer(scale, scale),
         iterations=taken,
         converged=done,
         at_bound=(common <= lower) | (common >= upper),
     )
+    return minimum, here
 
 
 def eliminate(block: Block) -> tuple[Array, Array]:
@@ -139,32 +209,65 @@ def eliminate(block: Block) -> tuple[Array, Array]:
     return block.residual - basis @ (basis.T @ block.residual), block.common - basis @ (basis.T @ block.common)
 
 
-def _cost(blocks: Sequence[Block]) -> float:
-    return 0.5 * sum(float(block.residual @ block.residual) for block in blocks)
+def common_information(normals: Sequence[Normal], common: int) -> Array:
+    """J'J (p, p) of the first `common` = p unknowns with the others eliminated."""
+    matrix, _, _, _ = _reduce(Expansion(0.0, tuple(normals)), np.ones(common), 0.0)
+    return matrix
+
+
+def _normal(block: Block) -> Normal:
+    columns = np.concatenate((block.common, block.own), axis=1)
+    return Normal(columns.T @ columns, columns.T @ block.residual)
+
+
+def _solved(matrix: Array, vector: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(matrix, vector, rcond=None)[0]) if len(vector) else vector
+
+
+def _is_definite(matrix: Array) -> bool:
+    """Whether it is positive definite, with something to spare in each unknown's own unit."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-150))
+    scaled = matrix / np.outer(size, size)
+    return bool(np.all(np.isfinite(scaled)) and np.min(np.linalg.eigvalsh(scaled), initial=1.0) > 1e-6)
+
+
+def _learned(missing: Array, step: Array, unexplained: Array) -> Array:
+    """`missing` curvature that explains how the gradient changed over the last `step` beyond J'J (symmetric rank one).
+
+    It is scaled down first where it was more than that (Dennis, Gay and Welsch: an adaptive nonlinear least-squares
+    algorithm, 1981).
+    """
+    known = float(step @ missing @ step)
+    if known != 0.0:
+        missing = min(1.0, abs(float(step @ unexplained) / known)) * missing
+    rest = unexplained - missing @ step
+    along = float(rest @ step)
+    if abs(along) <= 1e-6 * float(np.linalg.norm(rest) * np.linalg.norm(step)):
+        return missing
+    return np.asarray(missing + np.outer(rest, rest) / along)
 
 
 def _reduce(
-    blocks: Sequence[Block], scale: Array, damping: float
+    expansion: Expansion, scale: Array, damping: float
 ) -> tuple[Array, Array, float, list[tuple[Array, Array]]]:
     """Scaled normal equations of the common parameters, by how much the cost falls with the own parameters alone, and
-    how each block's own follow from a common step."""
+    how each stretch's own follow from a common step."""
     size = len(scale)
     matrix, vector, reserve = np.zeros((size, size)), np.zeros(size), 0.0
     parts: list[tuple[Array, Array]] = []
-    for block in blocks:
-        common = block.common * scale
-        matrix += common.T @ common
-        vector += common.T @ block.residual
-        if block.own.shape[1] == 0:
+    for normal in expansion.normals:
+        matrix += scale[:, None] * normal.matrix[:size, :size] * scale
+        vector += scale * normal.vector[:size]
+        if len(normal.vector) == size:
             parts.append((np.zeros((0, size)), np.zeros(0)))
             continue
-        square = block.own.T @ block.own
-        square += np.diag((damping + 1e-12) * np.diag(square) + 1e-300)
-        across = block.own.T @ common
-        gain: Array = np.linalg.solve(square, across).astype(np.float64)
-        offset: Array = np.linalg.solve(square, block.own.T @ block.residual).astype(np.float64)
+        square = normal.matrix[size:, size:]
+        square = square + np.diag((damping + 1e-12) * np.diag(square) + 1e-300)
+        across, pull = normal.matrix[size:, :size] * scale, normal.vector[size:]
+        solved = np.linalg.solve(square, np.concatenate((across, pull[:, None]), axis=1)).astype(np.float64)
+        gain, offset = solved[:, :-1], solved[:, -1]
         matrix -= across.T @ gain
         vector -= across.T @ offset
-        reserve += 0.5 * float(block.residual @ block.own @ offset)
+        reserve += 0.5 * float(pull @ offset)
         parts.append((gain, offset))
     return matrix, vector, reserve, parts

@@ -13,12 +13,14 @@ doubling: Chu et al., International Journal of Control 77 (2004) 767-788.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.problem import Problem, linearise
+from estimators.problem import Problem, at_rest, linearise, typical_motion
+from models.segment import Segment
 
 Array = NDArray[np.float64]
 
@@ -36,8 +38,8 @@ FLOOR = 1e-6
 class NoiseModel:
     """The noises of a problem. `process` (nx,), unit/sqrt(s), and `sensor` (ny,) are where the estimation starts.
 
-    `noisy` are the states with process noise, `loud` the outputs but the last whose noise is not known: the logarithms,
-    (q,), are theirs.
+    `noisy` are the states and `loud` the outputs but the last whose noise is not known: the logarithms, (q,), are
+    theirs.
     """
 
     problem: Problem
@@ -48,20 +50,26 @@ class NoiseModel:
     loud: tuple[int, ...]
     integrated: Array
     """Which output's noise is integrated in which state, (nx, ny) of 0 and 1."""
+    rest: Segment
+    motion: Array
+    """Inputs, and state (nx,), at which the model is taken as linear."""
 
     @classmethod
     def of(cls, problem: Problem) -> NoiseModel:
         """What the model says of its noise."""
         states, outputs = problem.model.states, problem.model.outputs
         process = np.array([state.process_noise for state in states])
+        spacing = float(np.median(np.diff(problem.segments[0].time)))
         return cls(
             problem=problem,
-            spacing=float(np.median(np.diff(problem.segments[0].time))),
+            spacing=spacing,
             process=process,
             sensor=np.array([output.noise for output in outputs]),
-            noisy=tuple(np.flatnonzero(process > 0.0).tolist()),
+            noisy=tuple(np.flatnonzero([s.process_noise > 0.0 and not s.noise_known for s in states]).tolist()),
             loud=tuple(place for place, output in enumerate(outputs[:-1]) if not output.noise_known),
             integrated=np.array([[float(state.noise_of == output.name) for output in outputs] for state in states]),
+            rest=at_rest(problem.kernel, problem.segments, spacing),
+            motion=typical_motion(problem.model, problem.segments),
         )
 
     @property
@@ -71,73 +79,111 @@ class NoiseModel:
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
         """The filter gain (nx, ny) at parameter values (np,); None where there is no stable one."""
-        gains = steady_gain(*self._covariances(*self._linear(values), logarithms[None]))
-        return None if gains is None else gains[0]
+        steady = _steady(*self.covariances(values, logarithms))
+        return None if steady is None else steady.gain
 
-    def slopes(self, values: Array, logarithms: Array, free: tuple[int, ...], scale: Array) -> Array | None:
-        """The gain's derivatives by the parameters `free` and the logarithms, (nx * ny, p + q): central differences."""
-        shifts = STEP * np.repeat(np.eye(self.size), 2, axis=0)
-        shifts[1::2] *= -1.0
-        here = self._linear(values)
-        parts = [self._covariances(*here, logarithms + shifts)]
-        for place, size in zip(free, scale, strict=True):
-            for sign in (1.0, -1.0):
-                moved = values.copy()
-                moved[place] += sign * STEP * size
-                parts.append(self._covariances(*self._linear(moved), logarithms[None]))
-        gains = steady_gain(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-        if gains is None:
+    def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """The linear system that the gain is for: A (nx, nx), C (ny, nx) and the covariances of a row's process noise
+        (nx, nx), sensor noise (ny, ny) and of both together (nx, ny)."""
+        A, C, process, sensor, across = self._systems(values[None], logarithms[None])
+        return A[0], C[0], process[0], sensor[0], across[0]
+
+    def slopes(self, values: Array, logarithms: Array, free: Sequence[int], scale: Array) -> Array | None:
+        """The gain's derivatives by the parameters `free`, of typical sizes `scale` (p,), and the logarithms,
+        (nx * ny, p + q)."""
+        found = self.gain_and_slopes(values, logarithms, free, scale)
+        return None if found is None else found[1]
+
+    def gain_and_slopes(
+        self, values: Array, logarithms: Array, free: Sequence[int], scale: Array
+    ) -> tuple[Array, Array] | None:
+        """Both at once."""
+        sizes = STEP * np.concatenate((scale, np.ones(self.size)))
+        moves = np.repeat(np.diag(sizes), 2, axis=0)
+        moves[1::2] *= -1.0
+        # Parameters one by one, then all logarithms at the same values: what is linearised there is the same.
+        many = np.repeat(values[None], 2 * len(free) + 1, axis=0)
+        many[:-1, list(free)] += moves[: 2 * len(free), : len(free)]
+        systems = self._systems(many, logarithms + np.concatenate((moves[:, len(free) :], np.zeros((1, self.size)))))
+        steady = _steady(*(each[-1] for each in systems))
+        if steady is None:
             return None
-        rise = (gains[::2] - gains[1::2]).reshape(len(gains) // 2, -1) / (2.0 * STEP)
-        return np.concatenate((rise[self.size :] / scale[:, None], rise[: self.size])).T
+        rises = [(each[:-1:2] - each[1::2]) / (2.0 * sizes)[:, None, None] for each in systems]
+        return steady.gain, np.ascontiguousarray(steady.slopes(*rises).reshape(len(sizes), -1).T)
 
-    def _linear(self, values: Array) -> tuple[Array, Array]:
-        return linearise(self.problem.kernel, values, self.problem.segments, self.spacing)
-
-    def _covariances(self, transition: Array, output: Array, logarithms: Array) -> tuple[Array, ...]:
-        """What `steady_gain` takes, for each row of `logarithms`, (m, q)."""
+    def _systems(self, values: Array, logarithms: Array) -> tuple[Array, ...]:
+        """Transition and output matrices, covariances of process and sensors and of both, for each row of parameter
+        values (m, np) and of logarithms (n, q); where the values' rows end, the last one goes on."""
+        transition, output = (
+            np.concatenate((each, np.repeat(each[-1:], len(logarithms) - len(values), axis=0)))
+            for each in linearise(self.problem.kernel, values, self.rest, self.motion)
+        )
         process = np.tile(self.process, (len(logarithms), 1))
         sensor = np.tile(self.sensor, (len(logarithms), 1))
         factors = np.exp(logarithms)
         process[:, list(self.noisy)] *= factors[:, : len(self.noisy)]
         sensor[:, list(self.loud)] *= factors[:, len(self.noisy) :]
-        half = 0.5 * (np.eye(len(transition)) + transition)
+        half = 0.5 * (np.eye(len(self.process)) + transition)
         # What a filter makes of a sensor's noise, a trapezoid a row: half shows at once, all from the next row on.
         trapezoid = self.spacing * self.integrated * sensor[:, None, :]
-        shown = np.eye(len(output)) * sensor[:, None, :] + 0.5 * output @ trapezoid
+        shown = np.eye(len(self.sensor)) * sensor[:, None, :] + 0.5 * output @ trapezoid
         smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
         floor = np.diag((FLOOR * np.maximum(self.process, np.min(self.sensor))) ** 2)
         density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
-        many = (len(logarithms), 1, 1)
-        return (
-            np.tile(transition, many),
-            np.tile(output, many),
-            density,
-            shown @ _turned(shown),
-            trapezoid @ _turned(shown),
-        )
+        return transition, output, density, shown @ _turned(shown), trapezoid @ _turned(shown)
 
 
-def steady_gain(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array | None:
-    """The gain K with which x + K (y - C x) is the best estimate, in the steady state; None where there is none.
+@dataclass(frozen=True, slots=True)
+class _Steady:
+    """A filter in its steady state: the system, covariances (nx, nx) of the state before a row's correction and
+    (ny, ny) of the innovation, `ahead` (nx, ny) the gain of the next row's prediction, `gain` that of the filter."""
 
-    x+ = A x + w, y = C x + v with covariances process (m, nx, nx), sensor (m, ny, ny), across (m, nx, ny) = E w v', for
-    m systems at once; K is (m, nx, ny).
+    transition: Array
+    output: Array
+    covariance: Array
+    innovation: Array
+    ahead: Array
+    gain: Array
+
+    def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
+        """The filter gain's derivatives (m, nx, ny) where m derivatives of the system are given.
+
+        The covariance is least in the gain, so it changes as if the gain were held: by a Lyapunov equation.
+        """
+        A, C, P, L = self.transition, self.output, self.covariance, self.ahead
+        closed = A - L @ C
+        half = (transition - L @ output) @ P @ closed.T - across @ L.T
+        moved = half + _turned(half) + process + L @ sensor @ L.T
+        states = len(A)
+        system = np.eye(states**2) - np.kron(closed, closed)
+        spread = np.linalg.solve(system, moved.reshape(len(moved), -1).T).T.reshape(moved.shape)
+        seen = spread @ C.T + P @ _turned(output)
+        innovation = output @ P @ C.T + C @ seen + sensor
+        ahead = transition @ P @ C.T + A @ seen + across - L @ innovation
+        ahead = _turned(np.linalg.solve(self.innovation, _turned(ahead)).astype(np.float64))
+        return np.asarray(np.linalg.solve(A, ahead - transition @ self.gain))
+
+
+def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady | None:
+    """The filter whose gain K makes x + K (y - C x) the best estimate; None where there is none.
+
+    x+ = A x + w, y = C x + v with covariances process (nx, nx), sensor (ny, ny), across (nx, ny) = E w v'.
     """
-    states = transition.shape[-1]
+    states = len(transition)
     try:
-        inner = np.linalg.solve(sensor, np.concatenate((output, _turned(across)), axis=-1))
-        reduced = transition - across @ inner[..., :states]
-        rest = process - across @ inner[..., states:]
-        covariance = _doubled(reduced, _turned(output) @ inner[..., :states], 0.5 * (rest + _turned(rest)))
+        inner = np.linalg.solve(sensor, np.concatenate((output, across.T), axis=1))
+        rest = process - across @ inner[:, states:]
+        covariance = _doubled(transition - across @ inner[:, :states], output.T @ inner[:, :states], rest)
         if covariance is None:
             return None
-        innovation = output @ covariance @ _turned(output) + sensor
-        ahead = np.linalg.solve(innovation, _turned(transition @ covariance @ _turned(output) + across))
-        gain = np.linalg.solve(transition, _turned(np.asarray(ahead, dtype=np.float64)))
+        innovation = output @ covariance @ output.T + sensor
+        ahead = np.asarray(
+            np.linalg.solve(innovation, (transition @ covariance @ output.T + across).T).T, dtype=np.float64
+        )
+        gain = np.ascontiguousarray(np.linalg.solve(transition, ahead))
     except np.linalg.LinAlgError:
         return None
-    return np.ascontiguousarray(gain) if np.all(np.isfinite(gain)) else None
+    return _Steady(transition, output, covariance, innovation, ahead, gain) if np.all(np.isfinite(gain)) else None
 
 
 def _turned(matrices: Array) -> Array:
@@ -145,21 +191,21 @@ def _turned(matrices: Array) -> Array:
 
 
 def _doubled(transition: Array, known: Array, process: Array) -> Array | None:
-    """P = A P (I + G P)^-1 A' + Q by doubling, (m, nx, nx); None where it does not settle."""
-    states = transition.shape[-1]
+    """P = A P (I + G P)^-1 A' + Q by doubling, (nx, nx); None where it does not settle."""
+    states = len(transition)
     unit = np.eye(states)
-    A, G, H = _turned(transition), known, process
+    A, G, H = transition.T, known, 0.5 * (process + process.T)
     for _ in range(60):
-        ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=-1))
-        first, second = ratio[..., :states], ratio[..., states:]
-        grown = H + _turned(A) @ H @ first
-        G = G + A @ second @ _turned(A)
+        ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=1))
+        first, second = ratio[:, :states], ratio[:, states:]
+        grown = H + A.T @ H @ first
+        G = G + A @ second @ A.T
         A = A @ first
-        size = np.max(np.abs(grown), axis=(-1, -2))
-        if not np.all(np.isfinite(size)):
+        size = np.max(np.abs(grown))
+        if not np.isfinite(size):
             return None
         # The error squares with each doubling, so the one after this is exact.
-        if np.all(np.max(np.abs(grown - H), axis=(-1, -2)) <= 1e-8 * size):
-            return np.asarray(0.5 * (grown + _turned(grown)))
+        if np.max(np.abs(grown - H)) <= 1e-8 * size:
+            return np.asarray(0.5 * (grown + grown.T))
         H = grown
     return None

@@ -115,7 +115,7 @@ class Problem:
             start = initial.copy()
             start[list(self.own)] = part
             run = self.kernel.run(segment, values, start, gain=gain, active=active, substeps=self.substeps)
-            if not np.all(np.isfinite(run.predicted)):
+            if not (np.all(np.isfinite(run.predicted)) and np.all(np.isfinite(run.sensitivity))):
                 return None
             error = segment.measured - run.predicted
             residual = (np.where(np.isfinite(error), error, 0.0) @ weights.T).ravel()
@@ -143,9 +143,13 @@ def problem(
     estimate: Iterable[str] | None = None,
     support: float | None = None,
     longest: float | None = None,
+    rows: Sequence[Segment] | None = None,
     progress: Progress | None = None,
 ) -> Problem:
     """The fit of `model` to `recordings`; `estimate` names the parameters sought, by default those the model says.
+
+    `rows` are stretches that were made before, for another model of the same inputs and outputs; then no recording is
+    read.
 
     Raises DataError where the data are not fit for it, ModelError for an unknown name, EstimationError where nothing
     is sought.
@@ -164,9 +168,9 @@ def problem(
         if not parameter.lower < parameter.upper:
             what = f"its bounds cross: {parameter.lower:g} and {parameter.upper:g}"
             raise EstimationError(f"parameter {parameter.name}", what, remedy="mend them in the model.")
-    data = segments(model, recordings, support=support, longest=longest)
+    data = list(rows) if rows is not None else segments(model, recordings, support=support, longest=longest)
     kernel = compile_model(model, progress=progress)
-    initials = tuple(_initial(model, segment) for segment in data)
+    initials = tuple(initial_state(model, segment) for segment in data)
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
     return Problem(model, kernel, tuple(data), free, own, initials, _substeps(kernel, kernel.vector(), data))
 
@@ -177,7 +181,7 @@ def _substeps(kernel: Kernel, values: Array, data: Sequence[Segment]) -> int:
     return int(np.clip(np.ceil(float(np.median(np.diff(data[0].time))) * fastest / FINEST), 1, 50))
 
 
-def _initial(model: Model, segment: Segment) -> Array:
+def initial_state(model: Model, segment: Segment) -> Array:
     """The state at the first row as it is measured."""
     first = np.array([column[np.isfinite(column)][0] for column in segment.measured.T])
     known: Mapping[str, float] = {
@@ -190,25 +194,54 @@ def _initial(model: Model, segment: Segment) -> Array:
 def jacobian(kernel: Kernel, values: Array, data: Sequence[Segment]) -> Array:
     """The continuous system matrix (nx, nx) at the middle of the data."""
     short = 1e-6
-    transition, _ = linearise(kernel, values, data, short)
-    return (transition - np.eye(len(kernel.states))) / short
+    transition, _ = linearise(kernel, values[None], at_rest(kernel, data, short))
+    return np.asarray((transition[0] - np.eye(len(kernel.states))) / short)
 
 
-def linearise(kernel: Kernel, values: Array, data: Sequence[Segment], spacing: float) -> tuple[Array, Array]:
-    """Transition matrix over `spacing` s (nx, nx) and output matrix (ny, nx) where inputs and outputs have their mean.
-
-    The state there is what the model's own `initial` makes of the mean outputs; derivatives of a linear model are the
-    same everywhere.
-    """
-    states = len(kernel.states)
-    mean = data[0].inputs.mean(axis=0)
+def at_rest(kernel: Kernel, data: Sequence[Segment], spacing: float) -> Segment:
+    """Two rows `spacing` s apart at which each input has its mean."""
     time = float(data[0].time[0]) + spacing * np.arange(2.0)
-    held = np.repeat(mean[None, :], 2, axis=0)
+    held = np.repeat(data[0].inputs.mean(axis=0)[None, :], 2, axis=0)
     knots = np.repeat((time - 1.0)[:, None], len(kernel.inputs), axis=1)
-    segment = Segment(time, np.ascontiguousarray(knots), held, np.full((2, len(kernel.outputs)), np.nan))
-    active = [len(kernel.parameters) + place for place in range(states)]
-    memory = kernel.memory(np.zeros(states), active)
-    predicted = np.empty((2, len(kernel.outputs)))
-    sensitivity = np.empty((2, len(kernel.outputs), states))
-    kernel.proceed(segment, values, memory, None, active, predicted, sensitivity)
-    return memory.S.copy(), sensitivity[0].copy()
+    return Segment(time, np.ascontiguousarray(knots), held, np.full((2, len(kernel.outputs)), np.nan))
+
+
+def typical_motion(model: Model, data: Sequence[Segment]) -> Array:
+    """A state (nx,) in which the joints move as fast as they usually do, all else zero.
+
+    At rest a model with dry friction is damped as it is nowhere else.
+    """
+    outputs, states = [each.name for each in model.outputs], [each.name for each in model.states]
+    motion = np.zeros(len(states))
+    for joint in model.joints:
+        if joint.rate not in states:
+            continue
+        if joint.rate in outputs:
+            rates = np.concatenate([segment.measured[:, outputs.index(joint.rate)] for segment in data])
+        elif joint.coordinate in outputs:
+            place = outputs.index(joint.coordinate)
+            rates = np.concatenate([np.gradient(segment.measured[:, place], segment.time) for segment in data])
+        else:
+            continue
+        motion[states.index(joint.rate)] = np.sqrt(np.nanmean(rates**2))
+    return motion
+
+
+def linearise(kernel: Kernel, values: Array, rest: Segment, state: Array | None = None) -> tuple[Array, Array]:
+    """Transition matrices between the two rows of `rest` (m, nx, nx) and output matrices (m, ny, nx) at `state` (nx,),
+    by default all zero, for each row of parameter values (m, np).
+
+    Derivatives of a linear model are the same everywhere.
+    """
+    states, outputs = len(kernel.states), len(kernel.outputs)
+    begin = np.zeros(states) if state is None else state
+    active = range(len(kernel.parameters), len(kernel.parameters) + states)
+    memory, here = kernel.memory(begin, active), np.empty(values.shape[1])
+    predicted, sensitivity = np.empty((2, outputs)), np.empty((2, outputs, states))
+    move = kernel.ready(rest, here, memory, None, active, predicted, sensitivity)
+    transition, output = np.empty((len(values), states, states)), np.empty((len(values), outputs, states))
+    for place, row in enumerate(values):
+        here[:], memory.x[:], memory.S[:] = row, begin, np.eye(states)
+        move(0, 1, False)
+        transition[place], output[place] = memory.S, sensitivity[0]
+    return transition, output

@@ -1,26 +1,26 @@
 """From a model's equations to LLVM's intermediate code: slopes, outputs and their exact derivatives, each just once.
 
 SymPy derives and finds common subexpressions. The products, sums and functions that are left are written down directly,
-which takes a hundredth of the time that numba's front end does. Four functions come out, called by models.kernel_loops:
+which takes a hundredth of the time that numba's front end does. These functions come out, called by
+models.kernel_loops, and those of models.column_code:
 
     prepare    what depends on parameters alone, once a pass
     slopes     the states' derivatives; where asked, how these depend on states, parameters, inputs and time
     observe    the outputs, likewise; not by time, since the instants of rows do not move
-    propagate  the sensitivities' part of a Runge-Kutta stage, several columns at once
 
 A derivative by a parameter is worked out only where that parameter has a column, and what nothing else needs with it.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import sympy
 
+from models.column_code import Lines, column_functions, number
+from models.derivatives import Derivatives
 from models.equations import Equations, Magnitude, Signum, compose
-from models.machine_code import LANES
 from models.model import Hold, Model, ModelError
 
 FUNCTIONS = {
@@ -67,7 +67,7 @@ def generate(model: Model) -> Code:
     _derive(targets, "observe", equations.outputs, equations)
     symbols = sympy.numbered_symbols("q_")
     shared, reduced = sympy.cse(list(targets.values()), symbols=symbols, list=False)
-    writer = _Writer(_places(equations), dict(shared))
+    writer = _Writer(places=_places(equations), definitions=dict(shared))
     constants = writer.constants(equations.parameters)
     targets = dict(zip(targets, reduced, strict=True))
     names = [parameter.name for parameter in model.parameters]
@@ -84,7 +84,14 @@ def generate(model: Model) -> Code:
         *_prepare(writer, constants),
         *_function("slopes", targets, writer),
         *_function("observe", targets, writer),
-        *_propagate(targets, len(model.states)),
+        *column_functions(
+            len(model.states),
+            len(model.outputs),
+            *(
+                [target.place for target in targets if (target.function, target.array) == (function, "by_state")]
+                for function in ("slopes", "observe")
+            ),
+        ),
     ]
     return Code("\n".join([*lines, ""]), structure)
 
@@ -96,12 +103,12 @@ def _derive(
     arrays = {"by_state": equations.states, "by_input": equations.inputs}
     if function == "slopes":
         arrays["by_time"] = (equations.time,)
+    derivatives = Derivatives()
     for row, expression in enumerate(expressions):
         targets[_Target(function, "result", row)] = expression
-        free = expression.free_symbols
         for array, symbols in {**arrays, "by_parameter": equations.parameters}.items():
             for place, symbol in enumerate(symbols):
-                if symbol in free and (derivative := expression.diff(symbol)) != 0:
+                if (derivative := derivatives.by(expression, symbol)) != 0:
                     if array == "by_parameter":
                         targets[_Target(function, array, row, place)] = derivative
                     else:
@@ -121,24 +128,20 @@ def _places(equations: Equations) -> dict[sympy.Symbol, str]:
     return places
 
 
-@dataclass(slots=True)
-class _Writer:
+@dataclass(slots=True, kw_only=True)
+class _Writer(Lines):
     """Writes expressions as code. `places` are the known values, `definitions` the shared subexpressions, in order.
 
-    `code` are the lines so far, `values` the names that expressions have in them.
+    `values` are the names that expressions have in the lines so far.
     """
 
     places: dict[sympy.Symbol, str]
     definitions: Mapping[sympy.Symbol, sympy.Expr]
-    code: list[str] = field(default_factory=list)
     values: dict[sympy.Expr, str] = field(default_factory=dict)
 
     def inner(self) -> _Writer:
         """The same for a block of this code: what is worked out there is not known after it."""
-        return _Writer(self.places, self.definitions, self.code, dict(self.values))
-
-    def add(self, *lines: str) -> None:
-        self.code += lines
+        return _Writer(code=self.code, places=self.places, definitions=self.definitions, values=dict(self.values))
 
     def constants(self, parameters: Sequence[sympy.Symbol]) -> list[sympy.Symbol]:
         """The shared subexpressions of parameters alone."""
@@ -171,15 +174,10 @@ class _Writer:
         pointer = self.new(f"getelementptr double, ptr %{array}, i64 {place}")
         self.add(f"store double {value}, ptr {pointer}")
 
-    def new(self, instruction: str) -> str:
-        name = f"%n{len(self.code)}"
-        self.add(f"{name} = {instruction}")
-        return name
-
     def value(self, expression: sympy.Expr) -> str:
         """The name of the value of `expression`, or the number that it is."""
         if expression.is_number:
-            return f"0x{struct.unpack('>Q', struct.pack('>d', float(expression)))[0]:016X}"
+            return number(float(expression))
         if expression not in self.values:
             self.values[expression] = self._write(expression)
         return self.values[expression]
@@ -273,7 +271,7 @@ def _prepare(writer: _Writer, constants: Sequence[sympy.Symbol]) -> list[str]:
 
 def _function(name: str, targets: Mapping[_Target, sympy.Expr], writer: _Writer) -> list[str]:
     """The code of `slopes` or `observe`."""
-    block = _Writer(writer.places, writer.definitions)
+    block = _Writer(places=writer.places, definitions=writer.definitions)
     values: dict[_Target, sympy.Expr] = {}
     common: dict[_Target, sympy.Expr] = {}
     parameters: dict[int, dict[_Target, sympy.Expr]] = {}
@@ -303,44 +301,3 @@ def _function(name: str, targets: Mapping[_Target, sympy.Expr], writer: _Writer)
         block.add(f"br label %after{parameter}", f"after{parameter}:")
     head = f"define void @{name}({_ARGUMENTS}) nounwind {{"
     return [head, "entry:", *block.code, "br label %end", "end:", "ret void", "}"]
-
-
-def _propagate(targets: Mapping[_Target, sympy.Expr], states: int) -> list[str]:
-    """k = A S + B; total += weight k; S = start + ahead k, for LANES columns at a time. B is called `rest`."""
-    kind = f"<{LANES} x double>"
-    code = _Writer({}, {})
-
-    def wide(value: str) -> str:
-        first = code.new(f"insertelement {kind} poison, double {value}, i64 0")
-        return code.new(f"shufflevector {kind} {first}, {kind} poison, <{LANES} x i32> zeroinitializer")
-
-    def row(array: str, number: int) -> tuple[str, str]:
-        """Where a row's columns are, and their values."""
-        place = code.new(f"add i64 %column, {code.new(f'mul i64 %width, {number}')}")
-        pointer = code.new(f"getelementptr double, ptr %{array}, i64 {place}")
-        return pointer, code.new(f"load {kind}, ptr {pointer}, align 8")
-
-    def plus(sum: str, factor: str, value: str) -> str:
-        return code.new(f"fadd contract {kind} {sum}, {code.new(f'fmul contract {kind} {factor}, {value}')}")
-
-    entries = {}
-    for target in targets:
-        if (target.function, target.array) == ("slopes", "by_state"):
-            pointer = code.new(f"getelementptr double, ptr %by_state, i64 {target.place}")
-            entries[target.place] = wide(code.new(f"load double, ptr {pointer}"))
-    ahead, weight = wide("%ahead"), wide("%weight")
-    code.add("br label %columns", "columns:", "%column = phi i64 [0, %entry], [%next, %columns]")
-    before = [row("S", number) for number in range(states)]
-    for number, (pointer, _) in enumerate(before):
-        _, slope = row("rest", number)
-        for column, (_, value) in enumerate(before):
-            if number * states + column in entries:
-                slope = plus(slope, entries[number * states + column], value)
-        place, total = row("total", number)
-        code.add(f"store {kind} {plus(total, weight, slope)}, ptr {place}, align 8")
-        _, start = row("start", number)
-        code.add(f"store {kind} {plus(start, ahead, slope)}, ptr {pointer}, align 8")
-    code.add(f"%next = add i64 %column, {LANES}", "%more = icmp slt i64 %next, %width")
-    code.add("br i1 %more, label %columns, label %end", "end:")
-    arguments = "i64 %width, ptr %by_state, ptr %rest, ptr %start, ptr %S, ptr %total, double %ahead, double %weight"
-    return [f"define void @propagate({arguments}) nounwind {{", "entry:", *code.code, "ret void", "}"]

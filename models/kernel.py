@@ -9,25 +9,27 @@ start compiles nothing and imports neither numba nor SymPy. Parameter values are
 from __future__ import annotations
 
 import ctypes
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from models import machine_code
+from models.column_code import COLUMN_FUNCTIONS
+from models.fingerprint import SOURCES, digest, fingerprint
 from models.model import Model, ModelError
 from models.segment import Segment
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-FUNCTIONS = ("prepare", "slopes", "observe", "propagate")
-"""What the code of a model consists of (models.codegen)."""
+FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
+"""What the code of a model consists of (models.codegen, models.column_code)."""
 LOOPS = "upright_run"
+ELSEWHERE = -1
+"""Number of what is no parameter, initial state or gain."""
 
 _loaded: dict[str, machine_code.Loaded] = {}
 
@@ -101,19 +103,24 @@ class Kernel:
         initial: Array,
         *,
         gain: Array | None = None,
+        gain_slopes: Array | None = None,
         active: Sequence[int] = (),
         substeps: int = 1,
     ) -> Run:
         """One pass over `segment` from the state `initial` (nx,) with parameters `values` (np,).
 
         `gain` (nx, ny) corrects the state by gain * (measured - predicted); None simulates. `active` numbers what to
-        differentiate by: parameter i, np + j for the initial state j, np + nx + j * ny + k for gain (j, k). A state
-        that grows beyond all bounds gives values that are not finite, no error.
+        differentiate by: parameter i, np + j for the initial state j, np + nx + j * ny + k for gain (j, k), or
+        ELSEWHERE for what acts through the gain alone. `gain_slopes` (nx * ny, na) are the gain's derivatives by each
+        of them. A state that grows beyond all bounds gives values that are not finite, no error.
         """
         memory = self.memory(initial, active)
         predicted = np.empty((len(segment), len(self.outputs)))
         sensitivity = np.empty((len(segment), len(self.outputs), len(active)))
-        self.proceed(segment, values, memory, gain, active, predicted, sensitivity, substeps=substeps)
+        move = self.ready(
+            segment, values, memory, gain, active, predicted, sensitivity, gain_slopes=gain_slopes, substeps=substeps
+        )
+        move(0, len(segment) - 1, False)
         return Run(predicted, sensitivity, memory.x)
 
     def proceed(
@@ -135,24 +142,45 @@ class Kernel:
 
         `skip`: row `first` was predicted and corrected before. Raises ModelError for an array that does not fit.
         """
+        last = len(segment) - 1 if last is None else last
+        move = self.ready(segment, values, memory, gain, active, predicted, sensitivity, substeps=substeps)
+        move(first, last, skip)
+
+    def ready(
+        self,
+        segment: Segment,
+        values: Array,
+        memory: Memory,
+        gain: Array | None,
+        active: Sequence[int],
+        predicted: Array,
+        sensitivity: Array,
+        *,
+        gain_slopes: Array | None = None,
+        substeps: int = 1,
+    ) -> Callable[[int, int, bool], None]:
+        """`proceed` for many short parts: call what is returned with `first`, `last` and `skip`.
+
+        Arrays are looked at and written to where they are, so they must not be replaced in between.
+        """
         rows, columns = len(segment), len(active)
         states, inputs, outputs, parameters = map(len, (self.states, self.inputs, self.outputs, self.parameters))
-        last = rows - 1 if last is None else last
         numbers = np.array(active, dtype=np.int64).reshape(columns)
         limit = parameters + states * (1 + outputs)
-        if not (0 <= first <= last < rows and substeps >= 1 and all(0 <= number < limit for number in active)):
-            what = (
-                f"there is no row {first} to {last} of {rows}, {substeps} substeps, columns {tuple(active)} of {limit}"
-            )
+        if not (substeps >= 1 and all(ELSEWHERE <= number < limit for number in active)):
+            what = f"there is no pass in {substeps} substeps with columns {tuple(active)} of {limit}"
             raise ModelError("pass", what, remedy="ask for what there is.")
-        structure: Array = self.code.facts["structure"]
+        gain = np.zeros((states, outputs)) if gain is None else gain
+        by_gain = self._by_gain(numbers, gain_slopes)
+        structure, functions = self.code.facts["structure"], self.code.facts["functions"]
         delays, constants = int(structure[4]), int(structure[5])
         width = -(-columns // machine_code.LANES) * machine_code.LANES
-        space = constants + states * (states + inputs + 4) + outputs * (states + inputs + 1) + inputs * 9
-        space += width * (4 * states + 2 * inputs + outputs + 4)
+        space = constants + states * (states + inputs + outputs + 4) + outputs * (states + inputs + 1) + inputs * 9
+        space += width * (4 * states + 2 * inputs + outputs * (2 + states) + 4)
         work, places = np.zeros(space), np.zeros(parameters + 3 * delays + inputs, dtype=np.int64)
-        _loops()(
-            *(self.code.addresses[name] for name in FUNCTIONS),
+        used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, numbers, gain, by_gain)
+        before = (
+            functions.ctypes.data,
             structure.ctypes.data,
             rows,
             _pointer("time", segment.time, rows),
@@ -162,21 +190,42 @@ class Kernel:
             _pointer("values", values, parameters),
             columns,
             numbers.ctypes.data,
-            _pointer("gain", np.zeros((states, outputs)) if gain is None else gain, states, outputs),
+            _pointer("gain", gain, states, outputs),
+            0 if by_gain is None else _pointer("derivatives of the gain", by_gain, states * outputs, columns),
             _pointer("state", memory.x, states),
             _pointer("sensitivities of the state", memory.S, states, columns),
             _pointer("lags", memory.lag, inputs),
             _pointer("sensitivities of the lags", memory.lag_S, inputs, columns),
             memory.pointer.ctypes.data,
-            first,
-            last,
-            substeps,
-            skip,
+        )
+        after = (
+            by_gain is not None,
             _pointer("predicted", predicted, rows, outputs),
             _pointer("sensitivity", sensitivity, rows, outputs, columns),
             work.ctypes.data,
             places.ctypes.data,
         )
+        loops = _loops()
+
+        def proceed(first: int, last: int, skip: bool, used: object = used) -> None:
+            if not 0 <= first <= last < rows:
+                raise ModelError(
+                    "pass", f"there is no row {first} to {last} of {rows}", remedy="ask for what there is."
+                )
+            work.fill(0.0)
+            places.fill(0)
+            loops(*before, first, last, substeps, skip, *after)
+
+        return proceed
+
+    def _by_gain(self, active: NDArray[np.int64], slopes: Array | None) -> Array | None:
+        """The gain's derivatives by what is active, (nx * ny, na); None where there are none."""
+        entries = active - len(self.parameters) - len(self.states)
+        places = np.flatnonzero(entries >= 0)
+        if len(places):
+            slopes = np.zeros((len(self.states) * len(self.outputs), len(active))) if slopes is None else slopes.copy()
+            slopes[entries[places], places] += 1.0
+        return slopes
 
 
 def _pointer(name: str, array: Array, *shape: int) -> int:
@@ -205,8 +254,11 @@ def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
             found = machine_code.assemble(made.text, {"structure": made.structure})
             machine_code.keep(name, found)
         code = machine_code.load(found, FUNCTIONS)
-        structure = np.array(code.facts["structure"], dtype=np.int64)
-        _loaded[name] = machine_code.Loaded(code.addresses, {"structure": structure}, code.engine)
+        facts = {
+            "structure": np.array(code.facts["structure"], dtype=np.int64),
+            "functions": np.array([code.addresses[each] for each in FUNCTIONS], dtype=np.int64),
+        }
+        _loaded[name] = machine_code.Loaded(code.addresses, facts, code.engine)
     return Kernel(
         states=tuple(state.name for state in model.states),
         inputs=tuple(each.name for each in model.inputs),
@@ -220,55 +272,19 @@ def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
 def _loops(progress: Progress | None = None) -> Any:
     """models.kernel_loops.run, compiled."""
     if LOOPS not in _loaded:
-        name = f"loops-{_digest(SOURCES, machine_code.processor())}"
+        name = f"loops-{digest(SOURCES, machine_code.processor())}"
         found = machine_code.recall(name)
         if found is None:
             if progress is not None:
                 progress("compiling the integrator, once on this computer")
             from models.kernel_loops import intermediate_code
 
-            found = machine_code.assemble(intermediate_code(LOOPS), {})
+            found = machine_code.assemble(intermediate_code(LOOPS), {}, optimise=True)
             machine_code.keep(name, found)
         code = machine_code.load(found, (LOOPS,))
         integer, pointer = ctypes.c_int64, ctypes.c_void_p
-        kinds = (*[integer] * 4, pointer, integer, *[pointer] * 5, integer, *[pointer] * 7)
-        prototype = ctypes.CFUNCTYPE(None, *kinds, *[integer] * 4, *[pointer] * 4)
+        kinds = (pointer, pointer, integer, *[pointer] * 5, integer, *[pointer] * 8)
+        prototype = ctypes.CFUNCTYPE(None, *kinds, *[integer] * 5, *[pointer] * 4)
         function = prototype(code.addresses[LOOPS])
         _loaded[LOOPS] = machine_code.Loaded(code.addresses, {"function": function}, code.engine)
     return _loaded[LOOPS].facts["function"]
-
-
-def fingerprint(model: Model) -> str:
-    """What tells apart models that need code of their own: names, equations, holds, delays, and what makes the code."""
-    parts: list[Any] = [SOURCES, machine_code.processor(), model.name]
-    parts += [(state.name, state.derivative) for state in model.base_states]
-    parts += [(each.name, each.hold.value, each.delays, each.lag) for each in model.inputs]
-    parts += [(each.name, each.expression) for each in model.outputs]
-    parts += [parameter.name for parameter in model.base_parameters]
-    parts += [sorted(model.definitions.items())]
-    parts += [(j.name, j.coordinate, j.rate, j.inertia, j.load, j.smooth_rate) for j in model.joints]
-    parts += [(a.name, a.command, a.joint, a.rate, a.angle, a.gain) for a in model.actuators]
-    parts += [(sensor.name, sensor.angle, sensor.rate) for sensor in model.sensors]
-    for attached in model.effects:
-        effect = attached.effect
-        expressions = (effect.force, effect.command, effect.angle_reading, effect.rate_reading)
-        states = [(state.name, state.derivative) for state in effect.states]
-        names = [parameter.name for parameter in effect.parameters]
-        shifts = (effect.delay, effect.lag)
-        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, states, names)]
-    return _digest(*parts)
-
-
-def _digest(*parts: Any) -> str:
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
-
-
-def _sources() -> str:
-    """Changes with any change of the code that makes machine code."""
-    here = Path(__file__).parent
-    names = ("codegen", "equations", "expressions", "expression_syntax", "kernel_loops", "machine_code")
-    return hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()
-
-
-SOURCES = _sources()
-"""Of the code that is loaded: taken at import, since an upgrade may change the files while this process runs."""

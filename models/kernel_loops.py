@@ -22,9 +22,6 @@ from numba.extending import intrinsic
 
 from models.machine_code import LANES
 
-NOTHING = 1e-150
-"""Sensitivities that are less are 0: what dies away would end in numbers that processors take ten times as long for."""
-
 NUMBER, INTEGER = types.float64, types.int64
 NUMBERS, INTEGERS = types.CPointer(NUMBER), types.CPointer(INTEGER)
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
@@ -52,10 +49,22 @@ def _equations(typing, address, t, x, u, slope, p, constants, column, width, der
 
 
 @intrinsic
-def _propagate(typing, address, width, A, B, S, stage_S, total_S, ahead, weight):
-    """The sensitivities' part of a stage: k = A stage_S + B, total_S += weight k, stage_S = S + ahead k."""
+def _stage(typing, address, width, A, B, S, stage_S, total_S, ahead, weight):
+    """The sensitivities' part of a stage: begin, middle or finish of models.column_code."""
     kinds = (INTEGER, INTEGER, *[NUMBERS] * 5, NUMBER, NUMBER)
     return types.void(*kinds), lambda context, builder, _, values: _call(builder, context, values)
+
+
+@intrinsic
+def _show(typing, address, width, C, D, S, shown):
+    """shown = D + C S"""
+    return types.void(INTEGER, INTEGER, *[NUMBERS] * 4), lambda context, builder, _, v: _call(builder, context, v)
+
+
+@intrinsic
+def _correct(typing, address, width, first, second, S):
+    """correct or steer of models.column_code."""
+    return types.void(INTEGER, INTEGER, *[NUMBERS] * 3), lambda context, builder, _, v: _call(builder, context, v)
 
 
 @intrinsic
@@ -64,7 +73,7 @@ def _at(typing, pointer, offset):
     return pointer(pointer, INTEGER), lambda context, builder, _, values: builder.gep(values[0], [values[1]])
 
 
-@njit(NUMBER(INTEGER, NUMBER, types.boolean, INTEGER, INTEGER, *[NUMBERS] * 2, INTEGERS, *[NUMBERS] * 2), **INLINE)
+@njit(**INLINE)
 def _line(i, when, left, rows, NU, knots, u, pointer, line, slope):
     """Input i at an instant, on the straight line between two samples; `left`: where two meet, the one before.
 
@@ -91,7 +100,7 @@ def _line(i, when, left, rows, NU, knots, u, pointer, line, slope):
     return line[mine + 3] + (when - line[mine + 2]) * slope[i]
 
 
-@njit(NUMBER(INTEGER, *[NUMBER] * 4, types.boolean, *[INTEGER] * 3, *[NUMBERS] * 6), **INLINE)
+@njit(**INLINE)
 def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, stretch, mean_S):
     """The mean over h of what a lag does to a straight line from `start` to `end`; moves the lag's memory on.
 
@@ -121,10 +130,7 @@ def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begi
 
 
 def run(
-    prepare,
-    slopes,
-    observe,
-    propagate,
+    functions,
     structure,
     rows,
     time,
@@ -135,6 +141,7 @@ def run(
     na,
     active,
     gain,
+    gain_S,
     x,
     given_S,
     memory,
@@ -144,6 +151,7 @@ def run(
     last,
     substeps,
     skip,
+    moving_gain,
     predicted,
     sensitivity,
     work,
@@ -152,10 +160,14 @@ def run(
     """Rows first to last: predict the outputs, correct the state by gain * (measured - predicted), integrate on.
 
     x, given_S (NX, na), memory, given_memory_S (NU, na) and pointer are taken over and left as they are after the last
-    row's correction. `skip`: the first row was predicted and corrected already. `active`: parameter number, NP + number
-    of an initial state, or NP + NX + i * NY + j for the gain from output j to state i. `structure` is
-    models.codegen.Structure as a row of numbers; `work` and `places` are space, all zero.
+    row's correction. `skip`: the first row was predicted and corrected already. `active`: by column the parameter's
+    number, others where it is none; gain_S (NX * NY, na), read where `moving_gain`, are the gain's derivatives by the
+    columns. `functions` are the addresses of models.kernel.FUNCTIONS, `structure` is that of models.codegen.Code;
+    `work` and `places` are space, all zero.
     """
+    prepare, slopes, observe = functions[0], functions[1], functions[2]
+    begin_stage, middle_stage, finish_stage = functions[3], functions[4], functions[5]
+    show, correct, steer = functions[6], functions[7], functions[8]
     NX, NU, NY, NP, ND, NC = structure[0], structure[1], structure[2], structure[3], structure[4], structure[5]
     first_order = _at(structure, 6)
     lag = _at(first_order, NU)
@@ -186,7 +198,8 @@ def run(
     line = _at(shift, NU)
     B = _at(line, 4 * NU)
     D = _at(B, NX * width)
-    S = _at(D, NY * width)
+    shown = _at(D, NY * width)
+    S = _at(shown, NY * width)
     total_S = _at(S, NX * width)
     stage_S = _at(total_S, NX * width)
     memory_S = _at(stage_S, NX * width)
@@ -195,20 +208,23 @@ def run(
     stretch = _at(later, width)
     begin_S = _at(stretch, width)
     end_S = _at(begin_S, width)
+    wide_gain_S = _at(end_S, width)
+    share = _at(wide_gain_S, NX * NY * width)
 
     _prepare(prepare, p, constants)
-    gains = False
     for i in range(NP):
         column[i] = -1
     for c in range(na):
-        if active[c] < NP:
+        if 0 <= active[c] < NP:
             column[active[c]] = c
-        gains |= active[c] >= NP + NX
         for i in range(NX):
             S[i * width + c] = given_S[i * na + c]
         for i in range(NU):
             memory_S[i * width + c] = given_memory_S[i * na + c]
-    correcting = gains
+        if moving_gain:
+            for i in range(NX * NY):
+                wide_gain_S[i * width + c] = gain_S[i * na + c]
+    correcting = moving_gain
     for i in range(NX * NY):
         correcting |= gain[i] != 0.0
     count, several = 0, 0
@@ -262,40 +278,32 @@ def run(
                 predicted[k * NY + j] = error[j]
                 error[j] = y[k * NY + j] - error[j]
             if derive:
+                _show(show, width, C, D, S, shown)
                 for j in range(NY):
-                    shown = _at(sensitivity, (k * NY + j) * na)
-                    for c in range(na):
-                        shown[c] = D[j * width + c]
-                    for i in range(NX):
-                        by_state = C[j * NX + i]
-                        if by_state != 0.0:
-                            for c in range(na):
-                                shown[c] += by_state * S[i * width + c]
                     if lagging:
                         for i in range(NU):
                             if lagged[i]:
                                 for c in range(na):
-                                    shown[c] += H[j * NU + i] * memory_S[i * width + c]
+                                    shown[j * width + c] += H[j * NU + i] * memory_S[i * width + c]
                     if lines:
                         for q in range(count):
                             i = moves[2 * q]
                             if not lagged[i]:
-                                shown[moves[2 * q + 1]] -= H[j * NU + i] * slope[i]
+                                shown[j * width + moves[2 * q + 1]] -= H[j * NU + i] * slope[i]
+                    for c in range(na):
+                        sensitivity[(k * NY + j) * na + c] = shown[j * width + c]
             if correcting:
                 for j in range(NY):
-                    if math.isfinite(error[j]):
-                        shown = _at(sensitivity, (k * NY + j) * na)
-                        for i in range(NX):
-                            share = gain[i * NY + j]
-                            if share != 0.0:
-                                x[i] += share * error[j]
-                                for c in range(na):
-                                    S[i * width + c] -= share * shown[c]
-                if gains:
-                    for c in range(na):
-                        entry = active[c] - NP - NX
-                        if entry >= 0 and math.isfinite(error[entry % NY]):
-                            S[entry // NY * width + c] += error[entry % NY]
+                    measured = math.isfinite(error[j])
+                    if not measured:
+                        error[j] = 0.0
+                    for i in range(NX):
+                        share[i * NY + j] = gain[i * NY + j] if measured else 0.0
+                        x[i] += share[i * NY + j] * error[j]
+                if derive:
+                    _correct(correct, width, share, shown, S)
+                    if moving_gain:
+                        _correct(steer, width, wide_gain_S, error, S)
         if k == last:
             break
         begin = time[k]
@@ -377,9 +385,6 @@ def run(
                 for i in range(NX):
                     stage[i] = x[i]
                     total[i] = 0.0
-                for i in range(NX * width):
-                    stage_S[i] = S[i]
-                    total_S[i] = 0.0
                 for r in range(4):
                     node = 0.0 if r == 0 else (1.0 if r == 3 else 0.5)
                     t = start + node * h
@@ -414,7 +419,12 @@ def run(
                     ahead = next_node * h
                     weight = 1.0 / 6.0 if r == 0 or r == 3 else 1.0 / 3.0
                     if derive:
-                        _propagate(propagate, width, A, B, S, stage_S, total_S, ahead, weight)
+                        if r == 0:
+                            _stage(begin_stage, width, A, B, S, stage_S, total_S, ahead, weight)
+                        elif r < 3:
+                            _stage(middle_stage, width, A, B, S, stage_S, total_S, ahead, weight)
+                        else:
+                            _stage(finish_stage, width, A, B, S, stage_S, total_S, h, weight)
                     for i in range(NX):
                         total[i] += weight * f[i]
                         stage[i] = x[i] + ahead * f[i]
@@ -424,9 +434,6 @@ def run(
                                 stage_S[i * width + shifting[q]] += next_node * stretch[shifting[q]] * f[i]
                 for i in range(NX):
                     x[i] += h * total[i]
-                for i in range(NX * width):
-                    moved = S[i] + h * total_S[i]
-                    S[i] = 0.0 if -NOTHING < moved < NOTHING else moved
                 if moving:
                     for q in range(several):
                         for i in range(NX):
@@ -446,11 +453,12 @@ def run(
 
 def intermediate_code(name: str) -> str:
     """`run` as LLVM's intermediate code, in which it is called `name`."""
-    kinds = (*[INTEGER] * 4, INTEGERS, INTEGER, *[NUMBERS] * 5, INTEGER, INTEGERS, *[NUMBERS] * 5, INTEGERS)
-    kinds += (*[INTEGER] * 4, *[NUMBERS] * 3, INTEGERS)
-    vectorise, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # what is worth it is `propagate`, made by hand
+    kinds = (INTEGERS, INTEGERS, INTEGER, *[NUMBERS] * 5, INTEGER, INTEGERS, *[NUMBERS] * 6, INTEGERS)
+    kinds += (*[INTEGER] * 5, *[NUMBERS] * 3, INTEGERS)
+    # numba only translates: it would optimise twice, and unroll loops that hardly ever run (see machine_code).
+    level, config.OPT = config.OPT, type(config.OPT)(0)
     try:
         compiled = cfunc(types.void(*kinds), **OPTIONS)(run)
     finally:
-        config.LOOP_VECTORIZE = vectorise
+        config.OPT = level
     return compiled.inspect_llvm().replace(compiled.native_name, name)

@@ -74,11 +74,20 @@ def keep(name: str, assembled: Assembled) -> None:
         return
 
 
-def assemble(text: str, facts: Mapping[str, Any]) -> Assembled:
-    """Machine code for this processor from intermediate code."""
+def assemble(text: str, facts: Mapping[str, Any], *, optimise: bool = False) -> Assembled:
+    """Machine code for this processor from intermediate code; `optimise` what no optimiser has seen yet.
+
+    Loops are neither unrolled nor vectorised: what is worth it was written so.
+    """
     from llvmlite import binding  # type: ignore[import-untyped]
 
-    return Assembled(_machine().emit_object(binding.parse_assembly(text)), facts)
+    machine, module = _machine(), binding.parse_assembly(text)
+    if optimise:
+        options = binding.create_pipeline_tuning_options(speed_level=2)
+        options.loop_unrolling = options.loop_vectorization = options.slp_vectorization = False
+        passes = binding.create_pass_builder(machine, options)
+        passes.getModulePassManager().run(module, passes)
+    return Assembled(machine.emit_object(module), facts)
 
 
 def load(assembled: Assembled, functions: tuple[str, ...]) -> Loaded:

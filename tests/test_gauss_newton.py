@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimators.gauss_newton import Block, minimise
+from estimators.gauss_newton import Block, Expansion, Normal, descend, minimise
 
 TIME = np.linspace(0.0, 3.0, 60)
 RANDOM = np.random.default_rng(8)
@@ -74,3 +74,31 @@ def test_a_start_without_a_value_is_none_and_a_cliff_is_stepped_back_from() -> N
         is None
     )
     assert fit(upper=(60.0, np.inf)).common[0] == pytest.approx(0.7, abs=0.02)
+
+
+@pytest.mark.parametrize("bend", [-0.9, -2.0])
+def test_large_residuals_that_gauss_newton_goes_back_and_forth_over(bend: float) -> None:
+    """x + 1 and bend x^2 + x - 1 (Dennis and Schnabel, "Numerical methods", example 10.2.4) are least at 0, where
+    Gauss-Newton multiplies the distance by `bend`; what it leaves out of the curvature is learned in a few steps."""
+
+    def expand(common: np.ndarray, own: Sequence[np.ndarray]) -> Expansion:
+        (x,) = common
+        residual, slope = np.array([x + 1.0, bend * x**2 + x - 1.0]), np.array([[1.0], [2.0 * bend * x + 1.0]])
+        return Expansion(0.5 * float(residual @ residual), (Normal(slope.T @ slope, slope.T @ residual),))
+
+    found = descend(
+        expand,
+        np.array([0.2]),
+        [np.zeros(0)],
+        scale=np.ones(1),
+        lower=np.full(1, -np.inf),
+        upper=np.full(1, np.inf),
+        iterations=12,
+        tolerance=0.0,
+        enough=1e-14,
+        watched=0,
+    )
+    assert found is not None
+    minimum, _ = found
+    assert minimum.converged
+    assert minimum.common[0] == pytest.approx(0.0, abs=1e-6)

@@ -1,0 +1,124 @@
+"""How likely a record is under a model with noise: of parameters, of the noise and of each stretch's initial state.
+
+    V = n/2 log det S + half the squares of what differs from the prior, in standard deviations,
+    S = the mean of e e' over the n rows, and a floor
+
+e are the innovations of the steady Kalman filter (estimators.innovations). This is the negative logarithm of the
+likelihood of Gaussian noise with the covariance that makes it most likely, so that no covariance has to be guessed. Its
+derivatives are those of a sum of squares e' S^-1 e. Rows are condensed to products of their derivatives at once: what
+is weighted is a small matrix. Source: Ljung, "System identification", 2nd ed., sections 7.4 and 15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.gauss_newton import Expansion, Normal
+from estimators.innovations import SPREAD, NoiseModel
+from estimators.problem import Problem
+from models.kernel import ELSEWHERE
+
+Array = NDArray[np.float64]
+
+FLOOR = 10.0
+"""Times the known noise of a sensor below which its innovations are no information about the vehicle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen(Expansion):
+    """What is seen from a point, with the filter gain (nx, ny) and the innovations' covariance S (ny, ny) there."""
+
+    gain: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Likelihood:
+    """V of parameters and logarithms of the noise, (p + q,): `prior` is 1/variance of these about `centre`."""
+
+    task: Problem
+    noise: NoiseModel
+    centre: Array
+    prior: Array
+
+    @classmethod
+    def of(cls, task: Problem, deviations: Array) -> Likelihood:
+        """`deviations` (p,) are the standard deviations known before, 0 where there is none."""
+        noise = NoiseModel.of(task)
+        known = deviations > 0.0
+        prior = np.concatenate((np.where(known, deviations, np.inf) ** -2.0, np.full(noise.size, SPREAD**-2)))
+        return cls(task, noise, np.concatenate((task.start, np.zeros(noise.size))), prior)
+
+    def __call__(self, common: Array, own: Sequence[Array]) -> Seen | None:
+        """V at `common` (p + q,) and each stretch's own; None where the model runs away. The prior comes last, as if it
+        were a stretch."""
+        seen = self.of_data(common, own)
+        if seen is None:
+            return None
+        off = common - self.centre
+        prior = Normal(np.diag(self.prior), self.prior * off)
+        return replace(seen, cost=seen.cost + 0.5 * float(off @ prior.vector), normals=(*seen.normals, prior))
+
+    def of_data(self, common: Array, own: Sequence[Array], also: tuple[int, ...] = ()) -> Seen | None:
+        """Without the prior. `also`: places of further parameters to differentiate by, after the logarithms."""
+        task, noise, size = self.task, self.noise, len(self.task.free)
+        kernel, values, places = task.kernel, task.values(common[:size]), (*task.free, *also)
+        typical = np.array([task.model.parameters[place].typical for place in places])
+        found = noise.gain_and_slopes(values, common[size:], places, typical)
+        if found is None:
+            return None
+        gain, slopes = found
+        starts = [len(kernel.parameters) + state for state in task.own]
+        active = (*task.free, *[ELSEWHERE] * noise.size, *also, *starts)
+        order = np.r_[0:size, len(places) : len(places) + noise.size, size : len(places)]
+        by_gain = np.concatenate((slopes[:, order], np.zeros((gain.size, len(starts)))), axis=1)
+        squares, moments, ends = np.zeros((gain.shape[1],) * 2), [], []
+        spread = np.array([task.model.states[state].initial_std for state in task.own])
+        for segment, initial, part in zip(task.segments, task.initials, own, strict=False):
+            start = initial.copy()
+            start[list(task.own)] = part
+            run = kernel.run(
+                segment, values, start, gain=gain, gain_slopes=by_gain, active=active, substeps=task.substeps
+            )
+            if not (np.all(np.isfinite(run.predicted)) and np.all(np.isfinite(run.sensitivity))):
+                return None
+            error = segment.measured - run.predicted
+            unknown = ~np.isfinite(error)
+            if unknown.any():
+                error[unknown], run.sensitivity[unknown] = 0.0, 0.0
+            columns = run.sensitivity.reshape(len(error), -1)
+            squares += error.T @ error
+            moments.append((columns.T @ columns, columns.T @ error))
+            ends.append((part - initial[list(task.own)]) / spread)
+        covariance = squares / task.rows + np.diag(self._floor)
+        weights = np.linalg.inv(covariance).astype(np.float64)
+        normals = tuple(_weighted(*moment, weights, end, spread) for moment, end in zip(moments, ends, strict=True))
+        cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(float(end @ end) for end in ends)
+        return Seen(cost, normals, gain, covariance)
+
+    @property
+    def _floor(self) -> Array:
+        """What is added to the innovations' variances, (ny,)."""
+        outputs = self.task.model.outputs
+        return np.array([((FLOOR if output.noise_known else 1e-9) * output.noise) ** 2 for output in outputs])
+
+
+def _weighted(products: Array, pull: Array, weights: Array, end: Array, spread: Array) -> Normal:
+    """The normal equations of a stretch.
+
+    `products` (ny * c, ny * c) are of its columns, `pull` (ny * c, ny) of these with its errors; the last columns are
+    the initial state's, which is off by `end` (k,) times `spread`.
+    """
+    outputs = len(weights)
+    columns = len(pull) // outputs
+    four = products.reshape(outputs, columns, outputs, columns)
+    matrix = np.einsum("jakb,jk->ab", four, weights)
+    vector = -np.einsum("jak,jk->a", pull.reshape(outputs, columns, outputs), weights)
+    own = range(columns - len(end), columns)
+    matrix[own, own] += spread**-2
+    vector[own] += end / spread
+    return Normal(matrix, vector)

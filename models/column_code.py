@@ -1,0 +1,166 @@
+"""Intermediate code for the columns of sensitivities: what is done to each of them alike, several at once.
+
+A row of an array has one number a column, `width` of them, a multiple of LANES. With A, C the derivatives of slopes and
+outputs by the states, K the gain, S the state's sensitivities, each k x width:
+
+    begin    k = A S + B; total = weight k; stage = S + ahead k               the first stage of Runge-Kutta
+    middle   k = A stage + B; total = total + weight k; stage = S + ahead k
+    finish   k = A stage + B; S = S + ahead (total + weight k)
+    show     shown = D + C S
+    correct  S = S - K shown
+    steer    S = S + K' error, K' the gain's derivative by each column
+
+Entries of A and C that are always zero take no time. Called by models.kernel_loops.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+from models.machine_code import LANES
+
+COLUMN_FUNCTIONS = ("begin", "middle", "finish", "show", "correct", "steer")
+NOTHING = 1e-150
+"""Sensitivities that are less are 0: what dies away would end in numbers that processors take ten times as long for."""
+KIND = f"<{LANES} x double>"
+_LARGER = f"declare {KIND} @llvm.fabs.v{LANES}f64({KIND})"
+
+
+@dataclass(slots=True)
+class Lines:
+    """Lines of intermediate code. A value is named after the number of its line."""
+
+    code: list[str] = field(default_factory=list)
+
+    def add(self, *lines: str) -> None:
+        self.code += lines
+
+    def new(self, instruction: str) -> str:
+        name = f"%n{len(self.code)}"
+        self.add(f"{name} = {instruction}")
+        return name
+
+
+def number(value: float) -> str:
+    """As intermediate code has it, to the last bit."""
+    return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"
+
+
+def column_functions(
+    states: int, outputs: int, by_state: Collection[int], shown_by_state: Collection[int]
+) -> list[str]:
+    """All of them. `by_state` are the places in A, row by row, that are not always zero, `shown_by_state` in C."""
+    return [
+        _LARGER,
+        *(_stage(name, states, by_state) for name in ("begin", "middle", "finish")),
+        _show(states, outputs, shown_by_state),
+        _correct(states, outputs),
+        _steer(states, outputs),
+    ]
+
+
+class _Columns(Lines):
+    """Code that goes through the columns."""
+
+    def wide(self, value: str) -> str:
+        """`value` in each of the lanes."""
+        first = self.new(f"insertelement {KIND} poison, double {value}, i64 0")
+        return self.new(f"shufflevector {KIND} {first}, {KIND} poison, <{LANES} x i32> zeroinitializer")
+
+    def entry(self, array: str, place: int) -> str:
+        """The number at `place` of `array`, in each of the lanes."""
+        pointer = self.new(f"getelementptr double, ptr %{array}, i64 {place}")
+        return self.wide(self.new(f"load double, ptr {pointer}"))
+
+    def row(self, array: str, number: int) -> str:
+        return self.new(f"load {KIND}, ptr {self._place(array, number)}, align 8")
+
+    def store(self, value: str, array: str, number: int) -> None:
+        place = self._place(array, number)
+        self.add(f"store {KIND} {value}, ptr {place}, align 8")
+
+    def plus(self, sum: str, factor: str, value: str) -> str:
+        """sum + factor * value"""
+        return self.new(f"fadd contract {KIND} {sum}, {self.new(f'fmul contract {KIND} {factor}, {value}')}")
+
+    def columns(self) -> None:
+        """From here on column after column; `function` ends it."""
+        self.add("br label %columns", "columns:", "%column = phi i64 [0, %entry], [%next, %columns]")
+
+    def function(self, name: str, arguments: str) -> str:
+        self.add(f"%next = add i64 %column, {LANES}", "%more = icmp slt i64 %next, %width")
+        self.add("br i1 %more, label %columns, label %end", "end:", "ret void", "}")
+        return "\n".join([f"define void @{name}(i64 %width, {arguments}) nounwind {{", "entry:", *self.code])
+
+    def _place(self, array: str, number: int) -> str:
+        place = self.new(f"add i64 %column, {self.new(f'mul i64 %width, {number}')}")
+        return self.new(f"getelementptr double, ptr %{array}, i64 {place}")
+
+
+def _stage(name: str, states: int, by_state: Collection[int]) -> str:
+    code = _Columns()
+    entries = {place: code.entry("by_state", place) for place in by_state}
+    ahead, weight = code.wide("%ahead"), code.wide("%weight")
+    code.columns()
+    start = [code.row("S", state) for state in range(states)]
+    before = start if name == "begin" else [code.row("stage", state) for state in range(states)]
+    for state in range(states):
+        slope = _combined(code, code.row("rest", state), entries, state, before)
+        if name == "begin":
+            total = code.new(f"fmul {KIND} {weight}, {slope}")
+        else:
+            total = code.plus(code.row("total", state), weight, slope)
+        if name == "finish":
+            moved = code.plus(start[state], ahead, total)
+            size = code.new(f"call {KIND} @llvm.fabs.v{LANES}f64({KIND} {moved})")
+            least = ", ".join([f"double {number(NOTHING)}"] * LANES)
+            dead = code.new(f"fcmp olt {KIND} {size}, <{least}>")
+            code.store(code.new(f"select <{LANES} x i1> {dead}, {KIND} zeroinitializer, {KIND} {moved}"), "S", state)
+        else:
+            code.store(total, "total", state)
+            code.store(code.plus(start[state], ahead, slope), "stage", state)
+    arguments = "ptr %by_state, ptr %rest, ptr %S, ptr %stage, ptr %total, double %ahead, double %weight"
+    return code.function(name, arguments)
+
+
+def _combined(code: _Columns, sum: str, entries: dict[int, str], row: int, values: Sequence[str]) -> str:
+    """sum + one row of a matrix times the rows `values`."""
+    for column, value in enumerate(values):
+        if row * len(values) + column in entries:
+            sum = code.plus(sum, entries[row * len(values) + column], value)
+    return sum
+
+
+def _show(states: int, outputs: int, by_state: Collection[int]) -> str:
+    code = _Columns()
+    entries = {place: code.entry("by_state", place) for place in by_state}
+    code.columns()
+    values = [code.row("S", state) for state in range(states)]
+    for output in range(outputs):
+        code.store(_combined(code, code.row("rest", output), entries, output, values), "shown", output)
+    return code.function("show", "ptr %by_state, ptr %rest, ptr %S, ptr %shown")
+
+
+def _correct(states: int, outputs: int) -> str:
+    code = _Columns()
+    gain = [code.new(f"fneg {KIND} {code.entry('gain', place)}") for place in range(states * outputs)]
+    entries = dict(enumerate(gain))
+    code.columns()
+    shown = [code.row("shown", output) for output in range(outputs)]
+    for state in range(states):
+        code.store(_combined(code, code.row("S", state), entries, state, shown), "S", state)
+    return code.function("correct", "ptr %gain, ptr %shown, ptr %S")
+
+
+def _steer(states: int, outputs: int) -> str:
+    code = _Columns()
+    errors = [code.entry("error", output) for output in range(outputs)]
+    code.columns()
+    for state in range(states):
+        moved = code.row("S", state)
+        for output, error in enumerate(errors):
+            moved = code.plus(moved, error, code.row("gain_S", state * outputs + output))
+        code.store(moved, "S", state)
+    return code.function("steer", "ptr %gain_S, ptr %error, ptr %S")

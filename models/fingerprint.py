@@ -1,0 +1,56 @@
+"""What tells apart models that need machine code of their own, and code that was made by another version."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from models import machine_code
+from models.model import Model
+
+
+def fingerprint(model: Model) -> str:
+    """What tells apart models that need code of their own: names, equations, holds, delays, and what makes the code."""
+    parts: list[Any] = [SOURCES, machine_code.processor(), model.name]
+    parts += [(state.name, state.derivative) for state in model.base_states]
+    parts += [(each.name, each.hold.value, each.delays, each.lag) for each in model.inputs]
+    parts += [(each.name, each.expression) for each in model.outputs]
+    parts += [parameter.name for parameter in model.base_parameters]
+    parts += [sorted(model.definitions.items())]
+    parts += [(j.name, j.coordinate, j.rate, j.inertia, j.load, j.smooth_rate) for j in model.joints]
+    parts += [(a.name, a.command, a.joint, a.rate, a.angle, a.gain) for a in model.actuators]
+    parts += [(sensor.name, sensor.angle, sensor.rate) for sensor in model.sensors]
+    for attached in model.effects:
+        effect = attached.effect
+        expressions = (effect.force, effect.command, effect.angle_reading, effect.rate_reading)
+        states = [(state.name, state.derivative) for state in effect.states]
+        names = [parameter.name for parameter in effect.parameters]
+        shifts = (effect.delay, effect.lag)
+        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, states, names)]
+    return digest(*parts)
+
+
+def digest(*parts: Any) -> str:
+    """A name for `parts` that changes with any of them."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:20]
+
+
+def _sources() -> str:
+    """Changes with any change of the code that makes machine code."""
+    here = Path(__file__).parent
+    names = (
+        "codegen",
+        "column_code",
+        "derivatives",
+        "equations",
+        "expressions",
+        "expression_syntax",
+        "kernel_loops",
+        "machine_code",
+    )
+    return hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()
+
+
+SOURCES = _sources()
+"""Of the code that is loaded: taken at import, since an upgrade may change the files while this process runs."""

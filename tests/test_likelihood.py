@@ -1,0 +1,135 @@
+"""The likelihood of a record: its derivatives, those of the Kalman gain, and what a gain that moves does to a pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.gauss_newton import common_information
+from estimators.innovations import NoiseModel
+from estimators.likelihood import Likelihood
+from estimators.problem import Problem, problem
+from models import library
+from models.kernel import ELSEWHERE
+from service.virtual_run import record
+from telemetry.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def task() -> Problem:
+    """Two stretches of an unstable vehicle, between them unknown readings."""
+    recording = record("monocab", "multisine", seed=5, duration=15.0)
+    rate = recording["roll_rate"].copy()
+    rate[2000:2010] = np.nan
+    holes = replace(recording, values={**recording.values, "roll_rate": rate})
+    return problem(
+        library.get("monocab_reduced").add("static_torque"), [_part(holes, 0, 3400), _part(holes, 3500, 4800)]
+    )
+
+
+def _part(recording: Recording, first: int, last: int) -> Recording:
+    values = {name: column[first:last] for name, column in recording.values.items()}
+    return replace(recording, timestamp_ns=recording.timestamp_ns[first:last], values=values)
+
+
+@pytest.fixture(scope="module")
+def noise(task: Problem) -> NoiseModel:
+    return NoiseModel.of(task)
+
+
+def _values(task: Problem) -> np.ndarray:
+    return task.values(1.03 * task.start)
+
+
+def test_the_gain_and_its_slopes_fit_together(task: Problem, noise: NoiseModel) -> None:
+    """Differences of the gain itself, four points: their error is some 1e-8 of the largest."""
+    values, logarithms = _values(task), 0.3 * np.cos(np.arange(noise.size))
+    found = noise.gain_and_slopes(values, logarithms, task.free, task.scale)
+    assert found is not None
+    gain, slopes = found
+    assert np.array_equal(gain, noise.gain(values, logarithms))
+
+    def moved(column: int, steps: float) -> np.ndarray:
+        there, also = values.copy(), logarithms.copy()
+        if column < len(task.free):
+            there[task.free[column]] += steps * task.scale[column]
+        else:
+            also[column - len(task.free)] += steps
+        return noise.gain(there, also).ravel()
+
+    for column in range(slopes.shape[1]):
+        h = 1e-2
+        near, far = (moved(column, each * h) - moved(column, -each * h) for each in (1.0, 2.0))
+        expected = (8.0 * near - far) / (12.0 * h)
+        if column < len(task.free):
+            expected = expected / task.scale[column]
+        assert slopes[:, column] == pytest.approx(
+            expected, rel=1e-4, abs=1e-5 * float(np.max(np.abs(expected)) + 1e-300)
+        )
+
+
+def test_a_gain_that_moves_along_is_the_sum_over_its_entries(task: Problem, noise: NoiseModel) -> None:
+    """Derivatives by the gain's entries, which test_kernel compares with differences, times those of the entries."""
+    kernel, segment, values = task.kernel, task.segments[0], _values(task)
+    found = noise.gain_and_slopes(values, np.zeros(noise.size), task.free, task.scale)
+    assert found is not None
+    gain, slopes = found
+    entries = range(
+        len(kernel.parameters) + len(kernel.states), len(kernel.parameters) + len(kernel.states) + gain.size
+    )
+    active = (*task.free, *[ELSEWHERE] * noise.size)
+    moving = kernel.run(segment, values, task.initials[0], gain=gain, gain_slopes=slopes, active=active).sensitivity
+    apart = kernel.run(segment, values, task.initials[0], gain=gain, active=(*task.free, *entries)).sensitivity
+    expected = apart[:, :, len(task.free) :] @ slopes
+    expected[:, :, : len(task.free)] += apart[:, :, : len(task.free)]
+    assert np.max(np.abs(moving - expected)) < 1e-11 * np.max(np.abs(expected))
+
+
+def test_its_gradient_is_how_it_changes(task: Problem) -> None:
+    """Central differences, by parameters, noise and initial states: of 10,000 rows their error is some 1e-5."""
+    likelihood = Likelihood.of(task, np.array([parameter.std for parameter in task.parameters]))
+    size = np.concatenate((task.scale, np.ones(likelihood.noise.size)))
+    common = likelihood.centre + 0.02 * size
+    common[: len(task.free)] = np.clip(common[: len(task.free)], *task.bounds)
+    spread = np.array([task.model.states[state].initial_std for state in task.own])
+    own = [part + 0.5 * spread for part in task.own_start]
+    seen = likelihood(common, [*own, np.zeros(0)])
+    assert seen is not None
+    gradient = sum(normal.vector[: len(size)] for normal in seen.normals)
+    curvature = common_information(seen.normals, len(size))
+    for column in range(len(size)):
+        step = np.zeros(len(size))
+        step[column] = 1e-2 / np.sqrt(curvature[column, column])
+        above, below = (likelihood(common + each, [*own, np.zeros(0)]) for each in (step, -step))
+        assert above is not None
+        assert below is not None
+        slope = (above.cost - below.cost) / (2.0 * step[column])
+        assert gradient[column] == pytest.approx(slope, rel=1e-3, abs=1e-2 * np.sqrt(curvature[column, column]))
+    for column in range(len(spread)):
+        moved = [part.copy() for part in own]
+        costs = []
+        for sign in (1.0, -1.0):
+            moved[1][column] = own[1][column] + sign * 1e-2 * spread[column]
+            there = likelihood(common, [*moved, np.zeros(0)])
+            assert there is not None
+            costs.append(there.cost)
+        slope = (costs[0] - costs[1]) / (2e-2 * spread[column])
+        assert seen.normals[1].vector[len(size) + column] == pytest.approx(slope, rel=1e-3, abs=1e-2 / spread[column])
+
+
+def test_the_covariance_is_that_of_the_innovations(task: Problem) -> None:
+    likelihood = Likelihood.of(task, np.zeros(len(task.free)))
+    seen = likelihood(likelihood.centre, [*task.own_start, np.zeros(0)])
+    assert seen is not None
+    errors = np.concatenate(
+        [
+            segment.measured - task.kernel.run(segment, task.values(task.start), start, gain=seen.gain).predicted
+            for segment, start in zip(task.segments, task.initials, strict=True)
+        ]
+    )
+    known = np.where(np.isfinite(errors), errors, 0.0)
+    added = seen.covariance - known.T @ known / len(known)
+    assert np.all(np.diag(added) > -1e-12 * np.diag(seen.covariance))
+    assert added == pytest.approx(np.diag(np.diag(added)), abs=1e-12 * float(np.max(seen.covariance)))
