@@ -80,7 +80,7 @@ def _recorded_support(recording: Recording) -> float | None:
     return float(text) if text else None
 
 
-def _channels(model: Model) -> tuple[str, ...]:
+def channels_of(model: Model) -> tuple[str, ...]:
     """The channels the model's equations really use, and the ages with them."""
     used = _used_names(model)
     inputs = [each for each in model.inputs if each.name in used or f"{each.name}_slope" in used]
@@ -100,7 +100,7 @@ def _used_names(model: Model) -> frozenset[str]:
 
 
 def _check(model: Model, recording: Recording) -> None:
-    for name in _channels(model):
+    for name in channels_of(model):
         if name not in recording.values:
             raise DataError(
                 Status.MISSING_CHANNEL,
@@ -111,7 +111,7 @@ def _check(model: Model, recording: Recording) -> None:
 
 
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:
-    known = np.all([np.isfinite(recording[name]) for name in _channels(model)], axis=0)
+    known = np.all([np.isfinite(recording[name]) for name in channels_of(model)], axis=0)
     coordinate = model.joints[0].coordinate if model.joints else ""
     if support is not None and coordinate in recording.values:
         known &= np.abs(np.where(known, recording[coordinate], np.inf)) < support - SUPPORT_MARGIN
@@ -207,7 +207,7 @@ def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | N
 
 def _segment(model: Model, recording: Recording, part: slice) -> Segment:
     time = recording.time
-    used = _channels(model)
+    used = channels_of(model)
     zeros = np.zeros(len(time))
 
     def sampled(age: str) -> Array:

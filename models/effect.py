@@ -245,6 +245,9 @@ def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Se
     if not places:
         remedy = f"model {model.name} cannot have this effect."
         what = f"needs {_ARTICLE[effect.place]}, and the model has none"
+        if effect.place is Place.ACTUATOR and model.actuators:
+            what = "acts on a command, and the model is driven by the motion as it was measured"
+            remedy = "use a model that is driven by the command, such as monocab_reduced."
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
     if at and at not in places:
         there = ", ".join(places)

@@ -71,8 +71,9 @@ class State:
 
     `initial` is its value at the first row of a record: an expression in the measured outputs of that row and the
     parameters. `initial_std`: how far off that may be, 0 for exactly known. `process_noise`: standard deviation of the
-    white noise on the derivative, unit/sqrt(s), where its estimation starts; 0 for none. `noise_of` names an output
-    whose sensor noise is integrated in this state: what a filter makes of its sensor, a trapezoid a row.
+    white noise on the derivative, unit/sqrt(s), where its estimation starts, or, with `noise_known`, what it is; 0 for
+    none. `noise_of` names an output whose sensor noise is integrated in this state: what a filter makes of its sensor,
+    a trapezoid a row.
     """
 
     name: str
@@ -81,6 +82,7 @@ class State:
     initial: str = "0"
     initial_std: float = 0.0
     process_noise: float = 0.0
+    noise_known: bool = False
     noise_of: str = ""
     meaning: str = ""
 
@@ -139,7 +141,9 @@ class Joint:
 @dataclass(frozen=True, slots=True)
 class Actuator:
     """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions of what
-    it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives."""
+    it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives.
+    Where it is not `commanded`, `command` is the motion as it was measured, which no effect of a command can change.
+    """
 
     name: str
     command: str
@@ -151,6 +155,7 @@ class Actuator:
     angle_unit: str = "rad"
     command_scale: float = 1.0
     angle_scale: float = 1.0
+    commanded: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,7 @@ class StateSection(Section):
     initial: Equation = "0"
     initial_std: NotNegative = 0.0
     process_noise: NotNegative = 0.0
+    noise_known: bool = False
     noise_of: str = ""
     meaning: str = ""
 
@@ -94,6 +95,7 @@ class ActuatorSection(Section):
     angle_unit: str = "rad"
     command_scale: Positive = 1.0
     angle_scale: Positive = 1.0
+    commanded: bool = True
 
 
 class SensorSection(Section):
@@ -113,6 +115,13 @@ class EffectSection(Section):
     parameters: dict[str, ParameterSection] = {}
 
 
+class ValueSection(Section):
+    """A parameter as it was, or as a fit left it."""
+
+    value: Finite
+    std: NotNegative
+
+
 class HistorySection(Section):
     """What was done when. Other keys than these are kept as they are."""
 
@@ -124,6 +133,14 @@ class HistorySection(Section):
     recording: str | list[str] | None = None
     error_before: Finite | dict[str, Finite] | None = None
     error_after: Finite | dict[str, Finite] | None = None
+    sha256: str | list[str] | None = None
+    horizon: Positive | None = None
+    held_out: str | list[str] | None = None
+    held_out_sha256: str | list[str] | None = None
+    held_out_error_before: dict[str, Finite] | None = None
+    held_out_error_after: dict[str, Finite] | None = None
+    values_before: dict[str, ValueSection] | None = None
+    values_after: dict[str, ValueSection] | None = None
 
 
 class ModelSection(Section):

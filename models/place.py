@@ -56,12 +56,12 @@ class Offer:
 
 
 def places_of(model: Model, place: Place) -> tuple[Joint | Actuator | Sensor, ...]:
-    """The places of a kind that `model` has."""
+    """The places of a kind that `model` has. An actuator whose motion is measured has no command to act on."""
     match place:
         case Place.JOINT:
             return model.joints
         case Place.ACTUATOR:
-            return model.actuators
+            return tuple(actuator for actuator in model.actuators if actuator.commanded)
         case Place.SENSOR:
             return model.sensors
 

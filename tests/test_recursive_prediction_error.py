@@ -264,7 +264,7 @@ def test_from_the_support_and_at_100_hz_with_jitter() -> None:
 
 
 def test_what_is_forgotten_is_known_less() -> None:
-    """10 s of sweep, then 20 s of rest, with a memory of 2 s."""
+    """10 s of sweep, then 20 s of rest, with a memory of 2 s: what noise alone moves tells far less."""
     stamps, table = small_vehicle.run(1, 30.0, reference=lambda t: small_vehicle.sweep(t, 10.0))
     estimator = RecursivePredictionError(
         nominal_model("monocab"), parameters=CAD, deviations=SPREAD, support=VEHICLE.support, memory=2.0
@@ -274,9 +274,10 @@ def test_what_is_forgotten_is_known_less() -> None:
     assert_near(excited)
     rested = after(estimator, cycles[2450:])
     for name in TRUTH:
-        assert excited.parameters[name].coverage_percent == 100.0
-        assert rested.parameters[name].coverage_percent < 100.0
-        assert rested.parameters[name].value is None
+        before, later = excited.parameters[name], rested.parameters[name]
+        assert before.coverage_percent == 100.0
+        assert before.std is not None
+        assert later.std is None or later.std > 5.0 * before.std
 
 
 # What it cannot be made of

@@ -14,7 +14,7 @@ from estimators.method_table import Domain
 from estimators.report import significant
 from service.cli.output import page
 
-NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset", "roll_error_time"})
+NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
 """Fitted along so that they do not bias the rest; no property of the vehicle. In the JSON they are."""
 
 Columns = list[list[str]]
