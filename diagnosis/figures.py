@@ -1,6 +1,6 @@
-"""Pictures of a comparison: prediction over measurement, and the missing torque by time, frequency and coordinate.
+"""Pictures of a comparison: prediction over measurement, its error by horizon, and the four views of where it fails.
 
-Drawn without pyplot: no display, no global state. Angles in degrees, torques in N m.
+Drawn without pyplot: no display, no global state. Angles in degrees; a colour a model.
 """
 
 from __future__ import annotations
@@ -12,82 +12,166 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import welch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
-from diagnosis.compare import BINS, MissingTorque, ModelComparison
-from telemetry.recording import Recording
+from diagnosis.compare import SHOWN_HORIZON, Comparison
+from diagnosis.force_bins import Binned
+from diagnosis.missing_force import MissingForce
+from diagnosis.where_it_fails import Energy
 
-AXES = {"roll": "roll, deg", "precession": "precession, deg", "roll_rate": "roll rate, deg/s"}
+Array = NDArray[np.float64]
+
+BAND = 2.0
+"""Standard deviations of a band or an error bar."""
+COLUMNS = 3
 LEGEND_ROOM = 0.35
+FLOOR = "0.55"
 
 
-def save_comparison(comparisons: Sequence[ModelComparison], recording: Recording, path: Path) -> None:
+def save_comparison(comparisons: Sequence[Comparison], path: Path) -> None:
     """Write `comparison_figure` to `path`; its suffix (.png, .svg, .pdf) is the format."""
-    comparison_figure(comparisons, recording).savefig(path, dpi=130)
+    comparison_figure(comparisons).savefig(path, dpi=130)
 
 
-def comparison_figure(comparisons: Sequence[ModelComparison], recording: Recording) -> Figure:
-    """Overlay of roll; missing torque by time, frequency, roll, precession and roll rate. A colour a model."""
-    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
-    grid = figure.add_gridspec(3, 6)
-    overlay, time = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :4])
-    spectrum = figure.add_subplot(grid[1, 4:])
+def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
+    """Overlay and errors by horizon; missing force by time; energies by time and frequency; missing force by every
+    coordinate."""
+    joints = [force.joint for force in comparisons[0].views.forces]
+    places = _places(comparisons)
+    rows = 2 + len(joints) + -(-len(places) // COLUMNS)
+    figure = Figure(figsize=(12.5, 2.9 * rows), layout="constrained")
+    grid = figure.add_gridspec(rows, 2 * COLUMNS)
     colours = mpl.color_sequences["tab10"]
-    overlay.plot(recording.time, np.degrees(recording["roll"]), color="0.75", linewidth=2.5, label="measured")
+    _overlay(figure.add_subplot(grid[0, :4]), comparisons, colours)
+    _horizons(figure.add_subplot(grid[0, 4:]), comparisons, colours)
+    for row, _ in enumerate(joints):
+        forces = [comparison.views.forces[row] for comparison in comparisons]
+        _force_by_time(figure.add_subplot(grid[1 + row, :]), forces, colours)
+    by_time, by_frequency = figure.add_subplot(grid[1 + len(joints), :4]), figure.add_subplot(grid[1 + len(joints), 4:])
     for comparison, colour in zip(comparisons, colours, strict=False):
-        verdict = "adequate" if comparison.adequate else "not adequate"
-        if comparison.predictions:
-            last = comparison.predictions[-1]
-            label = f"{comparison.name}, {last.horizon:g} s ahead: {last.fit_percent('roll'):.1f} %, {verdict}"
-            gaps = np.where(np.append(0.0, np.abs(np.diff(last.time))) > 0.1, np.nan, 0.0)
-            overlay.plot(last.time, np.degrees(last.predicted["roll"]) + gaps, color=colour, linewidth=0.9, label=label)
-        if comparison.missing_torque is not None:
-            _draw_time(time, comparison.missing_torque, colour)
-            _draw_spectrum(spectrum, comparison.missing_torque, colour)
-    if comparisons and comparisons[0].missing_torque is not None:
-        floor = comparisons[0].missing_torque
-        time.axhspan(-2.0 * floor.floor, 2.0 * floor.floor, color="0.9", zorder=0, label="sensor noise, 2 std")
-        time.legend(loc="upper right", fontsize=8)
-        spectrum.plot(
-            floor.floor_density[0][1:], np.sqrt(floor.floor_density[1][1:]), color="0.6", label="sensor noise"
-        )
-        spectrum.legend(loc="lower left", fontsize=8)
-    for place, (name, label) in enumerate(AXES.items()):
-        axes = figure.add_subplot(grid[2, 2 * place : 2 * place + 2])
+        _steps(by_time, comparison.views.by_time, colour, comparison.fails["time"], ("from", "to"))
+        _steps(by_frequency, comparison.views.by_frequency, colour, comparison.fails["frequency"], ("from_hz", "to_hz"))
+    by_time.set(xlabel="s", ylabel="innovation energy over floor", title="by time", yscale="log")
+    by_frequency.set(xlabel="Hz", title="by frequency", xscale="log", yscale="log")
+    for place, (joint, coordinate) in enumerate(places):
+        row, column = divmod(place, COLUMNS)
+        axes = figure.add_subplot(grid[2 + len(joints) + row, 2 * column : 2 * column + 2])
         for comparison, colour in zip(comparisons, colours, strict=False):
-            if comparison.missing_torque is not None:
-                _draw_coordinate(axes, comparison.missing_torque, name, colour)
-        axes.axhline(0.0, color="0.6", linewidth=0.8)
-        axes.set(xlabel=label, ylabel="missing torque, N m" if place == 0 else "")
-    low, high = overlay.get_ylim()
-    overlay.set(ylabel="roll, deg", xlabel="s", xlim=(0.0, recording.duration))
-    overlay.set_ylim(low, high + LEGEND_ROOM * (high - low))
-    overlay.legend(loc="upper right", fontsize=8, ncols=2)
-    time.set(ylabel="missing torque, N m", xlabel="s", xlim=(0.0, recording.duration))
-    spectrum.set(xscale="log", yscale="log", xlabel="Hz", ylabel="N m / sqrt(Hz)", xlim=(0.1, 10.0))
+            _by_coordinate(axes, comparison, joint, coordinate, colour)
+        axes.axhline(0.0, color=FLOOR, linewidth=0.8)
+        if column:
+            axes.set_ylabel("")
     return figure
 
 
-def _draw_time(axes: Axes, missing: MissingTorque, colour: object) -> None:
-    breaks = np.where(np.append(0, np.diff(missing.runs)) > 0, np.nan, 0.0)
-    axes.plot(missing.time, missing.torque + breaks, color=colour, linewidth=0.7)
+def _places(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
+    """Joints and coordinates of all models, each once."""
+    return list(dict.fromkeys(
+        (each.joint, each.coordinate.name) for comparison in comparisons for each in comparison.views.binned
+    ))  # fmt: skip
 
 
-def _draw_spectrum(axes: Axes, missing: MissingTorque, colour: object) -> None:
-    segment = min(len(missing.torque), round(8.0 / missing.stride))
-    frequency, power = welch(missing.torque, 1.0 / missing.stride, nperseg=segment)
-    axes.plot(frequency[1:], np.sqrt(power[1:]), color=colour, linewidth=0.9)
-    shown = (frequency > 0.1) & (frequency < 10.0)
-    low, high = axes.get_ylim() if len(axes.lines) > 1 else (np.inf, 0.0)
-    values = np.sqrt(power[shown])
-    axes.set_ylim(min(low, 0.5 * float(values.min())), max(high, 2.0 * float(values.max())))
+def _overlay(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[object]) -> None:
+    """The output that the first joint moves, or the first; measured, and as each model predicts it."""
+    task = comparisons[0].innovations.problem
+    names = task.kernel.outputs
+    wanted = [joint.coordinate for joint in task.model.joints if joint.coordinate in names]
+    channel = wanted[0] if wanted else names[0]
+    output = next(each for each in task.model.outputs if each.name == channel)
+    factor, unit = _shown(output.unit)
+    for number, segment in enumerate(task.segments):
+        label = "measured" if number == 0 else None
+        axes.plot(segment.time, factor * segment.measured[:, names.index(channel)], color="0.75", lw=2.5, label=label)
+    for comparison, colour in zip(comparisons, colours, strict=False):
+        shown = [each for each in comparison.predictions if each.horizon <= SHOWN_HORIZON]
+        verdict = "adequate" if comparison.adequate else "not adequate"
+        if shown and channel in shown[-1].predicted:
+            last = shown[-1]
+            gaps = np.where(np.diff(last.stretch, prepend=last.stretch[0]) != 0, np.nan, 0.0)
+            fit = f"{last.horizon:g} s ahead: {last.fit_percent(channel):.1f} %"
+            label = f"{comparison.name}, {fit}, {verdict}"
+            axes.plot(last.time, factor * last.predicted[channel] + gaps, color=colour, lw=0.9, label=label)
+        else:
+            axes.plot([], [], color=colour, label=f"{comparison.name}, {verdict}")
+    measured = np.concatenate([segment.measured[:, names.index(channel)] for segment in task.segments]) * factor
+    # A model that runs away is to leave the measurement in view.
+    low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
+    reach = max(high - low, 1e-12)
+    axes.set_ylim(low - 0.25 * reach, high + (0.25 + LEGEND_ROOM) * reach)
+    axes.set(xlabel="s", ylabel=f"{channel}, {unit}")
+    axes.legend(loc="upper right", fontsize=8, ncols=2)
 
 
-def _draw_coordinate(axes: Axes, missing: MissingTorque, name: str, colour: object) -> None:
-    coordinate = np.degrees(missing.coordinates[name])
-    axes.plot(coordinate, missing.torque, ".", color=colour, markersize=1.2, alpha=0.25)
-    edges = np.linspace(coordinate.min(), coordinate.max(), BINS + 1)
-    bins = np.clip(np.searchsorted(edges, coordinate, side="right") - 1, 0, BINS - 1)
-    filled = [place for place in range(BINS) if np.any(bins == place)]
-    centres = [0.5 * (edges[place] + edges[place + 1]) for place in filled]
-    axes.plot(centres, [np.mean(missing.torque[bins == place]) for place in filled], "o-", color=colour, markersize=4)
+def _horizons(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[object]) -> None:
+    markers = "osvD^<>"
+    for comparison, colour in zip(comparisons, colours, strict=False):
+        for channel, marker in zip(comparison.fit_percent, markers, strict=False):
+            ratios = [each.rmse(channel) / each.floor[channel] for each in comparison.predictions]
+            horizons = [each.horizon for each in comparison.predictions]
+            label = channel if comparison is comparisons[0] else None
+            axes.plot(horizons, ratios, marker, ls="-", color=colour, ms=4, lw=0.9, label=label)
+    axes.axhline(1.0, color=FLOOR, linewidth=0.8)
+    axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel="error over floor")
+    axes.legend(fontsize=8)
+
+
+def _force_by_time(axes: Axes, forces: Sequence[MissingForce], colours: Sequence[object]) -> None:
+    for force, colour in zip(forces, colours, strict=False):
+        for time, values in zip(force.time, force.force, strict=True):
+            axes.fill_between(time, values - BAND * force.std, values + BAND * force.std, color=colour, alpha=0.2, lw=0)
+            axes.plot(time, values, color=colour, lw=0.8)
+    axes.axhline(0.0, color=FLOOR, linewidth=0.8)
+    axes.set(xlabel="s", ylabel=f"missing force at {forces[0].joint}, {forces[0].unit}", title="by equation")
+
+
+def _steps(
+    axes: Axes, energies: Sequence[Energy], colour: object, fails: Sequence[dict[str, object]], ends: tuple[str, str]
+) -> None:
+    """A level for each part of the record, the channel that is worst; bold where it fails."""
+    failing = {(entry[ends[0]], entry[ends[1]]) for entry in fails}
+    worst: dict[tuple[float, float], float] = {}
+    for each in energies:
+        worst[each.low, each.high] = max(worst.get((each.low, each.high), 0.0), each.ratio)
+    lowest = min((high for _, high in worst), default=1.0)
+    for (low, high), ratio in worst.items():
+        # The lowest octave begins at 0 Hz, which has no place on a logarithmic axis.
+        begin = 0.5 * lowest if ends[0] == "from_hz" and low == 0.0 else low
+        axes.plot([begin, high], [ratio, ratio], color=colour, lw=2.8 if (low, high) in failing else 1.0)
+    axes.axhline(1.0, color=FLOOR, linewidth=0.8)
+
+
+def _by_coordinate(axes: Axes, comparison: Comparison, joint: str, coordinate: str, colour: object) -> None:
+    """The missing force row by row, and the means by bins of what no other parameter values would mend."""
+    binned = next(
+        (each for each in comparison.views.binned if (each.joint, each.coordinate.name) == (joint, coordinate)), None
+    )
+    if binned is None:
+        return
+    force = next(each for each in comparison.views.forces if each.joint == joint)
+    factor, unit = _shown(binned.coordinate.unit)
+    rows = factor * np.concatenate(binned.coordinate.values)
+    skip = max(1, len(rows) // 3000)
+    axes.plot(rows[::skip], np.concatenate(force.force)[::skip], ".", color=colour, ms=1.5, alpha=0.25)
+    edges, forces, deviations = _bars(binned)
+    centres = 0.5 * factor * (edges[1:] + edges[:-1])
+    half = 0.5 * factor * np.diff(edges)
+    axes.errorbar(centres, forces, yerr=BAND * deviations, xerr=half, fmt="none", color=colour, elinewidth=1.6)
+    axes.set(xlabel=f"{coordinate}, {unit}", ylabel=f"missing force at {joint}, {binned.unit}")
+    axes.set_title(f"by {coordinate}", fontsize=10)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+
+
+def _bars(binned: Binned) -> tuple[Array, Array, Array]:
+    """Edges, mean forces and standard deviations, NaN where a bin tells nothing."""
+    unknown = float("nan")
+    forces = [unknown if term is None else term.force for term in binned.terms]
+    deviations = [unknown if term is None else term.std for term in binned.terms]
+    return binned.edges, np.array(forces), np.array(deviations)
+
+
+def _shown(unit: str) -> tuple[float, str]:
+    """Factor and unit in which a person reads it."""
+    if unit.startswith("rad"):
+        return float(np.degrees(1.0)), unit.replace("rad", "deg", 1)
+    return 1.0, unit

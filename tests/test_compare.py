@@ -1,34 +1,37 @@
-"""Model against measurement and the offline identification, on synthetic truth with fixed seeds."""
+"""Models against measurement: verdict, numbers, JSON, pictures and refusals, on synthetic truth with fixed seeds."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import axis_plant
 import numpy as np
 import pytest
 import small_vehicle
+import virtual_records
 
-from diagnosis.compare import HORIZONS, ModelComparison, compare
+from diagnosis.compare import Comparison, compare
 from diagnosis.figures import comparison_figure, save_comparison
+from diagnosis.horizons import HORIZONS
 from estimators.contract import EstimationError
-from estimators.identify import identify
-from estimators.prediction import free_motion, sensor_noise
+from estimators.segments import DataError
+from models import library
+from models.model import Model
+from models.model_file import load_model
+from service.cli.compare import read_models
+from service.cli.compare_page import comparison_table
+from service.vehicle_file import load
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
 SUPPORT = float(np.radians(4.0))
-RECURSIVE = ("recursive_least_squares", "recursive_instrumental_variables")
-CAD = {
-    "inertia": 1450.0,
-    "gravity_stiffness": 12600.0,
-    "angular_momentum": 3300.0,
-    "trim_mass": 500.0,
-    "trim_height": 0.4,
-}
-TRUTH = {**CAD, "inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 40.0}
-BALANCED = {**TRUTH, "static_torque.torque": 0.0}
+CAD = library.get("monocab_roll").add("static_torque")
+TRUTH = CAD.change({"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 40.0})
+BALANCED = TRUTH.change({"static_torque.torque": 0.0})
 
 
 @pytest.fixture(scope="module")
@@ -37,52 +40,55 @@ def sweep() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def compared(sweep: Recording) -> dict[str, ModelComparison]:
+def compared(sweep: Recording) -> dict[str, Comparison]:
     models = {"truth": TRUTH, "CAD": CAD, "no static torque": BALANCED}
-    return {comparison.name: comparison for comparison in compare(models, sweep, SUPPORT)}
+    return {comparison.name: comparison for comparison in compare(models, [sweep], support=SUPPORT)}
 
 
-def test_the_true_model_is_adequate_and_predicts_to_the_noise(compared: dict[str, ModelComparison]) -> None:
+def test_the_true_model_is_adequate_and_predicts_to_the_noise(compared: dict[str, Comparison]) -> None:
     truth = compared["truth"]
     assert truth.adequate
     assert not any(truth.fails.values())
-    assert truth.innovation_ratio == pytest.approx(1.0, abs=0.4)
+    assert truth.summary == []
+    assert truth.innovation_ratio == pytest.approx(1.0, abs=0.15)
     for prediction in truth.predictions:
-        for channel, floor in prediction.floor.items():
-            assert prediction.rmse(channel) / floor == pytest.approx(1.0, abs=0.25)
+        assert 0.6 < prediction.rmse("roll_rate") / prediction.floor["roll_rate"] < 1.25
     assert truth.fit_percent["roll"] > 90.0
 
 
-def test_the_cad_model_is_not_and_predicts_worse(compared: dict[str, ModelComparison]) -> None:
+def test_the_cad_model_is_not_and_predicts_worse(compared: dict[str, Comparison]) -> None:
     cad, truth = compared["CAD"], compared["truth"]
     assert not cad.adequate
-    assert cad.innovation_ratio > 50.0
+    assert cad.innovation_ratio > 10.0 * truth.innovation_ratio
     assert cad.rmse["roll"] > 5.0 * truth.rmse["roll"]
-    assert {entry["coordinate"] for entry in cad.fails["state"]} & {"roll", "precession_rate"}
+    # Its parameters are wrong, its structure is not.
+    assert cad.fails["equation"]
+    assert not cad.fails["state"]
 
 
-def test_a_missing_static_torque_shows_in_the_equation_with_its_size(compared: dict[str, ModelComparison]) -> None:
+def test_a_missing_static_torque_shows_in_the_equation_with_its_size(compared: dict[str, Comparison]) -> None:
     comparison = compared["no static torque"]
     assert not comparison.adequate
     (equation,) = comparison.fails["equation"]
-    assert equation["mean"] == pytest.approx(-40.0, abs=2.0) or equation["mean"] == pytest.approx(40.0, abs=2.0)
+    assert abs(equation["mean"] - 40.0) < 4.0 * equation["mean_std"]
+    assert equation["mean_std"] < 2.0
     assert not comparison.fails["state"]
 
 
-def test_dry_friction_shows_by_roll_rate() -> None:
-    stamps, table = small_vehicle.run(
-        1, 31.0, small_vehicle.Truth(coulomb_friction=15.0), reference=lambda t: small_vehicle.sweep(t, 30.0)
-    )
-    (comparison,) = compare({"truth": TRUTH}, small_vehicle.recording(stamps, table, 0), SUPPORT)
+def test_dry_friction_of_the_virtual_vehicle_goes_with_the_roll_rate() -> None:
+    model = virtual_records.true_model()
+    (comparison,) = compare({"truth": model}, [virtual_records.multisine("coulomb_friction", seed=3)], support=SUPPORT)
     assert not comparison.adequate
+    assert any("It goes with roll_rate" in sentence for sentence in comparison.summary)
     by_rate = [entry for entry in comparison.fails["state"] if entry["coordinate"] == "roll_rate"]
-    assert by_rate
+    outer = [entry for entry in by_rate if entry["from"] * entry["to"] > 0.0]
+    assert len(outer) >= 2
     # Friction takes torque away in the direction of motion.
-    assert all(entry["missing_torque"] * (entry["from"] + entry["to"]) < 0.0 for entry in by_rate)
+    assert all(entry["missing_force"] * (entry["from"] + entry["to"]) < 0.0 for entry in outer)
 
 
 def test_a_right_model_is_rarely_rejected() -> None:
-    # 12 records of three kinds; a test of 1 % rejects 3 of them with a probability of 2e-4.
+    """12 records of three kinds; a test of 1 % rejects 2 of them with a probability of 0.6 %."""
     rejected = 0
     for seeds, settings in (
         (2, {"duration": 31.0, "reference": lambda t: small_vehicle.sweep(t, 30.0)}),
@@ -91,78 +97,131 @@ def test_a_right_model_is_rarely_rejected() -> None:
     ):
         stamps, table = small_vehicle.run(seeds, first_seed=40, **settings)  # type: ignore[arg-type]
         for seed in range(seeds):
-            (comparison,) = compare({"truth": TRUTH}, small_vehicle.recording(stamps, table, seed), SUPPORT)
+            record = small_vehicle.recording(stamps, table, seed)
+            (comparison,) = compare({"truth": TRUTH}, [record], support=SUPPORT)
             rejected += not comparison.adequate
-    assert rejected <= 2
+    assert rejected <= 1
 
 
-def test_the_comparison_is_json_of_the_agreed_form(compared: dict[str, ModelComparison]) -> None:
+def test_the_virtual_vehicle_s_true_model_is_adequate() -> None:
+    """The independent plant, the real roll filter: a false alarm has a probability of 1 %, and the seed is fixed."""
+    (comparison,) = compare({"truth": virtual_records.true_model()}, [virtual_records.multisine()], support=SUPPORT)
+    assert comparison.adequate, comparison.summary
+    assert comparison.fit_percent["roll"] > 98.0
+    assert comparison.offsets.keys() == {"drive_offset"}
+    assert abs(comparison.offsets["drive_offset"]) < 0.001
+
+
+def test_the_comparison_is_json_of_the_agreed_form(compared: dict[str, Comparison]) -> None:
     for comparison in compared.values():
         document = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
+        agreed = {"name", "fit_percent", "rmse", "noise_floor", "innovation_ratio", "adequate", "fails"}
+        assert agreed < set(document)
         assert set(document["fails"]) == {"time", "frequency", "state", "equation"}
         assert set(document["rmse"]) == set(document["noise_floor"]) == set(document["fit_percent"])
         assert [entry["horizon"] for entry in document["by_horizon"]] == list(HORIZONS)
+        assert document["missing_force"]["roll"]["unit"] == "N m"
 
 
-def test_sensor_noise_is_read_from_the_record(sweep: Recording) -> None:
-    noise = sensor_noise(free_motion(sweep, SUPPORT))
-    assert noise.roll_rate_std == pytest.approx(3.5e-5 / np.sqrt(2 * 0.004), rel=0.05)
-    assert 0.5e-4 < noise.roll_std < 3e-4
+def test_an_axis_and_several_recordings_are_compared_alike() -> None:
+    records = [axis_plant.record(lambda t, x, v: -0.5 * v, seed=seed, source=f"run {seed}") for seed in (1, 2)]
+    bare = axis_plant.model()
+    models = {"bare": bare, "with friction": bare.add("viscous_friction").change({"viscous_friction.coefficient": 0.5})}
+    without, right = compare(models, records)
+    assert not without.adequate
+    assert right.adequate, right.summary
+    assert right.rmse["position"] < without.rmse["position"]
+    assert {each.recording for each in without.views.by_time} == {"run 1", "run 2"}
+    assert without.fails["equation"][0]["equation"] == "axis"
 
 
-def test_free_motion_ends_at_the_support_at_gaps_and_at_unknown_values(sweep: Recording) -> None:
-    values = {name: column.copy() for name, column in sweep.values.items()}
-    values["roll"][1000:1100] = SUPPORT
-    values["precession_rate"][3000] = np.nan
-    keep = np.r_[0:5000, 5100 : len(sweep)]
-    damaged = Recording(sweep.channels, sweep.timestamp_ns[keep], {n: v[keep] for n, v in values.items()})
-    lengths = [len(stretch.time) for stretch in free_motion(damaged, SUPPORT)]
-    assert lengths == [1000, 1900, 1999, len(sweep) - 5100]
+def test_a_model_without_joints_is_compared_too() -> None:
+    bare = axis_plant.model()
+    states = (bare.base_states[0], replace(bare.base_states[1], derivative="(force - stiffness * position) / inertia"))
+    plain = replace(bare, name="plain", base_states=states, joints=(), actuators=(), sensors=())
+    right, wrong = compare({"right": plain, "wrong": plain.change({"inertia": 2.2})}, [axis_plant.record()])
+    assert right.adequate, right.summary
+    assert wrong.fails["frequency"]
+    assert wrong.fails["equation"] == wrong.fails["state"] == []
+    json.dumps(wrong.to_json(), allow_nan=False)
+    assert comparison_figure([right, wrong]).axes
 
 
-def test_a_record_on_the_supports_or_without_a_channel_is_refused(sweep: Recording) -> None:
-    resting = Recording(sweep.channels, sweep.timestamp_ns, {**sweep.values, "roll": np.full(len(sweep), SUPPORT)})
-    with pytest.raises(EstimationError, match="never free"):
-        compare({"truth": TRUTH}, resting, SUPPORT)
+def test_data_that_cannot_be_used_are_refused_with_the_reason(sweep: Recording) -> None:
+    resting = replace(sweep, values={**sweep.values, "roll": np.full(len(sweep), SUPPORT)})
+    with pytest.raises(DataError, match="free of its supports"):
+        compare({"truth": TRUTH}, [resting], support=SUPPORT)
     names = [channel for channel in sweep.channels if channel.name != "drive_age"]
-    fewer = Recording(ChannelTable(names), sweep.timestamp_ns, {c.name: sweep.values[c.name] for c in names})
-    with pytest.raises(RecordingError, match="drive_age"):
-        compare({"truth": TRUTH}, fewer, SUPPORT)
-    entry = identify([fewer], CAD, SUPPORT, RECURSIVE)["methods"][RECURSIVE[0]]
-    assert entry["status"] == "missing_channel"
-    assert "drive_age" in entry["reason"]
+    fewer = replace(sweep, channels=ChannelTable(names), values={c.name: sweep.values[c.name] for c in names})
+    with pytest.raises(DataError, match=r"channel drive_age: is not in"):
+        compare({"truth": TRUTH}, [fewer], support=SUPPORT)
+    degrees = replace(sweep, values={**sweep.values, "roll_rate": np.degrees(sweep["roll_rate"])})
+    with pytest.raises(DataError, match="in degrees"):
+        compare({"truth": TRUTH}, [degrees], support=SUPPORT)
 
 
-def test_a_model_without_a_parameter_is_refused_by_name(sweep: Recording) -> None:
-    with pytest.raises(EstimationError, match="gravity_stiffness"):
-        compare({"half": {key: value for key, value in TRUTH.items() if key != "gravity_stiffness"}}, sweep, SUPPORT)
+def test_a_model_that_cannot_be_is_refused_by_name(sweep: Recording) -> None:
+    with pytest.raises(EstimationError, match="monocab_roll"):
+        compare({"massless": TRUTH.change({"inertia": 1e-9})}, [sweep], support=SUPPORT)
 
 
-def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
-    document = identify([sweep], CAD, SUPPORT, RECURSIVE)
-    json.dumps(document, allow_nan=False)
-    assert tuple(document["methods"]) == RECURSIVE
-    for method in document["methods"].values():
-        assert method["status"] == "ok"
-        assert method["seconds"] > 0.0
-        assert method["parameters"]["inertia"]["value"] == pytest.approx(1650.0, rel=0.01)
-        assert method["parameters"]["inertia"]["identifiable"]
-        assert method["fit_percent"]["roll"] > 90.0
-
-
-def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
-    step = small_vehicle.recording(*small_vehicle.run(1, 8.0, from_support=True), 0)
-    method = RECURSIVE[0]
-    alone, both = (identify(given, CAD, SUPPORT, [method])["methods"][method] for given in ([step], [step, sweep]))
-    name = "static_torque.torque"
-    assert both["parameters"][name]["std"] < alone["parameters"][name]["std"]
-
-
-def test_the_picture_shows_every_model(compared: dict[str, ModelComparison], sweep: Recording, tmp_path: Path) -> None:
-    figure = comparison_figure(list(compared.values()), sweep)
+def test_the_picture_shows_every_model_every_view_and_every_coordinate(
+    compared: dict[str, Comparison], tmp_path: Path
+) -> None:
+    figure = comparison_figure(list(compared.values()))
     legend = figure.axes[0].get_legend()
     assert legend is not None
     labels = [text.get_text() for text in legend.get_texts()]
     assert all(any(name in label for label in labels) for name in compared)
-    save_comparison(list(compared.values()), sweep, tmp_path / "comparison.png")
+    titles = {axes.get_title() for axes in figure.axes}
+    assert {"by equation", "by time", "by frequency", "by roll", "by roll_rate", "by precession_rate"} <= titles
+    save_comparison(list(compared.values()), tmp_path / "comparison.png")
     assert (tmp_path / "comparison.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_table_has_a_verdict_a_model(compared: dict[str, Comparison]) -> None:
+    table = comparison_table(list(compared.values()))
+    verdicts = [cell for cell in table.columns[-1].cells if cell]
+    assert [("adequate" in str(cell)) for cell in verdicts] == [True, False, False]
+
+
+class TestModelsOfTheCommandLine:
+    def estimates(self, path: Path, **values: float | None) -> str:
+        entries = {name: {"value": value} for name, value in values.items()}
+        path.write_text(json.dumps({"methods": {"a_method": {"parameters": entries}, "drives": {"parameters": {}}}}))
+        return str(path)
+
+    def models(self, *options: str) -> dict[str, Model]:
+        return read_models(list(options), load("monocab"))
+
+    def test_by_default_there_are_the_cad_values(self) -> None:
+        models = self.models()
+        assert list(models) == ["CAD"]
+        assert models["CAD"].values["inertia"] == load("monocab").parameters.values["inertia"]
+
+    def test_estimates_replace_what_they_determine(self, tmp_path: Path) -> None:
+        path = self.estimates(tmp_path / "x.estimates.json", inertia=1650.0, gravity_stiffness=None, drive_lag=0.1)
+        models = self.models(path)
+        assert list(models) == ["CAD", "a_method"]
+        assert models["a_method"].values["inertia"] == 1650.0
+        assert models["a_method"].values["gravity_stiffness"] == models["CAD"].values["gravity_stiffness"]
+
+    def test_a_shipped_model_and_a_model_file_are_read(self, tmp_path: Path) -> None:
+        path = tmp_path / "mine.toml"
+        path.write_text('base = "monocab_roll"\n\n[[effects]]\nname = "coulomb_friction"\n')
+        models = self.models("monocab_reduced", str(path), str(path))
+        assert list(models) == ["CAD", "monocab_reduced", "mine", "mine (mine.toml)"]
+        assert models["mine"].values == load_model(path).values
+
+    def test_what_is_no_estimate_is_refused(self, tmp_path: Path) -> None:
+        path = tmp_path / "x.json"
+        path.write_text("{}{")
+        with pytest.raises(RecordingError, match="holds no estimates"):
+            self.models(str(path))
+
+    def test_a_vehicle_without_a_model_of_its_own_needs_one_given(self) -> None:
+        vehicle = load("monocab")
+        other = SimpleNamespace(vehicle=SimpleNamespace(kind="unicycle"), parameters=vehicle.parameters)
+        with pytest.raises(EstimationError, match="unicycle"):
+            read_models([], other)  # type: ignore[arg-type]
+        assert list(read_models(["axis"], other)) == ["axis"]  # type: ignore[arg-type]

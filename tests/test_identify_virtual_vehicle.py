@@ -7,7 +7,7 @@ import pytest
 from closed_loop import ClosedLoop
 
 from diagnosis.compare import compare
-from estimators.identify import identified, identify
+from estimators.identify import identify, nominal_model, with_values
 from estimators.torque_balance import Method, TorqueBalance
 from simulation.config import PlantTruth
 from telemetry.channels import MONOCAB
@@ -47,8 +47,9 @@ def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle(experiment: str, w
     estimator = TorqueBalance(known, vehicle.support, deviations=deviations)
     for frame in recording.frames():
         estimator.update(frame)
-    models = {"CAD": known, "identified": identified(known, estimator.result())}
-    cad, found = compare(models, recording, vehicle.support)
+    model = with_values(nominal_model("monocab"), known, deviations)
+    models = {"CAD": model, "identified": with_values(model, estimator.result().values, {})}
+    cad, found = compare(models, [recording], support=vehicle.support)
     assert not cad.adequate
     assert found.adequate, found.fails
     assert found.rmse["roll"] < 0.5 * cad.rmse["roll"]

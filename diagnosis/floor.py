@@ -1,0 +1,246 @@
+"""What a right model would leave over on a record: the innovations that the noise alone makes, and their covariance.
+
+    innovation_ratio = mean e' S^-1 e / ny,   S = C P C' + R
+
+R is the sensors' noise as it shows in the record itself, Q the process noise that the model states, or less where the
+record shows less (diagnosis.process_noise), P and the gain from the Riccati equation (estimators.innovations). The
+ratio is about 1 where the model is right, and large where something is missing. Fourth differences of a white signal
+have 70 times its variance, while motion below a tenth of the sampling rate all but vanishes in them; so the record's
+noise is told apart from its motion without any model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.stats import chi2
+
+from diagnosis.process_noise import shown_shares
+from estimators.contract import EstimationError
+from estimators.gauss_newton import Block, minimise
+from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import Fit
+from estimators.problem import Problem
+
+Array = NDArray[np.float64]
+
+GAIN_OF_DIFFERENCES = 70.0
+"""Variance of fourth differences over that of the white signal: 1 + 16 + 36 + 16 + 1."""
+CORRELATION = 12870.0 / 4900.0
+"""Rows a degree of freedom of that estimate: the sum of the squared autocorrelations of fourth differences."""
+LOSS_OF_MEDIAN = np.pi / 2.0
+"""Of degrees of freedom, where the median of blocks is taken and not the mean."""
+ROWS = 100
+"""Of a block: the median over blocks passes over an impact, which a mean would take for noise."""
+QUIETEST = 1e-2
+"""Share of the noise that the model states below which no sensor is believed: simulated data may have none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """What a right model's innovations are on a record: covariance (ny, ny), rad^2 or what the outputs' units say.
+
+    `gain` (nx, ny) is that of the predictor x+ = f(x + gain e). `transition` A (nx, nx) over `spacing` s and `output` C
+    (ny, nx) are the linearised model; `process` (nx, nx) and `sensor` (ny, ny) the noise of a row; `state_covariance`
+    (nx, nx) that of the state's error before the row's own correction. `freedom` (ny,): degrees of freedom with which
+    a sensor's noise is known, inf where the model knows it. `process_shares` (nx,): how much of the
+    variance of the stated process noises the record shows.
+    """
+
+    gain: Array
+    covariance: Array
+    transition: Array
+    output: Array
+    process: Array
+    sensor: Array
+    state_covariance: Array
+    freedom: Array
+    spacing: float
+    process_shares: Array
+
+    @property
+    def predictor(self) -> Array:
+        """How an error of the state goes on, A - A K C, (nx, nx): stable, also where the plant is not."""
+        return self.transition - self.transition @ self.gain @ self.output
+
+    @property
+    def whitener(self) -> Array:
+        """What makes innovations independent and of unit variance, (ny, ny)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
+
+    @property
+    def std(self) -> Array:
+        """Of the innovations by output, (ny,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def informative(self) -> list[int]:
+        """Outputs whose noise is measured. One that is known is stated too large, so that nothing builds on it."""
+        measured = np.flatnonzero(np.isfinite(self.freedom)).tolist()
+        return measured or list(range(len(self.freedom)))
+
+
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """A model's one-step errors on a record: by stretch `errors` (n, ny). `fit` holds values, starts and the gain."""
+
+    fit: Fit
+    floor: Floor
+    errors: tuple[Array, ...]
+
+    @property
+    def problem(self) -> Problem:
+        return self.fit.problem
+
+    def blocks(self, also: Sequence[int] = ()) -> list[Block]:
+        """Whitened errors by stretch, and their derivatives: by the nuisances, by the parameters at the places `also`,
+        by the start; what is known of the start is its last rows."""
+        task, common = self.problem, self.fit.minimum.common
+        blocks = task.evaluate(
+            common, self.fit.minimum.own[:-1], weights=self.floor.whitener, gain=self.floor.gain, also=also
+        )
+        assert blocks is not None
+        return blocks
+
+    @property
+    def normalised(self) -> list[Array]:
+        """By stretch, each output over the standard deviation of its floor, (n, ny); unknown ones are 0."""
+        return [np.nan_to_num(part / self.floor.std) for part in self.errors]
+
+    @property
+    def ratio(self) -> float:
+        """mean e' S^-1 e / ny over the outputs that are informative."""
+        chosen = self.floor.informative
+        weights = np.linalg.inv(np.linalg.cholesky(self.floor.covariance[np.ix_(chosen, chosen)]))
+        white = np.concatenate([part[:, chosen] @ weights.T for part in self.errors])
+        return float(np.nanmean(white**2))
+
+
+def at(task: Problem, values: Array, free: tuple[int, ...] = ()) -> Problem:
+    """`task` about parameter values (np,), asked for the parameters at the places `free` instead of its own."""
+    moved = replace(task, kernel=replace(task.kernel, defaults=np.array(values, dtype=np.float64)), free=free)
+    return moved.refined(moved.kernel.defaults[list(free)])
+
+
+def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
+    """Variance of the white noise on each column of `parts` (n, m), by fourth differences, (m,), and its degrees of
+    freedom."""
+    differences = np.concatenate([np.diff(part, 4, axis=0) for part in parts])
+    blocks = np.array_split(differences, max(1, len(differences) // ROWS))
+    powers = np.array([np.nanmean(block**2, axis=0) for block in blocks])
+    one = len(differences) / len(blocks) / CORRELATION
+    variance = np.nanmedian(powers, axis=0) / GAIN_OF_DIFFERENCES / float(chi2.ppf(0.5, one) / one)
+    return variance, one * len(blocks) / (LOSS_OF_MEDIAN if len(blocks) > 2 else 1.0)
+
+
+def sensor_noise(task: Problem) -> tuple[Array, Array]:
+    """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,)."""
+    stated = np.array([output.noise for output in task.model.outputs])
+    known = np.array([output.noise_known for output in task.model.outputs])
+    variance, freedom = white_variance([segment.measured for segment in task.segments])
+    found = np.maximum(np.sqrt(variance), QUIETEST * stated)
+    return np.where(known, stated, found), np.where(known, np.inf, freedom)
+
+
+def floor(task: Problem, values: Array) -> Floor:
+    """The innovations that a right model would leave on the record of `task`, at parameter values (np,).
+
+    Raises EstimationError where no predictor with these values is stable, or the model runs away from the record.
+    """
+    return _lowered(_fitted(at(task, values), _floor(task, values, np.ones(len(task.kernel.states)))))
+
+
+def _lowered(found: Innovations) -> Floor:
+    """The floor with no more process noise than the innovations show."""
+    task, values = found.problem, found.fit.values
+    noise = NoiseModel.of(task)
+    every = np.eye(len(noise.process))[list(noise.noisy)]
+    systems = [
+        _noise(task, share).covariances(values, np.zeros(noise.size))
+        for share in (np.zeros(len(noise.process)), *every)
+    ]
+    shares = shown_shares(found.errors, found.floor.gain, systems[0], systems[1:], found.floor.informative)
+    return _floor(task, values, shares @ every)
+
+
+def _noise(task: Problem, shares: Array) -> NoiseModel:
+    """The noise with the sensors' from the record, and shares (nx,) of the variance of process noise not known."""
+    noise = NoiseModel.of(task)
+    known = np.ones(len(shares))
+    known[list(noise.noisy)] = shares[list(noise.noisy)]
+    return replace(noise, sensor=sensor_noise(task)[0], process=noise.process * np.sqrt(known))
+
+
+def _floor(task: Problem, values: Array, shares: Array) -> Floor:
+    noise, freedom = _noise(task, shares), sensor_noise(task)[1]
+    gain = noise.gain(values, np.zeros(noise.size))
+    if gain is None:
+        what = "has no stable predictor at these parameter values"
+        raise EstimationError(f"model {task.model.name}", what, remedy="check the values and the noises it states.")
+    transition, output, process, shown, across = noise.covariances(values, np.zeros(noise.size))
+    ahead = transition @ gain
+    closed = transition - ahead @ output
+    driven = process + ahead @ shown @ ahead.T - across @ ahead.T - ahead @ across.T
+    state = np.asarray(solve_discrete_lyapunov(closed, driven))
+    return Floor(
+        gain=gain,
+        covariance=output @ state @ output.T + shown,
+        transition=transition,
+        output=output,
+        process=process,
+        sensor=shown,
+        state_covariance=state,
+        freedom=freedom,
+        spacing=noise.spacing,
+        process_shares=shares,
+    )
+
+
+def innovations(task: Problem, values: Array, floor: Floor) -> Innovations:
+    """The one-step errors at parameter values (np,), with the initial state of each stretch fitted.
+
+    Raises EstimationError where the model runs away.
+    """
+    return _fitted(at(task, values), floor)
+
+
+def with_nuisances(task: Problem, values: Array) -> Innovations:
+    """The same with what is no property of the vehicle fitted along: the time offsets of the inputs.
+
+    Parameters that delay an input and are called `..._offset` are meant; their standard deviations are the prior.
+    """
+    offsets = tuple(dict.fromkeys(
+        task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith("_offset")
+    ))  # fmt: skip
+    stated = _fitted(at(task, values, offsets), _floor(task, values, np.ones(len(task.kernel.states))))
+    return _fitted(stated.problem, _lowered(stated))
+
+
+def _fitted(task: Problem, floor: Floor) -> Innovations:
+    centre, weights = task.start, floor.whitener
+    start = task.kernel.defaults[list(task.free)]
+    deviations = np.array([parameter.std for parameter in task.parameters])
+    tight = np.where(deviations > 0.0, 1.0 / np.where(deviations > 0.0, deviations, 1.0), 0.0)
+
+    def evaluate(common: Array, own: Sequence[Array]) -> list[Block] | None:
+        blocks = task.evaluate(common, own[:-1], weights=weights, gain=floor.gain)
+        if blocks is None:
+            return None
+        return [*blocks, Block((common - centre) * tight, np.diag(tight), np.zeros((len(tight), 0)))]
+
+    lower, upper = task.bounds
+    found = minimise(evaluate, start, [*task.own_start, np.zeros(0)], scale=task.scale, lower=lower, upper=upper)
+    if found is None:
+        what = "runs away from the record even with the measurement's help"
+        raise EstimationError(f"model {task.model.name}", what, remedy="check its parameter values and signs.")
+    fit = Fit(task, found, floor.gain, floor.covariance, tight**2)
+    return Innovations(fit, floor, tuple(fit.innovations()))
+
+
+def innovation_ratio(task: Problem, values: Array, floor: Floor) -> float:
+    """mean e' S^-1 e / ny at parameter values (np,), initial states fitted: about 1 for a right model."""
+    return innovations(task, values, floor).ratio

@@ -1,0 +1,138 @@
+"""`upright compare`: models against recordings, and where they fail."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.output import page, people, print_json
+
+if TYPE_CHECKING:
+    from models.model import Model
+    from service.vehicle_file import VehicleFile
+
+CAD = "CAD"
+
+
+def compare(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
+    vehicle: Annotated[
+        str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")
+    ] = "monocab",
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--model",
+            help="A model file (.toml), a shipped model, or JSON of parameters, such as an .estimates.json beside a"
+            " recording. May be given several times.",
+            show_default="the vehicle's with its CAD values",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="The overlay and where the models fail: .png, .svg or .pdf.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
+) -> None:
+    """Hold models against recordings: how well they predict, what force they miss, and where.
+
+    Each recording is compared by itself. What noise alone would leave is the measure: its size is read from the record.
+    """
+    from diagnosis.compare import compare as run
+    from service.cli.batch import load_recording, working
+    from service.cli.compare_page import print_comparisons
+    from service.vehicle_file import load
+
+    if picture is not None:
+        from diagnosis.method_figure import check_suffix
+
+        check_suffix(picture)
+    file = load(vehicle)
+    models = read_models(model or [], file)
+    answers = []
+    pictures = []
+    with working() as step:
+        for path in recordings:
+            step(f"comparing: {path.name}")
+            recording = load_recording(path, vehicle)
+            found = run(models, [recording], support=file.support, progress=step)
+            answers.append((path, found))
+            if picture is not None:
+                from diagnosis.figures import save_comparison
+
+                step(f"drawing: {path.name}")
+                target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
+                save_comparison(found, target)
+                pictures.append(target)
+    if json:
+        print_json(
+            {"models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found]}
+        )
+        return
+    for path, found in answers:
+        print_comparisons(found, title=path.name)
+    for target in pictures:
+        page.print(f"Picture: {target}")
+
+
+def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
+    """The models of `--model` by name, after the vehicle's own with its CAD values.
+
+    Raises ModelError and RecordingError for what is no model, EstimationError for a vehicle that has no model of its
+    own where none is given.
+    """
+    from estimators.contract import EstimationError
+    from service.cli.batch import identified_model
+
+    models: dict[str, Model] = {}
+    try:
+        models[CAD] = identified_model(None, vehicle)
+    except EstimationError:
+        if not options:
+            raise
+    for option in options:
+        given = estimated(Path(option), models.get(CAD)) if option.endswith(".json") else {}
+        if not option.endswith(".json"):
+            given[Path(option).stem if option.endswith(".toml") else option] = identified_model(option, vehicle)
+        for name, each in given.items():
+            models[name if name not in models else f"{name} ({Path(option).name})"] = each
+    return models
+
+
+def estimated(path: Path, base: Model | None) -> dict[str, Model]:
+    """Models by name from a JSON file of estimates: `base` with the values that each method determines.
+
+    Raises RecordingError where the file holds no estimates, or there is no model that they could be of.
+    """
+    from telemetry.errors import RecordingError
+
+    if base is None:
+        remedy = "Give the model itself: --model FILE.toml."
+        raise RecordingError(str(path), "", "holds values of a model that is not known", remedy=remedy)
+    names = {parameter.name for parameter in base.parameters}
+    models = {}
+    try:
+        document = json_module.loads(path.read_text())
+        methods: dict[str, Any] = document.get("methods") or document.get("estimates") or document
+        for name, method in methods.items():
+            values = {key: entry["value"] for key, entry in method["parameters"].items() if entry["value"] is not None}
+            strange = [key for key in values if "." in key and key not in names]
+            if strange:
+                people.print(f"[yellow]{path.name}, {name}: {base.name} has no {', '.join(strange)}, left out[/yellow]")
+            elif not names.isdisjoint(values):
+                models[name] = base.change({key: value for key, value in values.items() if key in names})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RecordingError(
+            str(path),
+            "",
+            f"holds no estimates ({error})",
+            remedy="Write one with `upright identify ... --json > FILE`.",
+        ) from error
+    return models
+
+
+def estimates_beside(recording: Path) -> Path:
+    """What the live estimators found while `recording` was made."""
+    return recording.with_suffix(".estimates.json")

@@ -1,0 +1,46 @@
+"""How `upright compare` shows models side by side to people, and in words where each fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from service.cli.output import page
+
+if TYPE_CHECKING:
+    from diagnosis.compare import Comparison
+
+
+def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:
+    """The table of one recording, and below it where each model fails."""
+    page.print(comparison_table(comparisons, title))
+    for each in comparisons:
+        if each.summary:
+            page.print(Padding(Text(f"{each.name}:", style="bold"), (0, 0, 0, 2)))
+        for sentence in each.summary:
+            page.print(Padding(Text(sentence), (0, 0, 0, 4)))
+
+
+def comparison_table(comparisons: Sequence[Comparison], title: str = "") -> Table:
+    """Models side by side: how well they predict half a second ahead, over the floor, and the force (RMS) they miss."""
+    table = Table(
+        title=title or None, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold"
+    )
+    for heading in ("model", "channel", "fit", "error/floor", "missing", "verdict"):
+        right = heading in ("fit", "error/floor", "missing")
+        table.add_column(heading, justify="right" if right else "left", no_wrap=heading != "model")
+    for each in comparisons:
+        missing = ", ".join(f"{force.rms:.3g} {force.unit}" for force in each.views.forces)
+        verdict = "[green]adequate[/green]" if each.adequate else "[red]fails[/red]"
+        name = each.name
+        if not each.fit_percent:
+            table.add_row(name, "", "", "", missing, verdict)
+        for channel, fit in each.fit_percent.items():
+            over = each.rmse[channel] / each.noise_floor[channel]
+            table.add_row(name, channel, f"{fit:.2f} %", f"{over:.3g}", missing, verdict)
+            name = missing = verdict = ""
+    return table

@@ -1,0 +1,95 @@
+"""The noise floor: what is read from a record, and what a right model leaves over it."""
+
+from __future__ import annotations
+
+import axis_plant
+import numpy as np
+import pytest
+import virtual_records
+
+from diagnosis.floor import floor, innovation_ratio, sensor_noise, white_variance, with_nuisances
+from diagnosis.horizons import HORIZONS, predictions
+from estimators.contract import EstimationError
+from estimators.problem import Problem, problem
+
+SUPPORT = float(np.radians(4.0))
+
+
+def monocab(*hide: str, seed: int = 8) -> Problem:
+    return problem(virtual_records.true_model(), [virtual_records.multisine(*hide, seed=seed)], support=SUPPORT)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Problem:
+    return monocab()
+
+
+def test_white_noise_is_told_apart_from_motion_and_from_an_impact() -> None:
+    """20,000 rows give 4,800 degrees of freedom: a standard deviation of 1 % of the noise; four of them are allowed."""
+    random = np.random.default_rng(3)
+    time = np.arange(20000) / 200.0
+    motion = np.sin(2.0 * np.pi * 3.0 * time)
+    motion[7000:7020] += 0.1
+    signal = np.stack([motion + 1e-3 * random.standard_normal(len(time)), 2e-3 * random.standard_normal(len(time))], 1)
+    variance, freedom = white_variance([signal])
+    assert np.sqrt(variance) == pytest.approx([1e-3, 2e-3], rel=0.04)
+    assert 4000 < freedom < 5500
+
+
+def test_a_sensor_is_measured_and_one_that_is_known_keeps_what_the_model_says(clean: Problem) -> None:
+    std, freedom = sensor_noise(clean)
+    roll, rate = clean.model.outputs
+    assert std[0] == roll.noise
+    assert np.isinf(freedom[0])
+    # The virtual IMU's gyro: 0.0219 deg/s a sample, quantised.
+    assert std[1] == pytest.approx(np.radians(0.0219), rel=0.05)
+    assert floor(clean, clean.kernel.vector()).informative == [1]
+    assert rate.noise != std[1]
+
+
+def test_a_right_model_leaves_the_floor_and_one_that_lacks_friction_does_not(clean: Problem) -> None:
+    """9,000 innovations over a noise of 2,000 degrees of freedom: a standard deviation of 3.5 %."""
+    found = with_nuisances(clean, clean.kernel.vector())
+    assert found.ratio == pytest.approx(1.0, abs=0.12)
+    assert innovation_ratio(clean, found.fit.values, found.floor) == pytest.approx(found.ratio, rel=1e-3)
+    rough = monocab("coulomb_friction", seed=3)
+    values = rough.kernel.vector()
+    assert innovation_ratio(rough, values, floor(rough, values)) > 10.0
+
+
+def test_the_innovations_of_a_right_model_are_white(clean: Problem) -> None:
+    (white,) = with_nuisances(clean, clean.kernel.vector()).normalised
+    rate = white[:, 1] - white[:, 1].mean()
+    for lag in (1, 2, 5, 50):
+        correlation = np.mean(rate[lag:] * rate[:-lag]) / np.mean(rate**2)
+        assert abs(correlation) < 4.0 / np.sqrt(len(rate))
+
+
+def test_process_noise_is_lowered_to_what_shows_and_never_raised() -> None:
+    """The axis has none; a model that states 1 m/s/sqrt(s) would hide 2 N in a second."""
+    data = [axis_plant.record()]
+    shares = {}
+    for stated in (1.0, 1e-3):
+        task = problem(axis_plant.model(stated), data)
+        least = floor(task, task.kernel.vector())
+        shares[stated] = float(least.process_shares[1])
+        assert innovation_ratio(task, task.kernel.vector(), least) == pytest.approx(1.0, abs=0.15)
+    assert shares[1.0] < 1e-4
+    assert max(shares.values()) <= 1.0
+    heavier = problem(axis_plant.model(1e-3).change({"inertia": 3.0}), data)
+    assert floor(heavier, heavier.kernel.vector()).process_shares.max() == 1.0
+
+
+def test_predictions_of_a_right_model_are_off_by_the_floor_at_every_horizon(clean: Problem) -> None:
+    """At 2 s there are 17 independent predictions: their RMS is known to a sixth, and the floor is an upper one."""
+    ahead = predictions(with_nuisances(clean, clean.kernel.vector()))
+    assert tuple(each.horizon for each in ahead) == HORIZONS
+    for each in ahead:
+        assert 0.5 < each.rmse("roll_rate") / each.floor["roll_rate"] < 1.35
+    assert ahead[-1].floor["roll"] > 100.0 * ahead[0].floor["roll"]  # the plant is unstable: exp(3 * 2)
+
+
+def test_a_model_that_no_filter_can_follow_is_refused_by_name(clean: Problem) -> None:
+    values = clean.kernel.vector({"inertia": float("nan")})
+    with pytest.raises((EstimationError, ArithmeticError, ValueError), match=r"monocab_roll|finite|NaN"):
+        floor(clean, values)

@@ -1,0 +1,73 @@
+"""What `identify` measures all methods by: free motion, the sensors' noise in it, and predictions from it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import small_vehicle
+
+from estimators.identify import identify
+from estimators.prediction import free_motion, sensor_noise
+from telemetry.channels import ChannelTable
+from telemetry.recording import Recording
+
+SUPPORT = float(np.radians(4.0))
+RECURSIVE = ("recursive_least_squares", "recursive_instrumental_variables")
+CAD = {
+    "inertia": 1450.0,
+    "gravity_stiffness": 12600.0,
+    "angular_momentum": 3300.0,
+    "trim_mass": 500.0,
+    "trim_height": 0.4,
+}
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Recording:
+    return small_vehicle.recording(*small_vehicle.run(1, 31.0, reference=lambda t: small_vehicle.sweep(t, 30.0)), 0)
+
+
+def test_sensor_noise_is_read_from_the_record(sweep: Recording) -> None:
+    noise = sensor_noise(free_motion(sweep, SUPPORT))
+    assert noise.roll_rate_std == pytest.approx(3.5e-5 / np.sqrt(2 * 0.004), rel=0.05)
+    assert 0.5e-4 < noise.roll_std < 3e-4
+
+
+def test_free_motion_ends_at_the_support_at_gaps_and_at_unknown_values(sweep: Recording) -> None:
+    values = {name: column.copy() for name, column in sweep.values.items()}
+    values["roll"][1000:1100] = SUPPORT
+    values["precession_rate"][3000] = np.nan
+    keep = np.r_[0:5000, 5100 : len(sweep)]
+    damaged = Recording(sweep.channels, sweep.timestamp_ns[keep], {n: v[keep] for n, v in values.items()})
+    lengths = [len(stretch.time) for stretch in free_motion(damaged, SUPPORT)]
+    assert lengths == [1000, 1900, 1999, len(sweep) - 5100]
+
+
+def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
+    document = identify([sweep], CAD, SUPPORT, RECURSIVE)
+    json.dumps(document, allow_nan=False)
+    assert tuple(document["methods"]) == RECURSIVE
+    for method in document["methods"].values():
+        assert method["status"] == "ok"
+        assert method["seconds"] > 0.0
+        assert method["parameters"]["inertia"]["value"] == pytest.approx(1650.0, rel=0.01)
+        assert method["parameters"]["inertia"]["identifiable"]
+        assert method["fit_percent"]["roll"] > 90.0
+
+
+def test_a_missing_channel_is_named(sweep: Recording) -> None:
+    names = [channel for channel in sweep.channels if channel.name != "drive_age"]
+    fewer = Recording(ChannelTable(names), sweep.timestamp_ns, {c.name: sweep.values[c.name] for c in names})
+    entry = identify([fewer], CAD, SUPPORT, RECURSIVE)["methods"][RECURSIVE[0]]
+    assert entry["status"] == "missing_channel"
+    assert "drive_age" in entry["reason"]
+
+
+def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
+    step = small_vehicle.recording(*small_vehicle.run(1, 8.0, from_support=True), 0)
+    method = RECURSIVE[0]
+    alone, both = (identify(given, CAD, SUPPORT, [method])["methods"][method] for given in ([step], [step, sweep]))
+    name = "static_torque.torque"
+    assert both["parameters"][name]["std"] < alone["parameters"][name]["std"]
