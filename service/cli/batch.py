@@ -1,8 +1,7 @@
-"""Commands that read recordings: identify, compare, replay, convert."""
+"""Commands that read recordings: identify, replay, convert; compare is in service.cli.compare."""
 
 from __future__ import annotations
 
-import json as json_module
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.compare import compare
+from service.cli.diagnose import diagnose
 from service.cli.output import page, parameter_table, people, print_json
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from models.model import Model
     from service.vehicle_file import VehicleFile
     from telemetry.recording import Recording
@@ -27,9 +26,14 @@ JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on s
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to `app`."""
     app.command(epilog="Example: `upright identify recordings/*.arrow --picture methods.png`")(identify)
-    app.command(epilog="Example: `upright compare recordings/*sweep.arrow --model recordings/*sweep.estimates.json`")(
-        compare
-    )
+    app.command(
+        epilog="Example: `upright compare recordings/*sweep.arrow --model recordings/*sweep.estimates.json`,"
+        " or with a model file of your own: `upright compare run.arrow --model mine.toml --picture where.png`"
+    )(compare)
+    app.command(
+        epilog="Example: `upright diagnose recordings/*multisine.arrow`, or until nothing is missing any more:"
+        " `upright diagnose step.arrow sweep.arrow --auto repaired.toml`"
+    )(diagnose)
     app.command(epilog="Example: `upright replay recordings/*sweep.log --vehicle monocab`")(replay)
     app.command(epilog="Example: `upright convert recordings/*sweep.log sweep.csv`")(convert)
 
@@ -148,51 +152,6 @@ def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
         yield told
 
 
-def compare(
-    recordings: Recordings,
-    vehicle: VehicleOption = "monocab",
-    model: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--model", help="JSON of parameters, such as an .estimates.json beside a recording.", show_default="CAD"
-        ),
-    ] = None,
-    picture: Annotated[Path | None, typer.Option("--picture", help="PNG of overlay and missing torque.")] = None,
-    json: JsonOption = False,
-) -> None:
-    """Hold models against recordings: how well they predict, what torque they miss, and where."""
-    from diagnosis.compare import compare as run
-    from service.vehicle_file import load
-
-    file = load(vehicle)
-    models = {"CAD": file.parameters.values}
-    for path in model or []:
-        models |= read_models(path, file.parameters.values)
-    answers = []
-    with working() as step:
-        for path in recordings:
-            step(f"comparing: {path.name}")
-            recording = load_recording(path, vehicle)
-            comparisons = run(models, recording, file.support)
-            answers.append((path, recording, comparisons))
-            if picture is not None:
-                from diagnosis.figures import save_comparison
-
-                target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
-                save_comparison(comparisons, recording, target)
-    if json:
-        entries = [{**each.to_json(), "recording": str(path)} for path, _, found in answers for each in found]
-        print_json({"models": entries})
-        return
-    for path, _, comparisons in answers:
-        page.print(comparison_table(comparisons, title=path.name))
-        for each in comparisons:
-            for line in where_it_fails(each):
-                page.print(f"  {each.name}: {line}")
-    if picture is not None:
-        page.print(f"Picture: {picture}")
-
-
 def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again: the same numbers, bit for bit."""
     from service.replay import replay as run
@@ -234,67 +193,6 @@ def load_recording(path: Path, vehicle: str) -> Recording:
     if recording.truncated:
         people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
     return recording
-
-
-def estimates_beside(recording: Path) -> Path:
-    """What the live estimators found while `recording` was made."""
-    return recording.with_suffix(".estimates.json")
-
-
-def read_models(path: Path, base: dict[str, float]) -> dict[str, dict[str, float]]:
-    """Models by name from a JSON file of estimates: the vehicle's parameters with those that the file determines.
-
-    Raises RecordingError where the file holds no estimates.
-    """
-    from telemetry.errors import RecordingError
-
-    try:
-        document = json_module.loads(path.read_text())
-        methods = document.get("methods") or document.get("estimates") or document
-        models = {
-            name: {**base, **{key: entry["value"] for key, entry in method["parameters"].items() if entry["value"]}}
-            for name, method in methods.items()
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordingError(
-            str(path),
-            "",
-            f"holds no estimates ({error})",
-            remedy="Write one with `upright identify ... --json > FILE`.",
-        ) from error
-    return models
-
-
-def comparison_table(comparisons: list[Any], title: str = "") -> Table:
-    """Models side by side: how well they predict half a second ahead, and the torque (N m, RMS) they miss."""
-    from rich.table import Table
-
-    table = Table(
-        title=title or None, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold"
-    )
-    for heading in ("model", "channel", "fit", "missing", "noise", "verdict"):
-        table.add_column(heading, justify="right" if heading in ("fit", "missing", "noise") else "left", no_wrap=True)
-    for each in comparisons:
-        missing = each.missing_torque
-        torque = "" if missing is None else f"{float((missing.torque**2).mean() ** 0.5):.1f} N m"
-        noise = "" if missing is None else f"{missing.floor:.1f}"
-        verdict = "[green]adequate[/green]" if each.adequate else "[red]fails[/red]"
-        name = each.name
-        for channel, fit in each.fit_percent.items():
-            table.add_row(name, channel, f"{fit:.2f} %", torque, noise, verdict)
-            name = torque = noise = verdict = ""
-    return table
-
-
-def where_it_fails(comparison: Any) -> Iterator[str]:
-    """One line for each view in which a model fails, the worst place first."""
-    for view, entries in comparison.fails.items():
-        if entries:
-            worst = ", ".join(
-                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
-                for key, value in entries[0].items()
-            )
-            yield f"fails by {view}: {worst}" + (f" (and {len(entries) - 1} more)" if len(entries) > 1 else "")
 
 
 @contextmanager

@@ -1,0 +1,110 @@
+"""The effects that a model may lack: those of the catalogue that it can have and that its recordings can tell.
+
+An effect's amplitudes are zero where it is absent; its shape (a frequency, a width) is anything then. So each candidate
+comes as one or several variants, the same amplitudes at different shapes, to be screened side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+from estimators.segments import channels_of
+from models.effect import AttachedEffect, Effect, starts
+from models.effects import CATALOGUE, find
+from models.model import Model, ModelError
+from telemetry.recording import Recording
+
+MOST_VARIANTS = 24
+"""Of one effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect as it would be in the model. `variants`: values of its shape parameters by name, at least one.
+
+    The last `picked` of them were picked by looking at the data, among `among` that could have been.
+    """
+
+    attached: AttachedEffect
+    variants: tuple[Mapping[str, float], ...]
+    picked: int = 0
+    among: int = 1
+
+    @property
+    def name(self) -> str:
+        return self.attached.name
+
+    @property
+    def effect(self) -> Effect:
+        return self.attached.effect
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Names in the model."""
+        return self.attached.amplitudes
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names in the model of the parameters that are no amplitude."""
+        return tuple(p.name for p in self.attached.parameters if p.name not in self.amplitudes)
+
+
+def candidates_for(
+    model: Model, recordings: Sequence[Recording], effects: Iterable[str | Effect] | None = None
+) -> tuple[list[Candidate], dict[str, str]]:
+    """The candidates among `effects` (default: the catalogue), and by name why the others are none."""
+    there = {attached.effect.name for attached in model.effects}
+    found, left_out = [], {}
+    for each in effects if effects is not None else CATALOGUE:
+        effect = find(each) if isinstance(each, str) else each
+        if effect.name in there:
+            continue
+        try:
+            with_it = model.add(effect)
+        except ModelError as error:
+            left_out[effect.name] = str(error)
+            continue
+        lacking = [
+            name
+            for name in channels_of(with_it)
+            if any(name not in recording.values for recording in recordings) and name not in channels_of(model)
+        ]
+        if lacking:
+            left_out[effect.name] = f"needs channel {', '.join(lacking)}, which is not recorded"
+            continue
+        attached = with_it.effects[-1]
+        found.append(Candidate(attached, _variants(model, attached)))
+    return found, left_out
+
+
+def at_frequencies(candidates: Sequence[Candidate], frequencies: Sequence[float], among: int) -> list[Candidate]:
+    """`candidates`, those that have a frequency (Hz) as their shape with further variants at `frequencies`.
+
+    `among` is how many they were picked from.
+    """
+    found = []
+    for each in candidates:
+        shapes = [p for p in each.attached.parameters if p.unit == "Hz" and p.name in each.shapes]
+        more = [
+            {**each.variants[0], shape.name: value}
+            for shape in shapes
+            for value in frequencies
+            if shape.lower < value < shape.upper
+        ]
+        found.append(replace(each, variants=(*each.variants, *more), picked=len(more), among=among))
+    return found
+
+
+def _variants(model: Model, attached: AttachedEffect) -> tuple[Mapping[str, float], ...]:
+    names = [p.name for p in attached.effect.parameters if not p.amplitude]
+    values = [starts(model, attached, name) for name in names]
+    first = tuple(each[0] for each in values)
+    # All combinations where these are few, else one parameter moved at a time.
+    combinations: list[tuple[float, ...]] = list(product(*values))
+    if len(combinations) > MOST_VARIANTS:
+        combinations = [first]
+        for place, each in enumerate(values):
+            combinations += [(*first[:place], value, *first[place + 1 :]) for value in each[1:]]
+    return tuple(dict(zip(map(attached.qualified, names), each, strict=True)) for each in combinations)

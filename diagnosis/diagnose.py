@@ -1,0 +1,349 @@
+"""Which physical effect a model lacks: the whole way from recordings to a verdict.
+
+gate -> fit of the model alone -> screen of all candidates -> quick fits -> full fits and their evidence -> held-out
+check -> next effect, with the best one in the model -> is anything left that has no name?
+
+Nothing here is forced: a record that cannot tell gets `insufficient_data`, and what no candidate explains is `unknown`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.adequacy import Adequacy, adequacy
+from diagnosis.candidates import Candidate
+from diagnosis.explain import explain
+from diagnosis.gate import check
+from diagnosis.held_out import split
+from diagnosis.refit import FullFit, QuickFit, closed_percent, full, held_out, quick, with_effect
+from diagnosis.screen import Innovations, Screen, screen
+from diagnosis.workspace import Workspace, attached
+from estimators.contract import EstimationError, ParameterEstimate
+from estimators.methods.prediction_error import result
+from estimators.problem import Problem
+from estimators.segments import DataError
+from models.effect import Effect
+from models.effects import find
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+LEVEL = 0.01
+"""Probability of naming an effect where nothing is missing."""
+TIED = 1.0 / 20.0
+"""Posterior odds to the best above which an effect is tied with it."""
+SIMPLER = 0.95
+"""Share of the best gain in log likelihood with which an effect of fewer parameters is named instead.
+
+Real friction is no formula, and what a further parameter gains by bending a little towards it is no evidence for
+another effect."""
+FURTHER = 0.01
+"""Share of what was gained so far that a further effect has to gain: no formula is exact, and a long record tells."""
+FURTHER_ALIKE = 0.05
+"""The same for an effect that is easily confused with one that was found: it bends its formula."""
+WORTH_A_FIT = 1e-3
+"""p-value, of one candidate alone, below which it gets a quick fit."""
+WORTH = -float(np.log(TIED))
+"""Logarithm of the odds to "none" that an effect has to have."""
+CONTENDERS = 6
+"""Full fits a step, at most."""
+CONTENDING = 0.5
+"""Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
+
+
+class Verdict(StrEnum):
+    """What a diagnosis ends with."""
+
+    ADEQUATE = "adequate"
+    MISSING_EFFECT = "missing_effect"
+    UNKNOWN = "unknown"
+    INSUFFICIENT_DATA = "insufficient_data"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An effect that the model lacks.
+
+    `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
+    model before; `held_out_gain` (value, std) the same on data that the fit had not seen, None where there are none;
+    `odds` of every effect that got a full fit, relative to this one.
+    """
+
+    effect: str
+    family: str
+    parameters: Mapping[str, ParameterEstimate]
+    probability: float
+    p_value: float
+    held_out_error_closed_percent: float | None
+    tied_with: tuple[str, ...]
+    explanation: str
+    log_likelihood_gain: float
+    held_out_gain: tuple[float, float] | None
+    odds: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """One of `findings` in `diagnose --json`."""
+        return {
+            "effect": self.effect,
+            "family": self.family,
+            "parameters": {
+                name: {"value": each.value, "std": each.std, "unit": each.unit, "identifiable": each.identifiable}
+                for name, each in self.parameters.items()
+            },
+            "probability": self.probability,
+            "p_value": self.p_value,
+            "held_out_error_closed_percent": self.held_out_error_closed_percent,
+            "tied_with": list(self.tied_with),
+            "explanation": self.explanation,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The verdict with its `reason`, what was found, and `repaired`, the model with it; `screens` of each step.
+
+    `steps`: the fit of the model alone, then that after each of `findings`.
+    """
+
+    verdict: Verdict
+    reason: str
+    findings: tuple[Finding, ...] = ()
+    minimum_detectable: Mapping[str, float] | None = None
+    suggested_experiment: Mapping[str, Any] | None = None
+    innovation_ratio_before: float | None = None
+    innovation_ratio_after: float | None = None
+    repaired: Model | None = None
+    left_out: Mapping[str, str] | None = None
+    screens: tuple[Screen, ...] = ()
+    steps: tuple[FullFit, ...] = ()
+    unexplained: Adequacy | None = None
+
+    @property
+    def adequate(self) -> bool:
+        return self.verdict is Verdict.ADEQUATE
+
+    def to_json(self) -> dict[str, Any]:
+        """`diagnose --json`."""
+        return {
+            "adequate": self.adequate,
+            "verdict": self.verdict.value,
+            "reason": self.reason,
+            "findings": [finding.to_json() for finding in self.findings],
+            "minimum_detectable": dict(self.minimum_detectable or {}),
+            "suggested_experiment": dict(self.suggested_experiment) if self.suggested_experiment else None,
+            "innovation_ratio_before": self.innovation_ratio_before,
+            "innovation_ratio_after": self.innovation_ratio_after,
+            "not_candidates": dict(self.left_out or {}),
+        }
+
+
+def diagnose(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    support: float | None = None,
+    candidates: Iterable[str | Effect] | None = None,
+    most: int = 3,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """What `model` lacks to explain `recordings`.
+
+    `support` rad: the vehicle is free where its roll is less. `candidates`: effects to look for, the whole catalogue by
+    default. `most`: effects that are added at most, one after the other. `progress` is told what is being done and
+    the share of it that is over, 0 to 1.
+    Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
+    """
+    tell = progress or (lambda text, share: None)
+    tell("reading the data", 0.0)
+    try:
+        check(model, recordings, support)
+        workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))
+    except DataError as error:
+        return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
+    tell("fitting the model as it is", 0.05)
+    base = full(model, workspace)
+    lacking = unidentified(base)
+    if lacking:
+        return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
+    steps = [base]
+    findings: list[Finding] = []
+    screens: list[Screen] = []
+    for step in range(most + 1):
+        share = 0.1 + 0.85 * step / (most + 1.0)
+        tell("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), share)
+        screens.append(_screen(base, workspace))
+        if step == most or not any(score.p_value < LEVEL for score in screens[-1].scores):
+            break
+        found = _step(base, screens[-1], workspace, partial(_part, tell, share, 0.85 / (most + 1.0)))
+        if found is None:
+            break
+        if findings and found[0].log_likelihood_gain < _asked(found[0], findings):
+            break
+        finding, base = found
+        findings.append(finding)
+        steps.append(base)
+    tell("looking for what has no name", 0.95)
+    rest = adequacy(steps[0].fit, base.fit)
+    return _verdict(steps, findings, screens, rest, workspace)
+
+
+def _screen(base: FullFit, workspace: Workspace) -> Screen:
+    def attach(group: Sequence[Candidate]) -> Problem:
+        return workspace.problem(attached(base.model, group))
+
+    return screen(Innovations.of(base.fit), attach, workspace.others(base.model))
+
+
+def _part(tell: Progress, begin: float, width: float, text: str, share: float) -> None:
+    """`share` of one step, which began at `begin` and is `width` of the whole."""
+    tell(text, begin + width * share)
+
+
+def unidentified(base: FullFit) -> str:
+    """Why the record does not even tell the model's own parameters; empty where it does."""
+    told = result(base.fit, 0.0)
+    nuisances = {name for each in base.model.inputs for name in each.delays}
+    for name, each in told.parameters.items():
+        if name not in nuisances and not each.identifiable:
+            return f"{name}: {each.reason}"
+    return ""
+
+
+def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress) -> tuple[Finding, FullFit] | None:
+    """The effect that explains most, in the model; None where none stands up to a full fit and to unseen data."""
+    worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
+    quicks: list[QuickFit] = []
+    for number, score in enumerate(worth):
+        tell(f"trying {score.candidate.effect.title}", 0.6 * number / len(worth))
+        quicks.append(quick(base.fit, base.model, score, workspace))
+    quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
+    quicks.sort(key=lambda each: -each.gain)
+    contenders = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
+    fits: list[FullFit] = []
+    for number, each in enumerate(contenders):
+        tell(f"fitting {each.candidate.effect.title}", 0.6 + 0.3 * number / len(contenders))
+        try:
+            fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
+        except ArithmeticError:
+            continue
+    fits = sorted((each for each in fits if each.evidence > base.evidence + WORTH), key=lambda each: -each.evidence)
+    if not fits:
+        return None
+    best = _simplest(fits, base)
+    assert best.candidate is not None
+    score = screened.score(best.candidate.name)
+    # What the screen saw in a neighbour is this effect's, too: the strongest is tested, the best fitting is named.
+    p_value = min(
+        each.p_value
+        for each in screened.scores
+        if each.candidate.name in {f.candidate.name for f in fits if f.candidate}
+    )
+    if p_value >= LEVEL:
+        return None
+    tell("checking on data that the fit has not seen", 0.95)
+    gain, closed = _on_unseen(base, best, workspace)
+    if gain is not None and gain[0] < gain[1]:
+        return None
+    odds = {
+        each.candidate.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0)))
+        for each in fits
+        if each.candidate
+    }
+    tied = tuple(name for name, value in odds.items() if name != best.candidate.name and value > TIED)
+    none = float(np.exp(max(base.evidence - best.evidence, -700.0)))
+    told = result(best.fit, 0.0).parameters
+    own = {name: told[name] for name in told if name.startswith(f"{best.candidate.name}.")}
+    finding = Finding(
+        effect=best.candidate.name,
+        family=best.candidate.effect.family.value,
+        parameters=own,
+        probability=1.0 / (sum(odds.values()) + none),
+        p_value=p_value,
+        held_out_error_closed_percent=closed,
+        tied_with=tied,
+        explanation="",
+        log_likelihood_gain=best.log_likelihood - base.log_likelihood,
+        held_out_gain=gain,
+        odds=odds,
+    )
+    return replace(finding, explanation=explain(finding, best.candidate, score, screened)), best
+
+
+def _asked(finding: Finding, before: Sequence[Finding]) -> float:
+    """Gain in log likelihood that a further effect has to bring."""
+    total = sum(each.log_likelihood_gain for each in before)
+    effect = find(finding.effect)
+    alike = any(
+        each.family == finding.family
+        or each.effect in effect.confused_with
+        or finding.effect in find(each.effect).confused_with
+        for each in before
+    )
+    return total * (FURTHER_ALIKE if alike else FURTHER)
+
+
+def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:
+    """The first of `fits`, or one with fewer parameters that explains almost as much."""
+    best = fits[0]
+    gain = best.log_likelihood - base.log_likelihood
+    simple = [
+        each for each in fits if each.cost < best.cost and each.log_likelihood - base.log_likelihood >= SIMPLER * gain
+    ]
+    return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best
+
+
+def _on_unseen(base: FullFit, best: FullFit, workspace: Workspace) -> tuple[tuple[float, float] | None, float | None]:
+    """What fits of a part of the data say of the rest: gain in log likelihood with its standard deviation, and the
+    percentage of the error half a second ahead that is closed. None where the data are too few for it."""
+    recordings = workspace.recordings
+    try:
+        seen, tried = split(base.model, recordings[:-1] or recordings, recordings[1:][-1:], workspace.support)
+        since = (
+            0.0 if len(recordings) > 1 else float(tried[0].time[np.isfinite(tried[0][base.model.outputs[0].name])][0])
+        )
+        few = Workspace.of(base.model, seen, workspace.support, [each.effect for each in workspace.others(base.model)])
+        without, with_it = full(base.model, few).fit, full(best.model, few).fit
+        gain = held_out(without, with_it, recordings[-1:], workspace.support, since)
+        return gain, closed_percent(without, with_it, tried, workspace.support)
+    except (EstimationError, ArithmeticError):
+        return None, None
+
+
+def _verdict(
+    steps: list[FullFit],
+    findings: list[Finding],
+    screens: list[Screen],
+    rest: Adequacy,
+    workspace: Workspace,
+) -> Diagnosis:
+    if not rest.adequate:
+        verdict = Verdict.UNKNOWN
+        reason = f"something is missing that no known effect explains. {rest.reason}"
+    elif findings:
+        verdict = Verdict.MISSING_EFFECT
+        reason = "; ".join(finding.explanation for finding in findings)
+    else:
+        verdict = Verdict.ADEQUATE
+        reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"
+    return Diagnosis(
+        verdict=verdict,
+        reason=reason,
+        findings=tuple(findings),
+        minimum_detectable={score.candidate.name: score.detectable for score in screens[0].scores},
+        innovation_ratio_before=rest.before,
+        innovation_ratio_after=rest.after,
+        repaired=steps[-1].fitted,
+        left_out=workspace.left_out,
+        screens=tuple(screens),
+        steps=tuple(steps),
+        unexplained=rest,
+    )

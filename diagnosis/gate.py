@@ -1,0 +1,97 @@
+"""Can these recordings tell effects apart at all? What cannot is refused here, in words, before any number looks valid.
+
+A channel that is missing, stuck, clipped or in degrees is refused by estimators.segments. Here it is about what moved:
+too short a record holds too few of the slow motions, and a motion at a single frequency makes dry, viscous and
+quadratic friction one and the same (the correlation of sgn v with v is 0.90, that of v |v| with v 0.98).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import Status
+from estimators.segments import DataError, segments
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+SHORTEST = 15.0
+"""s of free motion in all recordings together, at least."""
+MOVING = 5.0
+"""Times the noise of the joint's rate, RMS over a window, above which the vehicle counts as moving."""
+WINDOW = 2.0
+"""s of such a window."""
+ONE_LINE = 0.97
+"""Share of the motion's power in one line of its spectrum, harmonics counted in, above which it is a single sine."""
+LINE = 0.05
+"""Hz, half width of a line; wider where the record is short."""
+
+
+def check(model: Model, recordings: Sequence[Recording], support: float | None = None) -> None:
+    """Raises DataError where `recordings` cannot tell what `model` lacks."""
+    rows = segments(model, recordings, support=support)
+    span = sum(segment.duration for segment in rows)
+    if span < SHORTEST:
+        raise DataError(
+            Status.TOO_FEW_SAMPLES,
+            "recordings",
+            f"{span:.1f} s of free motion cannot tell effects apart",
+            remedy=f"record {SHORTEST:g} s or more, best a multisine of 30 s.",
+        )
+    joint = model.joints[0].rate if model.joints else ""
+    rates = [
+        segment.measured[:, [each.name for each in model.outputs].index(joint)]
+        for segment in rows
+        if joint in {each.name for each in model.outputs}
+    ]
+    if not rates:
+        return
+    moved = sum(moving_time(rate, segment.time) for rate, segment in zip(rates, rows, strict=True))
+    if moved < SHORTEST:
+        raise DataError(
+            Status.TOO_LITTLE_EXCITATION,
+            "recordings",
+            f"the vehicle moves by more than {MOVING:g} times its sensor's noise for {moved:.1f} s only",
+            remedy=f"excite it for {SHORTEST:g} s or more, best with a multisine.",
+        )
+    lines = [line_share(rate, segment.time) for rate, segment in zip(rates, rows, strict=True)]
+    frequencies = {round(frequency, 1) for share, frequency in lines if share > ONE_LINE}
+    if len(frequencies) == 1 and all(share > ONE_LINE for share, _ in lines):
+        frequency = lines[0][1]
+        raise DataError(
+            Status.TOO_LITTLE_EXCITATION,
+            "recordings",
+            f"the motion is a single sine of {frequency:.2g} Hz, under which most effects look alike",
+            remedy="record a multisine or a sweep, or sines of several frequencies and amplitudes.",
+        )
+
+
+def moving_time(signal: Array, time: Array) -> float:
+    """s for which `signal` (n,) moves by more than its own white noise, of which fourth differences have 70 times the
+    variance."""
+    known = np.where(np.isfinite(signal), signal, 0.0)
+    spacing = float(np.median(np.diff(time)))
+    size = max(1, round(WINDOW / spacing))
+    if len(known) < max(size, 20):
+        return 0.0
+    noise = 1.4826 * float(np.median(np.abs(np.diff(known, 4)))) / np.sqrt(70.0)
+    whole = known[: len(known) // size * size].reshape(-1, size)
+    return float(np.sum(np.std(whole, axis=1) > MOVING * noise) * size * spacing)
+
+
+def line_share(signal: Array, time: Array) -> tuple[float, float]:
+    """The share of the signal's power at its strongest frequency and the harmonics of it, and that frequency, Hz."""
+    known = np.where(np.isfinite(signal), signal, 0.0)
+    window = np.hanning(len(known))
+    power = np.abs(np.fft.rfft((known - np.mean(known)) * window)) ** 2
+    frequency = np.fft.rfftfreq(len(known), float(np.median(np.diff(time))))
+    peak = float(frequency[int(np.argmax(power))])
+    width = max(LINE, 2.5 / (time[-1] - time[0]))
+    harmonics = np.maximum(1.0, np.round(frequency / max(peak, frequency[1])))
+    near = np.abs(frequency - harmonics * peak) <= width
+    # Of a broad spectrum the harmonics' windows would gather a share by chance: only a low line can be told.
+    return float(np.sum(power[near]) / max(np.sum(power), 1e-300)), peak

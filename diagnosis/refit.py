@@ -1,0 +1,208 @@
+"""Fits of the model with one more effect, first quickly for every candidate, then fully for those in question.
+
+The quick fit holds the filter gain and the innovations' covariance of the model alone and moves parameters, amplitudes
+and shapes together, from the screen's sizes at its best shapes. The full fit estimates the noise again, too: with the
+effect in the model less noise is needed, which is what makes the difference between neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis import ahead
+from diagnosis.candidates import Candidate
+from diagnosis.screen import Score, whitening
+from diagnosis.workspace import Workspace
+from estimators.gauss_newton import Block, eliminate, minimise
+from estimators.methods.prediction_error import Fit, fit
+from estimators.problem import Problem, problem
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+STARTS = 2
+"""Shapes that a quick fit starts from, at most."""
+ITERATIONS = 8
+SETTLING = 0.5
+"""s at the beginning of held-out data that tell of the start, not of the model."""
+HORIZON = 0.5
+"""s ahead at which held-out errors are told: far enough for a missing force to show."""
+BLOCK = 1.0
+"""s of held-out data that count as one piece of evidence."""
+
+
+@dataclass(frozen=True, slots=True)
+class QuickFit:
+    """`values` of the effect's parameters; `gain`: rise of the log likelihood at the noise of the model alone."""
+
+    candidate: Candidate
+    values: Mapping[str, float]
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class FullFit:
+    """`log_likelihood` at its own noise; `cost`, what its further parameters have to gain (Schwarz)."""
+
+    candidate: Candidate | None
+    model: Model
+    fit: Fit
+    log_likelihood: float
+    cost: float
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the model's posterior odds, but for a constant."""
+        return self.log_likelihood - self.cost
+
+    @property
+    def fitted(self) -> Model:
+        """The model at the fitted values."""
+        return self.model.change(dict(zip(self.fit.problem.kernel.parameters, self.fit.values.tolist(), strict=True)))
+
+
+def with_effect(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
+    """`model` with the candidate at `values`, amplitudes and shapes estimated."""
+    wider = model.add(candidate.effect)
+    names = [p.name for p in wider.parameters if p.estimated] + list(candidate.shapes)
+    return wider.change(dict(values), estimated=names)
+
+
+def quick(base: Fit, model: Model, score: Score, workspace: Workspace) -> QuickFit:
+    """The best of several starts."""
+    found = [_quick(base, model, score.candidate, start, workspace) for start in score.starts[:STARTS]]
+    return max(found, key=lambda each: each.gain)
+
+
+def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, float], workspace: Workspace) -> QuickFit:
+    task = workspace.problem(with_effect(model, candidate, start))
+    size = len(base.problem.free)
+    gain = np.zeros((len(task.kernel.states), len(task.kernel.outputs)))
+    gain[: len(base.gain)] = base.gain
+    weights = whitening(base)
+    further = task.parameters[size:]
+    centre = np.concatenate((base.problem.start, task.start[size:]))
+    vague = [0.0 if p.name in candidate.amplitudes else 0.1 / shape_spread(p.value, p.typical) for p in further]
+    weight = np.concatenate((np.sqrt(base.prior[:size]), vague))
+
+    def evaluate(common: Array, own: Sequence[Array]) -> list[Block] | None:
+        blocks = task.evaluate(common, own[:-1], weights=weights, gain=gain)
+        if blocks is None:
+            return None
+        return [*blocks, Block((common - centre) * weight, np.diag(weight), np.zeros((len(weight), 0)))]
+
+    lower, upper = task.bounds
+    begin = np.concatenate((base.minimum.common[:size], task.start[size:]))
+    own = [*(part.copy() for part in base.minimum.own[:-1]), np.zeros(0)]
+    alone = begin.copy()
+    alone[[size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]] = 0.0
+    before = evaluate(np.clip(alone, lower, upper), own)
+    minimum = None
+    if before is not None:
+        minimum = minimise(
+            evaluate,
+            begin,
+            own,
+            scale=task.scale,
+            lower=lower,
+            upper=upper,
+            iterations=ITERATIONS,
+            tolerance=1e-3,
+            enough=0.05,
+        )
+    if minimum is None or before is None:
+        return QuickFit(candidate, dict(start), -np.inf)
+    names = [p.name for p in further]
+    cost = 0.5 * sum(float(block.residual @ block.residual) for block in before)
+    return QuickFit(candidate, dict(zip(names, minimum.common[size:].tolist(), strict=True)), cost - minimum.cost)
+
+
+def shape_spread(value: float, typical: float) -> float:
+    """How far a shape may be from where it started: an order of magnitude is no surprise."""
+    return max(abs(value), typical)
+
+
+def full(model: Model, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
+    """The fit of `model` with its noise. `candidate` is the effect that was added last."""
+    fitted = fit(workspace.problem(model))
+    count = 0
+    if candidate is not None:
+        count = sum(p.estimated for p in model.parameters if p.name in (*candidate.amplitudes, *candidate.shapes))
+    rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
+    return FullFit(candidate, model, fitted, log_likelihood(fitted), 0.5 * count * float(np.log(rows)))
+
+
+def log_likelihood(fitted: Fit) -> float:
+    """Of the innovations under their own covariance, less the constant that all models share."""
+    _, logarithm = np.linalg.slogdet(fitted.covariance)
+    total = 0.0
+    for innovations in fitted.innovations():
+        known = innovations[np.isfinite(innovations).all(axis=1)]
+        total -= (
+            0.5 * float(np.sum(known * np.linalg.solve(fitted.covariance, known.T).T)) + 0.5 * len(known) * logarithm
+        )
+    return total
+
+
+def held_out(
+    one: Fit, other: Fit, recordings: Sequence[Recording], support: float | None, since: float
+) -> tuple[float, float]:
+    """By how much the log likelihood of `recordings` from `since` s on is larger under `other` than under `one`, with
+    the standard deviation of that. Neither has seen it.
+
+    What comes before lets the predictors find their state, as an effect with memory asks for.
+    """
+    differences = _by_block(other, recordings, support, since) - _by_block(one, recordings, support, since)
+    return float(np.sum(differences)), float(np.sqrt(len(differences)) * np.std(differences, ddof=1))
+
+
+def closed_percent(one: Fit, other: Fit, recordings: Sequence[Recording], support: float | None) -> float | None:
+    """How much of the error energy HORIZON ahead that exceeds the sensors' is gone with `other` instead of `one`, on
+    data that neither has seen; None where there is no error to close."""
+    there = ahead.on(other, problem(other.problem.model, recordings, support=support))
+    floor = ahead.sensor_floors(there, (HORIZON,))[0]
+    before, after = (
+        float(np.nanmean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2))
+        for each in (ahead.on(one, problem(one.problem.model, recordings, support=support)), there)
+    )
+    return 100.0 * (before - after) / (before - 1.0) if before > 1.0 else None
+
+
+def _by_block(fitted: Fit, recordings: Sequence[Recording], support: float | None, since: float) -> Array:
+    seen = fitted.problem
+    task = problem(seen.model, recordings, support=support)
+    task = replace(task, substeps=max(task.substeps, seen.substeps))
+    outputs = len(task.kernel.outputs)
+    _, logarithm = np.linalg.slogdet(fitted.covariance)
+    found = []
+    for segment, residual in zip(task.segments, unseen(fitted, task), strict=True):
+        each = residual[: len(segment) * outputs].reshape(-1, outputs)
+        log_density = -0.5 * np.sum(each**2, axis=1) - 0.5 * logarithm
+        begin = max(since, float(segment.time[0]) + SETTLING)
+        used = segment.time >= begin
+        number = ((segment.time - begin) / BLOCK).astype(np.int64)
+        found.append(np.bincount(number[used], weights=log_density[used]))
+    return np.concatenate(found)
+
+
+def unseen(fitted: Fit, task: Problem) -> list[Array]:
+    """Whitened innovations of data that were not fitted, by stretch, each start fitted on its own."""
+    weights = whitening(fitted)
+    common = fitted.minimum.common[: len(fitted.problem.free)]
+    own = [part.copy() for part in task.own_start]
+    blocks: list[Block] = []
+    for _ in range(2):
+        found = task.evaluate(common, own, weights=weights, gain=fitted.gain)
+        if found is None:
+            raise ArithmeticError("the model runs away on data that it was not fitted to")
+        blocks = found
+        own = [
+            part - np.linalg.lstsq(block.own, block.residual, rcond=None)[0]
+            for part, block in zip(own, blocks, strict=True)
+        ]
+    return [eliminate(block)[0] for block in blocks]

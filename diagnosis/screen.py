@@ -1,0 +1,407 @@
+"""The score test of every candidate effect at once: would a little of it make the innovations smaller?
+
+All candidates are attached to the model with amplitude zero. One pass of the compiled model gives the derivative of
+each whitened innovation by every amplitude, C, and by all that is fitted anyway, N: parameters, noise, initial states,
+and what is held but not exactly known, each with its prior. With N projected out of C and of the innovations z,
+
+    score s = C'z,   information F = C'C,   size F^-1 s,   statistic T = s' F^-1 s ~ chi squared
+
+says what the linearised model makes of each candidate, without a fit. Further passes at other shapes (frequencies,
+widths) look for effects that one shape alone would miss. Scores of all candidates and shapes are drawn together from
+their joint distribution under "nothing is missing", so `p_value` is right for having looked at all of them.
+Innovations that are not quite white make scores scatter more than F says; blocks of the record tell by how much
+(`inflation`), from what is left when the candidate itself is taken out.
+Sources: Rao's score test; Westfall and Young, "Resampling-based multiple testing" (1993), for the smallest p-value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from diagnosis.candidates import Candidate, at_frequencies
+from estimators.gauss_newton import Block
+from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import Fit
+from estimators.problem import Problem
+
+Array = NDArray[np.float64]
+
+DETECTABLE = float(norm.isf(0.01) + norm.isf(0.01))
+"""Standard errors of a size that is found with 99 % probability at 1 % false alarms."""
+DRAWS = 4000
+BLOCK = 0.5
+"""s in which innovations that are not white are taken as one."""
+FINEST = 32
+"""Steps a row, at most."""
+LEAST = 1e-12
+"""Share of a candidate's own information that has to be left when the rest is projected out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """What the screen says of one candidate, at the best of its shapes.
+
+    `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: by how much the log likelihood would rise.
+    `detectable`: the least size of the first amplitude that this record would show. `starts`: sizes and shape of all
+    variants, the best first.
+    """
+
+    candidate: Candidate
+    statistic: float
+    p_single: float
+    p_value: float
+    sizes: Mapping[str, float]
+    standard_errors: Mapping[str, float]
+    shape: Mapping[str, float]
+    inflation: float
+    detectable: float
+    starts: tuple[Mapping[str, float], ...]
+
+    @property
+    def gain(self) -> float:
+        return 0.5 * self.statistic
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """`scores` in order, the surest first; `bases` of what each does to the innovations, orthonormal, by name."""
+
+    scores: tuple[Score, ...]
+    bases: Mapping[str, Array]
+
+    def score(self, name: str) -> Score:
+        return next(score for score in self.scores if score.candidate.name == name)
+
+    def similarity(self, one: str, other: str) -> float:
+        """Largest canonical correlation between what the two do to the innovations, 0 to 1."""
+        singular = np.linalg.svd(self.bases[one].T @ self.bases[other], compute_uv=False)
+        return float(np.clip(singular[0], 0.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """The whitened innovations of a fit, and what its nuisances would do to them.
+
+    `residual` (n,), all nuisances projected out; `blocks` (n,) numbers the half-seconds; `starts`, by stretch, an
+    orthonormal basis of what its initial state does; `nuisance` (n + k, p), the last k rows of it the priors.
+    """
+
+    fit: Fit
+    residual: Array
+    blocks: NDArray[np.int64]
+    starts: tuple[Array, ...]
+    nuisance: Array
+
+    @classmethod
+    def of(cls, fitted: Fit) -> Innovations:
+        task, noise = fitted.problem, NoiseModel.of(fitted.problem)
+        held, size = task.uncertain, len(task.free)
+        typical = np.array([task.model.parameters[place].typical for place in (*task.free, *held)])
+        slopes = noise.slopes(fitted.values, fitted.minimum.common[size:], (*task.free, *held), typical)
+        blocks = task.evaluate(
+            fitted.minimum.common[:size],
+            fitted.minimum.own[: len(task.segments)],
+            weights=whitening(fitted),
+            gain=fitted.gain,
+            slopes=slopes,
+            also=held,
+        )
+        assert slopes is not None, "the fit ended here"
+        assert blocks is not None, "the fit ended here"
+        bases = [np.linalg.qr(block.own)[0] for block in blocks]
+        columns = np.concatenate([_less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
+        residual = np.concatenate([_less(block.residual, basis) for block, basis in zip(blocks, bases, strict=True)])
+        deviations = np.array([task.model.parameters[place].std for place in held])
+        known = size + len(held)
+        prior = np.zeros(columns.shape[1])
+        prior[:size], prior[known:] = np.sqrt(fitted.prior[:size]), np.sqrt(fitted.prior[size:])
+        prior[size:known] = 1.0 / deviations
+        nuisance = np.concatenate((columns, np.diag(prior)))
+        residual = project(residual[:, None], nuisance)[:, 0]
+        return cls(fitted, residual, _blocks(task, blocks), tuple(bases), nuisance)
+
+    def directions(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> Array:
+        """What a unit of each of `amplitudes` in the vehicle does to the innovations, (n, m), nuisances still in it.
+
+        `full` is the problem of the model with the effects, on the same rows.
+        """
+        task = self.fit.problem
+        known = dict(zip(task.kernel.parameters, self.fit.values.tolist(), strict=True))
+        neutral = {p.name: p.value for p in full.model.parameters if p.name not in known} | dict.fromkeys(
+            amplitudes, 0.0
+        )
+        values = full.kernel.vector({**neutral, **known, **shape})
+        active = [full.kernel.index(name) for name in amplitudes]
+        gain = np.zeros((len(full.kernel.states), len(full.kernel.outputs)))
+        gain[: len(self.fit.gain)] = self.fit.gain
+        weights = whitening(self.fit)
+        parts = []
+        for segment, start, basis in zip(full.segments, self.fit.starts, self.starts, strict=True):
+            initial = np.concatenate((start, np.zeros(len(gain) - len(start))))
+            # A state that is fast only where the vehicle moves fast does not show in the poles at rest.
+            substeps = max(full.substeps, task.substeps)
+            run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
+            while not np.all(np.isfinite(run.sensitivity)) and substeps < FINEST:
+                substeps *= 2
+                run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
+            moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
+            rows = (weights @ moved).reshape(-1, len(active))
+            rows = np.concatenate((rows, np.zeros((len(basis) - len(rows), len(active)))))
+            parts.append(_less(rows, basis))
+        return np.concatenate(parts)
+
+
+PEAKS = 3
+SLOWEST = 0.1
+"""Hz, of a peak in the spectrum that is looked at."""
+
+
+def peaks(innovations: Innovations) -> tuple[list[float], int]:
+    """Frequencies, Hz, at which the innovations have most power, where a line or a mode would be; among how many."""
+    task = innovations.fit.problem
+    outputs = len(task.kernel.outputs)
+    longest = int(np.argmax([len(segment) for segment in task.segments]))
+    before = sum(len(segment) * outputs + len(task.own) for segment in task.segments[:longest])
+    segment = task.segments[longest]
+    rows = innovations.residual[before : before + len(segment) * outputs].reshape(-1, outputs)
+    window = np.hanning(len(rows))[:, None]
+    power = np.sum(np.abs(np.fft.rfft(rows * window, axis=0)) ** 2, axis=1)
+    frequency = np.fft.rfftfreq(len(rows), float(np.median(np.diff(segment.time))))
+    power[frequency < SLOWEST] = 0.0
+    found: list[float] = []
+    for place in np.argsort(power)[::-1]:
+        if all(abs(frequency[place] - other) > 2.0 / segment.duration for other in found):
+            found.append(float(frequency[place]))
+        if len(found) == PEAKS:
+            break
+    return found, len(frequency)
+
+
+def whitening(fitted: Fit) -> Array:
+    """What makes innovations independent and of unit variance, (ny, ny)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(fitted.covariance)))
+
+
+def project(columns: Array, nuisance: Array) -> Array:
+    """`columns` (n, m) less what the nuisances (n + k, p), k rows of priors last, explain of them."""
+    scaled = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
+    data = scaled[: len(columns)]
+    return np.asarray(columns - data @ np.linalg.lstsq(scaled.T @ scaled, data.T @ columns, rcond=1e-13)[0])
+
+
+def _less(columns: Array, basis: Array) -> Array:
+    return np.asarray(columns - basis @ (basis.T @ columns))
+
+
+def _blocks(task: Problem, evaluated: Sequence[Block]) -> NDArray[np.int64]:
+    """The half-second each row belongs to; rows that say how far a start may be off go with the first."""
+    numbers, following = [], 0
+    for segment, block in zip(task.segments, evaluated, strict=True):
+        number = ((segment.time - segment.time[0]) / BLOCK).astype(np.int64)
+        rows = np.repeat(number, len(task.kernel.outputs))
+        numbers.append(following + np.concatenate((rows, np.zeros(len(block.residual) - len(rows), dtype=np.int64))))
+        following += int(number[-1]) + 1
+    return np.concatenate(numbers)
+
+
+def screen(
+    innovations: Innovations, attach: Callable[[Sequence[Candidate]], Problem], candidates: Sequence[Candidate]
+) -> Screen:
+    """Every one of `candidates`. `attach` makes the problem of the model with some of them, on the same rows.
+
+    A candidate under which the model runs away at every step size is left out.
+    """
+    parts: list[tuple[Candidate, int, Array]] = []
+    for group in _groups(at_frequencies(candidates, *peaks(innovations))):
+        full = attach(group)
+        for number in range(max(len(candidate.variants) for candidate in group)):
+            looked_at = [candidate for candidate in group if number < len(candidate.variants)]
+            shape = {name: value for each in looked_at for name, value in each.variants[number].items()}
+            columns = innovations.directions(full, [name for each in looked_at for name in each.amplitudes], shape)
+            place = 0
+            for each in looked_at:
+                found = columns[:, place : place + len(each.amplitudes)]
+                place += len(each.amplitudes)
+                if np.all(np.isfinite(found)):
+                    parts.append((each, number, found))
+    if not parts:
+        return Screen((), {})
+    columns = np.column_stack([part for _, _, part in parts])
+    return _rank(parts, innovations, project(columns, innovations.nuisance))
+
+
+def _groups(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
+    """What goes through one pass: all without memory together; those with states of their own may need finer steps."""
+    plain = [candidate for candidate in candidates if not candidate.attached.states]
+    if plain:
+        yield plain
+    yield from ([candidate] for candidate in candidates if candidate.attached.states)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """One candidate at one shape; `where` its columns are; `square` their information; `drawn` (d,) by chance."""
+
+    candidate: Candidate
+    number: int
+    where: NDArray[np.int64]
+    sizes: Array
+    square: Array
+    inflation: float
+    statistic: float
+    drawn: Array
+
+    @property
+    def picked(self) -> bool:
+        return self.number >= len(self.candidate.variants) - self.candidate.picked
+
+    @property
+    def start(self) -> dict[str, float]:
+        amplitudes = dict(zip(self.candidate.amplitudes, self.sizes.tolist(), strict=True))
+        return {**amplitudes, **self.candidate.variants[self.number]}
+
+
+def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Innovations, columns: Array) -> Screen:
+    residual, blocks = innovations.residual, innovations.blocks
+    original = np.concatenate([np.sum(part**2, axis=0) for _, _, part in parts])
+    information = columns.T @ columns
+    left = np.diag(information) > LEAST * np.maximum(original, 1e-300)
+    score = columns.T @ residual
+    order = np.argsort(blocks, kind="stable")
+    edges = np.flatnonzero(np.diff(blocks[order], prepend=-1))
+    normal = _draws(information, left)
+    by_name: dict[str, list[_Entry]] = {}
+    place = 0
+    for candidate, number, part in parts:
+        where = np.arange(place, place + part.shape[1])
+        place += part.shape[1]
+        if not left[where].all():
+            continue
+        inside, square = columns[:, where], information[np.ix_(where, where)]
+        sizes = _signed_sizes(candidate, square, score[where])
+        rest = inside * (residual - inside @ sizes)[:, None]
+        sums = np.add.reduceat(rest[order], edges, axis=0)
+        inflation = max(1.0, float(np.trace(_inverse(square) @ sums.T @ sums)) / len(where))
+        statistic = float(sizes @ square @ sizes) / inflation
+        drawn = _statistics(candidate, square, normal[:, where])
+        entry = _Entry(candidate, number, where, sizes, square, inflation, statistic, drawn)
+        by_name.setdefault(candidate.name, []).append(entry)
+    return _screen(by_name, columns)
+
+
+def _draws(information: Array, left: NDArray[np.bool_]) -> Array:
+    """Scores as they would be with nothing missing, (DRAWS, m)."""
+    size = np.sqrt(np.where(left, np.diag(information), 1.0))
+    values, vectors = np.linalg.eigh(np.where(np.outer(left, left), information, 0.0) / np.outer(size, size))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(np.random.default_rng(1).standard_normal((DRAWS, len(size))) @ root.T * size)
+
+
+def _signed_sizes(candidate: Candidate, square: Array, score: Array) -> Array:
+    """The sizes (k,) that explain most of `score` (k,), none of a sign that physics forbids."""
+    return np.asarray(_best_allowed(candidate, square, score[None])[0][0])
+
+
+def _statistics(candidate: Candidate, square: Array, scores: Array) -> Array:
+    """The statistic of many scores (d, k) at once, (d,)."""
+    return _best_allowed(candidate, square, scores)[1]
+
+
+def _best_allowed(candidate: Candidate, square: Array, scores: Array) -> tuple[Array, Array]:
+    """Sizes (d, k) and statistics (d,): the best over all sets of amplitudes of which the others are zero."""
+    lower, upper = _bounds(candidate)
+    count, width = scores.shape
+    best, most = np.zeros((count, width)), np.zeros(count)
+    for chosen in range(1, 2**width):
+        where = np.flatnonzero([chosen >> place & 1 for place in range(width)])
+        sizes = scores[:, where] @ _inverse(square[np.ix_(where, where)])
+        gained = np.sum(sizes * scores[:, where], axis=1)
+        allowed = np.all((sizes >= lower[where]) & (sizes <= upper[where]), axis=1) & (gained > most)
+        most[allowed] = gained[allowed]
+        best[allowed] = 0.0
+        best[np.ix_(allowed, where)] = sizes[allowed]
+    return best, most
+
+
+def _bounds(candidate: Candidate) -> tuple[Array, Array]:
+    parameters = [p for p in candidate.attached.parameters if p.name in candidate.amplitudes]
+    return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+
+
+def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array) -> Screen:
+    best = {name: max(entries, key=lambda each: each.statistic) for name, entries in by_name.items()}
+    # Each candidate's own distribution first (the best of its shapes), then that of the smallest p-value of all.
+    largest = {name: np.max([each.drawn for each in entries], axis=0) for name, entries in by_name.items()}
+    single = {name: _p_single(entries, largest[name]) for name, entries in by_name.items()}
+    smallest = np.sort(np.min([_tails(each) for each in largest.values()], axis=0)) if by_name else np.ones(1)
+    scores = []
+    for name, entry in best.items():
+        errors = np.sqrt(entry.inflation * _variances(entry.square))
+        first = by_name[name][0]
+        among = float(np.searchsorted(smallest, single[name], side="right") + 1.0) / (len(smallest) + 1.0)
+        # Beyond what draws can tell: the bound of Bonferroni.
+        p_value = among if single[name] > 2.0 / DRAWS else min(among, len(by_name) * single[name])
+        scores.append(
+            Score(
+                candidate=entry.candidate,
+                statistic=entry.statistic,
+                p_single=single[name],
+                p_value=p_value,
+                sizes=dict(zip(entry.candidate.amplitudes, entry.sizes.tolist(), strict=True)),
+                standard_errors=dict(zip(entry.candidate.amplitudes, errors.tolist(), strict=True)),
+                shape=entry.candidate.variants[entry.number],
+                inflation=entry.inflation,
+                detectable=DETECTABLE * float(np.sqrt(first.inflation * _variances(first.square)[0])),
+                starts=tuple(each.start for each in sorted(by_name[name], key=lambda each: -each.statistic)),
+            )
+        )
+    scores.sort(key=lambda score: (score.p_value, -score.statistic))
+    return Screen(tuple(scores), {name: np.linalg.qr(columns[:, entry.where])[0] for name, entry in best.items()})
+
+
+def _inverse(square: Array) -> Array:
+    """Of an information (k, k); what is not informed at all is left at zero."""
+    scale = np.sqrt(np.diag(square))
+    return np.asarray(
+        np.linalg.pinv(square / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale)
+    )
+
+
+def _variances(square: Array) -> Array:
+    """Of sizes whose information is `square` (k, k), (k,); large where it is all but singular."""
+    scale = np.sqrt(np.diag(square))
+    values, vectors = np.linalg.eigh(square / np.outer(scale, scale))
+    return np.asarray(np.sum(vectors**2 / np.maximum(values, 1e-9), axis=1) / scale**2)
+
+
+def _p_single(entries: Sequence[_Entry], largest: Array) -> float:
+    """The p-value of one candidate with all its shapes looked at, those picked from the data at their price."""
+    found = []
+    for picked in (False, True):
+        of_kind = [each for each in entries if each.picked is picked]
+        if of_kind:
+            best = max(of_kind, key=lambda each: each.statistic)
+            tries = best.candidate.among if picked else 1
+            found.append(min(1.0, tries * _tail(largest, best.statistic, len(best.where))))
+    return min(1.0, min(found) * len(found))
+
+
+def _tail(drawn: Array, statistic: float, degrees: int) -> float:
+    """The share of `drawn` above `statistic`; beyond them chi squared, with as many tries as the draws tell of."""
+    above = int(np.count_nonzero(drawn >= statistic))
+    if above >= 10:
+        return above / len(drawn)
+    far = np.sort(drawn)[-10]
+    tries = (10.0 / len(drawn)) / max(float(chi2.sf(far, degrees)), 1e-300)
+    return float(min(1.0, tries * chi2.sf(statistic, degrees)))
+
+
+def _tails(drawn: Array) -> Array:
+    """The p-value of each of `drawn` among themselves, (d,)."""
+    order = np.sort(drawn)
+    return np.asarray((len(drawn) - np.searchsorted(order, drawn, side="left")) / len(drawn))

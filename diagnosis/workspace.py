@@ -1,0 +1,58 @@
+"""What all steps of a diagnosis share: the recordings' usable rows, and problems of models on exactly these.
+
+Rows are chosen with every candidate attached, so that each model is judged on the same rows whatever channels it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diagnosis.candidates import Candidate, candidates_for
+from estimators.problem import Problem, problem
+from estimators.segments import segments
+from models.effect import Effect
+from models.kernel import Progress
+from models.model import Model
+from models.segment import Segment
+from telemetry.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """`left_out`: effects that are no candidate, and why."""
+
+    recordings: tuple[Recording, ...]
+    support: float | None
+    segments: tuple[Segment, ...]
+    candidates: tuple[Candidate, ...]
+    left_out: dict[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        recordings: Sequence[Recording],
+        support: float | None,
+        effects: Sequence[str | Effect] | None = None,
+    ) -> Workspace:
+        """Raises DataError where the recordings cannot be used."""
+        found, left_out = candidates_for(model, recordings, effects)
+        rows = segments(attached(model, found), recordings, support=support)
+        return cls(tuple(recordings), support, tuple(rows), tuple(found), left_out)
+
+    def problem(self, model: Model, progress: Progress | None = None) -> Problem:
+        """The fit of `model` to all rows."""
+        return problem(model, self.recordings, rows=self.segments, progress=progress)
+
+    def others(self, model: Model) -> list[Candidate]:
+        """The candidates that `model` does not have yet."""
+        there = {each.effect.name for each in model.effects}
+        return [each for each in self.candidates if each.effect.name not in there]
+
+
+def attached(model: Model, candidates: Sequence[Candidate]) -> Model:
+    """`model` with all of `candidates`, each at its neutral value."""
+    for candidate in candidates:
+        model = model.add(candidate.effect)
+    return model

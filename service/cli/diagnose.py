@@ -1,0 +1,113 @@
+"""`upright diagnose`: which physical effect a model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.output import page, people, print_json
+
+if TYPE_CHECKING:
+    from models.effect import Effect
+
+
+def diagnose(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
+    vehicle: Annotated[
+        str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")
+    ] = "monocab",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model", help="A model file or a shipped model.", show_default="the vehicle's with its CAD values"
+        ),
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--effect",
+            help="Look for this one: a name of the catalogue, or an effect of your own (.toml, .py). May be repeated.",
+            show_default="the whole catalogue",
+        ),
+    ] = None,
+    own: Annotated[
+        list[str] | None,
+        typer.Option("--also", help="An effect of your own (.toml, .py) beside the catalogue. May be repeated."),
+    ] = None,
+    auto: Annotated[
+        Path | None,
+        typer.Option(
+            "--auto",
+            help="Add what is found, again and again, until the model is adequate or what is left has no name; write"
+            " the model to this file, and the trail beside it.",
+        ),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
+) -> None:
+    """Find the physical effect that a model lacks, or say that the recordings cannot tell.
+
+    Of several recordings the last is held out to check on; of a single one its last third. Ctrl-C ends it.
+    """
+    from diagnosis.diagnose import Verdict
+    from diagnosis.diagnose import diagnose as run
+    from models.effects import CATALOGUE
+    from service.cli.batch import identified_model, load_recording
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    nominal = identified_model(model, file)
+    if model is None:  # what identification assumes beside the vehicle's own equations is to be found here
+        for attached in nominal.effects:
+            nominal = nominal.remove(attached.name)
+    candidates: list[str | Effect] | None = [chosen(name) for name in effect] if effect else None
+    if own:
+        candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen, own)]
+    loaded = [load_recording(path, vehicle) for path in recordings]
+    with share_done() as progress:
+        found = run(
+            nominal, loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress
+        )
+    if auto is not None and found.repaired is not None:
+        from service.trail import write_trail
+
+        write_trail(auto, found, nominal, recordings)
+    if json:
+        print_json(found.to_json())
+    else:
+        from service.cli.diagnose_page import print_diagnosis
+
+        print_diagnosis(found)
+        if auto is not None and found.repaired is not None:
+            page.print(f"\nModel: {auto}, and how it came about: {auto.with_suffix('.trail.json')}")
+    if found.verdict is Verdict.INSUFFICIENT_DATA:
+        raise typer.Exit(1)
+
+
+def chosen(name: str) -> str | Effect:
+    """An effect of the catalogue by name, or one's own from a file. Raises ModelError."""
+    if name.endswith((".toml", ".py")):
+        from models.effects.custom import load_effect
+
+        return load_effect(Path(name))
+    from models.effects import find
+
+    return find(name)
+
+
+@contextmanager
+def share_done() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar of the share that is over, on stderr."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=people, transient=True) as progress:
+        task = progress.add_task("reading", total=1.0)
+
+        def told(text: str, share: float) -> None:
+            progress.update(task, description=text, completed=share)
+
+        yield told

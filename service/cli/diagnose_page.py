@@ -1,0 +1,65 @@
+"""A diagnosis as a page of text."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+
+from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from service.cli.output import page
+
+HEADLINES = {
+    Verdict.ADEQUATE: ("green", "adequate", "The model explains the recordings to within their noise."),
+    Verdict.MISSING_EFFECT: ("yellow", "missing effect", "The model lacks a physical effect that has a name."),
+    Verdict.UNKNOWN: ("red", "unknown", "The model lacks something that no known effect explains."),
+    Verdict.INSUFFICIENT_DATA: ("red", "insufficient data", "The recordings cannot tell."),
+}
+BAR = 20
+
+
+def print_diagnosis(found: Diagnosis) -> None:
+    """Verdict, findings, and the smallest effects that would have shown."""
+    colour, verdict, meaning = HEADLINES[found.verdict]
+    page.print(f"[bold {colour}]{verdict}[/]: {meaning}")
+    if not found.findings or found.verdict is Verdict.UNKNOWN:
+        page.print(Padding(escape(found.reason), (0, 2)))
+    if found.innovation_ratio_before is not None and found.innovation_ratio_after is not None:
+        page.print(
+            f"Innovation energy over that of the noise: {found.innovation_ratio_before:.4g} before, "
+            f"{found.innovation_ratio_after:.4g} after"
+        )
+    for number, finding in enumerate(found.findings, 1):
+        page.print()
+        page.print(f"[bold]{number}. {finding.effect}[/] ({finding.family})")
+        page.print(_ranking(finding))
+        page.print(Padding(escape(finding.explanation), (0, 2)))
+    if found.minimum_detectable and found.repaired is not None:
+        page.print()
+        page.print(_detectable(found))
+    for name, why in (found.left_out or {}).items():
+        page.print(f"[dim]not looked for: {name}: {escape(why)}[/]")
+
+
+def _ranking(finding: Finding) -> Table:
+    table = Table(box=None, show_header=False, padding=(0, 1))
+    total = sum(finding.odds.values())
+    for name, odds in sorted(finding.odds.items(), key=lambda each: -each[1])[:6]:
+        share = odds / total
+        mark = "tied" if name in finding.tied_with else ""
+        table.add_row("", name, "█" * round(BAR * share) or "▏", f"{100.0 * share:.1f} %", mark)
+    return table
+
+
+def _detectable(found: Diagnosis) -> Table:
+    table = Table(title="The smallest effects that would have shown", title_justify="left")
+    table.add_column("effect")
+    table.add_column("parameter")
+    table.add_column("size", justify="right")
+    scores = found.screens[0].scores if found.screens else ()
+    for score in sorted(scores, key=lambda each: each.candidate.name):
+        first = score.candidate.amplitudes[0]
+        unit = next(p.unit for p in score.candidate.attached.parameters if p.name == first)
+        size = f"{score.detectable:.3g}" + ("" if unit == "1" else f" {unit}")
+        table.add_row(score.candidate.name, first.rsplit(".", 1)[-1], size)
+    return table

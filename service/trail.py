@@ -1,0 +1,40 @@
+"""What `upright diagnose --auto` leaves behind: the model with all that was found in it, and how it came about."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from hashlib import sha256
+from pathlib import Path
+
+from diagnosis.diagnose import Diagnosis
+from models.model import Model
+from models.model_file import ModelFile, write
+
+
+def write_trail(target: Path, found: Diagnosis, nominal: Model, recordings: Sequence[Path]) -> None:
+    """The repaired model to `target`, with its history, and every step to `target` with the suffix .trail.json.
+
+    Raises OSError where that cannot be written.
+    """
+    assert found.repaired is not None
+    date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    hashes = {path.name: sha256(path.read_bytes()).hexdigest() for path in recordings}
+    history = tuple(
+        {
+            "action": "add",
+            "effect": finding.effect,
+            "date": date,
+            "recording": list(hashes),
+            "sha256": list(hashes.values()),
+            "tied_with": list(finding.tied_with),
+            "probability": float(f"{finding.probability:.4g}"),
+        }
+        for finding in found.findings
+    )
+    model = replace(found.repaired, name=target.stem)
+    write(ModelFile(model=model, history=history), target)
+    document = {"date": date, "model": nominal.name, "recordings": hashes, **found.to_json()}
+    target.with_suffix(".trail.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

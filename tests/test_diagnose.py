@@ -1,0 +1,185 @@
+"""From recordings to a verdict: what is hidden in the virtual vehicle is found, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from estimators.identify import nominal_model, with_values
+from models.effect import Effect, EffectParameter, Family, Place
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.hidden import HIDDEN
+from telemetry.recording import Recording
+from tests.virtual_records import multisine
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+
+
+@cache
+def found_in(*hide: str) -> Diagnosis:
+    return diagnose(MODEL, [multisine(*hide)], support=VEHICLE.support)
+
+
+class TestNothingMissing:
+    def test_a_clean_record_is_explained(self) -> None:
+        found = found_in()
+        assert found.verdict is Verdict.ADEQUATE
+        assert found.findings == ()
+        assert found.innovation_ratio_after == pytest.approx(1.0, abs=0.1)  # the tolerance of adequacy itself
+
+    def test_it_says_what_would_have_shown(self) -> None:
+        found = found_in()
+        assert found.minimum_detectable is not None
+        assert found.minimum_detectable["coulomb_friction"] < 0.1 * HIDDEN["coulomb_friction"].size
+        assert all(size > 0.0 for size in found.minimum_detectable.values())
+        assert "input_delay" in (found.left_out or {})
+
+
+class TestOneEffect:
+    @pytest.mark.parametrize(
+        ("hide", "name", "parameter", "within"),
+        [
+            # The plant's friction has bristles, which tanh has not: a tenth of the size.
+            ("coulomb_friction", "coulomb_friction", "torque", 0.1),
+            ("viscous_friction", "viscous_friction", "coefficient", 0.1),
+            ("cubic_stiffness", "cubic_stiffness", "coefficient", 0.1),
+            ("flexible_mode", "flexible_mode", "share", 0.1),
+        ],
+    )
+    def test_is_named_and_sized(self, hide: str, name: str, parameter: str, within: float) -> None:
+        found = found_in(hide)
+        assert found.verdict is Verdict.MISSING_EFFECT
+        assert found.findings[0].effect == name
+        assert len(found.findings[0].tied_with) <= 1
+        size = found.findings[0].parameters[f"{name}.{parameter}"].value
+        assert size == pytest.approx(HIDDEN[hide].size, rel=within)
+
+    def test_the_error_falls_to_the_floor_also_on_unseen_data(self) -> None:
+        found = found_in("viscous_friction")
+        before, after = found.innovation_ratio_before, found.innovation_ratio_after
+        assert before is not None
+        assert after is not None
+        assert before > 1.5
+        assert after == pytest.approx(1.0, abs=0.1)
+        gain = found.findings[0].held_out_gain
+        assert gain is not None
+        assert gain[0] > 2.0 * gain[1]
+
+    def test_a_line_is_found_at_its_frequency(self) -> None:
+        finding = found_in("periodic_disturbance").findings[0]
+        assert finding.effect == "periodic_disturbance"
+        assert finding.parameters["periodic_disturbance.frequency"].value == pytest.approx(1.3, abs=0.01)
+
+    def test_what_does_the_same_is_named_together(self) -> None:
+        finding = found_in("static_torque").findings[0]
+        assert {finding.effect, *finding.tied_with} >= {"static_torque", "sensor_offset"}
+        assert "Tied with" in finding.explanation
+
+    def test_the_explanation_has_equation_size_and_neighbour(self) -> None:
+        text = found_in("viscous_friction").findings[0].explanation
+        for part in ("coefficient rate", "N m s/rad", "+-", "would have shown"):
+            assert part in text
+
+
+class TestTwoEffects:
+    def test_both_are_found(self) -> None:
+        found = found_in("viscous_friction", "periodic_disturbance")
+        assert {each.effect for each in found.findings} == {"viscous_friction", "periodic_disturbance"}
+
+
+class TestOwnEffect:
+    def test_ranks_with_the_rest(self) -> None:
+        own = Effect(
+            name="wheel_drag",
+            family=Family.SPEED_DRAG,
+            title="drag of a wheel",
+            place=Place.JOINT,
+            equation="F = -drag rate",
+            parameters=(EffectParameter("drag", "{force} s/{coordinate}", "of it", amplitude=True, scale="100"),),
+            force="-drag * rate",
+            signature="A force against the rate.",
+            confused_with=("viscous_friction",),
+            separated_by="Nothing: it is viscous friction by another name.",
+        )
+        found = diagnose(
+            MODEL, [multisine("viscous_friction")], support=VEHICLE.support, candidates=["coulomb_friction", own]
+        )
+        assert found.findings[0].effect == "wheel_drag"
+
+
+def changed(recording: Recording, **channels: np.ndarray) -> Recording:
+    return replace(recording, values={**recording.values, **channels})
+
+
+class TestDataThatCannotTell:
+    def insufficient(self, recording: Recording) -> str:
+        found = diagnose(MODEL, [recording], support=VEHICLE.support)
+        assert found.verdict is Verdict.INSUFFICIENT_DATA
+        assert found.findings == ()
+        assert found.to_json()["minimum_detectable"] == {}
+        return found.reason
+
+    def test_too_short(self) -> None:
+        assert "Remedy: excite it for 15 s or more" in self.insufficient(
+            record("monocab", "multisine", seed=9, duration=10.0)
+        )
+
+    def test_no_excitation(self) -> None:
+        assert "noise" in self.insufficient(record("monocab", "hold", seed=9))
+
+    def test_a_single_sine(self) -> None:
+        whole = multisine()
+        time = whole.time - whole.time[0]
+        sine = {"roll": 0.01 * np.sin(6.0 * time), "roll_rate": 0.06 * np.cos(6.0 * time)}
+        assert "single sine" in self.insufficient(changed(whole, **sine))
+
+    def test_saturation(self) -> None:
+        rate = np.clip(multisine()["roll_rate"], -0.03, 0.03)
+        assert "roll_rate" in self.insufficient(changed(multisine(), roll_rate=rate))
+
+    def test_degrees_for_radians(self) -> None:
+        assert "degrees" in self.insufficient(changed(multisine(), roll_rate=np.degrees(multisine()["roll_rate"])))
+
+    def test_two_channels_swapped(self) -> None:
+        whole = multisine()
+        swapped = changed(whole, roll_rate=whole["precession_rate"], precession_rate=whole["roll_rate"])
+        assert "roll_rate" in self.insufficient(swapped)
+
+
+class TestDocument:
+    def test_has_the_keys_that_scripts_read(self) -> None:
+        document = found_in("viscous_friction").to_json()
+        assert set(document) >= {
+            "adequate",
+            "verdict",
+            "findings",
+            "minimum_detectable",
+            "suggested_experiment",
+            "innovation_ratio_before",
+            "innovation_ratio_after",
+        }
+        assert set(document["findings"][0]) == {
+            "effect",
+            "family",
+            "parameters",
+            "probability",
+            "p_value",
+            "held_out_error_closed_percent",
+            "tied_with",
+            "explanation",
+        }
+
+    def test_progress_is_told_in_order(self) -> None:
+        told: list[float] = []
+        diagnose(MODEL, [multisine()], support=VEHICLE.support, progress=lambda text, share: told.append(share))
+        assert told == sorted(told)
+        assert told[0] >= 0.0
+        assert told[-1] <= 1.0

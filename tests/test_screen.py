@@ -1,0 +1,122 @@
+"""The score screen: sizes, signs, and p-values that mean what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from diagnosis.candidates import at_frequencies, candidates_for
+from diagnosis.screen import Innovations, Screen, project, screen
+from diagnosis.workspace import Workspace, attached
+from estimators.identify import nominal_model, with_values
+from estimators.methods.prediction_error import fit
+from models.effects import CATALOGUE
+from service.vehicle_file import load
+from tests.virtual_records import multisine
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+FEW = ("static_torque", "coulomb_friction", "viscous_friction", "cubic_stiffness", "periodic_disturbance")
+
+
+@cache
+def clean() -> tuple[Workspace, Innovations]:
+    workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, FEW)
+    return workspace, Innovations.of(fit(workspace.problem(MODEL)))
+
+
+def screened(innovations: Innovations) -> Screen:
+    workspace, _ = clean()
+    return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+
+
+def white(seed: int) -> Innovations:
+    """What a right model would leave."""
+    _, innovations = clean()
+    noise = np.random.default_rng(seed).standard_normal((len(innovations.residual), 1))
+    return replace(innovations, residual=project(noise, innovations.nuisance)[:, 0])
+
+
+def planted(name: str, size: float) -> Innovations:
+    """White innovations with what `size` of the first amplitude of `name` would add to them, to first order."""
+    workspace, innovations = clean()
+    candidate = next(each for each in workspace.candidates if each.name == name)
+    task = workspace.problem(attached(MODEL, [candidate]))
+    direction = innovations.directions(task, [candidate.amplitudes[0]], candidate.variants[0])
+    noise = white(seed=1)
+    return replace(noise, residual=noise.residual + size * project(direction, innovations.nuisance)[:, 0])
+
+
+class TestSizes:
+    @pytest.mark.parametrize(
+        ("name", "size"), [("static_torque", 5.0), ("coulomb_friction", 4.0), ("viscous_friction", 200.0)]
+    )
+    def test_what_was_planted_comes_back(self, name: str, size: float) -> None:
+        """3.3 standard errors: a right implementation would miss them with one seed in a thousand."""
+        found = screened(planted(name, size))
+        score = found.score(name)
+        first = score.candidate.amplitudes[0]
+        assert abs(score.sizes[first] - size) < 3.3 * score.standard_errors[first]
+        assert score.p_value < 1e-4
+        assert found.scores[0].candidate.name == name
+
+    def test_a_sign_that_physics_forbids_is_no_finding(self) -> None:
+        score = screened(planted("coulomb_friction", -4.0)).score("coulomb_friction")
+        assert score.sizes["coulomb_friction.torque"] == 0.0
+        assert score.p_value > 0.5
+
+    def test_a_size_at_the_detectable_one_is_found(self) -> None:
+        least = screened(clean()[1]).score("viscous_friction").detectable
+        assert screened(planted("viscous_friction", 1.5 * least)).score("viscous_friction").p_single < 1e-3
+
+
+class TestProbabilities:
+    def test_p_values_are_uniform_where_nothing_is_missing(self) -> None:
+        """White noise in place of the innovations, 60 seeds: the smallest p-value is uniform from 0 to 1 by
+        Kolmogorov and Smirnov's test, at a level of 1 % (what is refused of a right implementation)."""
+        found = [min(score.p_value for score in screened(white(seed)).scores) for seed in range(60)]
+        assert stats.kstest(found, "uniform").pvalue > 0.01
+
+    def test_a_clean_record_has_none(self) -> None:
+        assert min(score.p_value for score in screened(clean()[1]).scores) > 0.01
+
+    def test_frequencies_picked_from_the_data_have_their_price(self) -> None:
+        workspace, _ = clean()
+        line = next(each for each in workspace.candidates if each.name == "periodic_disturbance")
+        (further,) = at_frequencies([line], [2.2, 1e6], among=4000)
+        assert [each["periodic_disturbance.frequency"] for each in further.variants[-1:]] == [2.2]
+        assert further.picked == 1
+
+
+class TestSimilarity:
+    def test_of_an_effect_with_itself_is_one_and_symmetric(self) -> None:
+        found = screened(clean()[1])
+        assert found.similarity("coulomb_friction", "coulomb_friction") == pytest.approx(1.0)
+        one = found.similarity("coulomb_friction", "viscous_friction")
+        assert one == pytest.approx(found.similarity("viscous_friction", "coulomb_friction"))
+        assert 0.2 < one < 0.99
+
+
+class TestCandidates:
+    def test_every_effect_is_a_candidate_or_has_a_reason(self) -> None:
+        found, left_out = candidates_for(MODEL, [multisine()])
+        assert {each.effect.name for each in found} | set(left_out) == set(CATALOGUE)
+        assert "acts on a command" in left_out["input_delay"]
+
+    def test_one_whose_channel_is_not_recorded_is_left_out_with_the_reason(self) -> None:
+        whole = multisine()
+        kept = type(whole.channels)(channel for channel in whole.channels if channel.name != "precession")
+        recording = replace(whole, channels=kept, values={name: whole.values[name] for name in kept.names})
+        found, left_out = candidates_for(MODEL, [recording])
+        assert "gimbal_imbalance" not in {each.name for each in found}
+        assert "precession" in left_out["gimbal_imbalance"]
+
+    def test_an_effect_that_is_there_already_is_none(self) -> None:
+        found, _ = candidates_for(MODEL.add("coulomb_friction"), [multisine()])
+        assert "coulomb_friction" not in {each.name for each in found}
