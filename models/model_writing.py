@@ -59,7 +59,7 @@ def edited(text: str, old: ModelFile, new: ModelFile) -> str | None:
     kept = [each for each in new.model.effects if each.name in {other.name for other in old.model.effects}]
     removed = [place for place, each in enumerate(old.model.effects) if each.name not in {other.name for other in kept}]
     added = [each for each in new.model.effects if each not in kept]
-    if _bare(old.model) != _bare(new.model) or old.history != new.history[: len(old.history)]:
+    if _bare(old.model) != _bare(new.model):
         return None
     try:
         blocks = _blocks(_with_values(text, old.model, new.model))
@@ -74,7 +74,13 @@ def edited(text: str, old: ModelFile, new: ModelFile) -> str | None:
     if end < 0:
         end = min((i for i, (table, _) in enumerate(blocks) if table == "history"), default=len(blocks))
     blocks[end:end] = [("effects", _effect(new.model, each, new.effect_files.get(each.name, ""))) for each in added]
-    blocks += [("history", _history(entry)) for entry in new.history[len(old.history) :]]
+    same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(old.history, new.history, strict=False)))
+    entries = [place for place, (table, _) in enumerate(blocks) if table == "history"]
+    if len(entries) != len(old.history) and same < len(old.history):
+        return None
+    for place in reversed(entries[same:]):
+        del blocks[place]
+    blocks += [("history", _history(entry)) for entry in new.history[same:]]
     lines: list[str] = []
     for table, block in blocks:
         lines += ["", *block] if table and lines and lines[-1].strip() else block

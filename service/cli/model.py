@@ -1,4 +1,4 @@
-"""Commands about models: model show, model list-effects, model new, model add, model remove."""
+"""Commands about models: model show, model list-effects, model new, model remove; model_repair has the others."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from service.cli import model_repair
 from service.cli.output import page, print_json
 
 model = typer.Typer(
@@ -28,7 +29,8 @@ class Format(StrEnum):
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module to `app`."""
+    """Add the commands of this module, and those of model_repair, to `app`."""
+    model_repair.register(model)
     app.add_typer(model, name="model")
 
 
@@ -154,46 +156,6 @@ def new(
     write(ModelFile(replace(start, name=own_name), (entry,)), file)
     page.print(f"{file}: {start.title}.", markup=False, soft_wrap=True)
     page.print(f"Add an effect with `upright model add {file} EFFECT`.", markup=False, soft_wrap=True)
-
-
-@model.command(epilog="Example: `upright model add mine.toml coulomb_friction --at roll`")
-def add(
-    file: FileArgument,
-    effect: Annotated[str, typer.Argument(help="A named effect, or the file of an effect of your own (.toml, .py).")],
-    at: Annotated[
-        str, typer.Option("--at", help="Joint, actuator or sensor.", show_default="the first that can have it")
-    ] = "",
-    json: JsonOption = False,
-) -> None:
-    """Add an effect to a model file, with a history entry. Its amplitudes start at zero, where it changes nothing."""
-    import os
-    from dataclasses import replace
-
-    from models.model_file import read, write
-    from service.cli.model_page import print_parameters
-
-    before = read(file)
-    files = dict(before.effect_files)
-    if effect.endswith((".toml", ".py")):
-        from models.effects.custom import load_effect
-
-        changed = before.model.add(load_effect(Path(effect)), at)
-        files[changed.effects[-1].name] = os.path.relpath(effect, file.resolve().parent)
-    else:
-        changed = before.model.add(effect, at)
-    added = changed.effects[-1]
-    entry = {"action": "add", "effect": added.name, "date": _now()}
-    write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), file)
-    if json:
-        print_json({
-            "file": str(file),
-            "effect": added.name,
-            "at": added.at,
-            "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in added.parameters},
-        })  # fmt: skip
-        return
-    page.print(f"{file}: {added.name} added at {added.at}: {added.effect.equation}", markup=False, soft_wrap=True)
-    print_parameters(added.parameters)
 
 
 @model.command(epilog="Example: `upright model remove mine.toml coulomb_friction`")

@@ -74,8 +74,18 @@ def _bounds(parameter: Parameter) -> str:
 
 
 def _rest(entry: Mapping[str, Any]) -> str:
-    shown = {key: value for key, value in entry.items() if key not in ("date", "action", "effect")}
-    return ", ".join(f"{key} {value}" for key, value in shown.items())
+    left_out = ("date", "action", "effect", "sha256", "held_out_sha256", "values_before", "values_after")
+    return ", ".join(f"{key} {_words(value)}" for key, value in entry.items() if key not in left_out)
+
+
+def _words(value: Any) -> str:
+    match value:
+        case Mapping():
+            return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
+        case list() | tuple():
+            return ", ".join(map(_words, value))
+        case _:
+            return str(value)
 
 
 def _print(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:

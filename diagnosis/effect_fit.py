@@ -1,0 +1,210 @@
+"""A model fitted with an effect as well as it can be: from several shapes, and with its shape where a record tells it.
+
+An effect with a shape (a frequency, a rate, a gap) has many minima, so the fit begins at several: the one that the
+score test likes best (diagnosis.screen), and those the effect itself names. The best likelihood stays. The shape is
+then estimated too, as far as the record tells it; a shape that it does not tell stays where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from diagnosis.candidates import Candidate
+from diagnosis.screen import Score
+from estimators.contract import Estimate, EstimationError, Status
+from estimators.fit_result import inverse
+from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import Fit, fit, result
+from estimators.problem import problem
+from estimators.segments import DataError
+from estimators.stopwatch import stopwatch
+from models.effect import AttachedEffect, starts
+from models.kernel import Progress
+from models.model import Model
+from telemetry.recording import Recording
+
+UNKNOWN = 1e6
+"""Typical sizes: the standard deviation of a parameter that the record says nothing of, as a number."""
+MOST_STARTS = 8
+"""Fits from different shapes of one effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A fit and what it is worth. `log_likelihood` of Gaussian innovations; `bic` = parameters ln(rows) - 2 of it.
+
+    `values` and `deviations` by name of every estimated parameter, also of those that `estimate` does not tell.
+    """
+
+    fit: Fit
+    log_likelihood: float
+    bic: float
+    estimate: Estimate
+    values: Mapping[str, float]
+    deviations: Mapping[str, float]
+
+    @property
+    def prior(self) -> Model:
+        """The model that was fitted, with the values it began with."""
+        return self.fit.problem.model
+
+    def surety(self, effect: str) -> float:
+        """By how many standard deviations the largest amplitude of its `effect` is away from zero, at least."""
+        attached = next(each for each in self.prior.effects if each.name == effect)
+        sizes = [
+            abs(self.values.get(name, 0.0)) / max(self.deviations.get(name, 0.0), 1e-300)
+            for name in attached.amplitudes
+        ]
+        return max(sizes, default=float("inf"))
+
+    @property
+    def model(self) -> Model:
+        """With the fitted values and their standard deviations."""
+        return self.prior.change(self.values, deviations=self.deviations)
+
+
+def fit_model(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    support: float | None = None,
+    enough: float = np.inf,
+    progress: Progress | None = None,
+) -> Fitted:
+    """`model` fitted to `recordings` by prediction error, its CAD values as prior.
+
+    Effects that nothing is known of from before are started from zero as well as from the model's values, since a large
+    friction may be no start at all: at rest, where the first filter gain is made, it is all there is. The second start
+    is left out where the first reaches the log likelihood `enough`.
+
+    Raises DataError where the data cannot be used, EstimationError where the model runs away. A fit that did not settle
+    says so in `estimate`.
+    """
+    neutral = model.change({
+        name: 0.0 for each in model.effects for name in each.amplitudes
+        if model.parameter(name).estimated and not model.parameter(name).std
+    })  # fmt: skip
+    found: list[Fitted] = []
+    for start in (model, neutral) if neutral != model else (model,):
+        try:
+            found.append(_fitted(start, recordings, support, progress))
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            failed = error
+        if found and found[-1].log_likelihood >= enough:
+            break
+    if found:
+        return max(found, key=lambda each: each.log_likelihood)
+    remedy = "check the model against the recording with `upright compare`."
+    raise EstimationError(f"model {model.name}", str(failed), remedy=remedy) from failed
+
+
+def _fitted(model: Model, recordings: Sequence[Recording], support: float | None, progress: Progress | None) -> Fitted:
+    began = stopwatch()
+    task = problem(model, recordings, support=support, progress=progress)
+    with np.errstate(all="ignore"):  # a start that runs away is one that is not taken
+        fitted = fit(task)
+        estimate = result(fitted, began)
+        covariance = inverse(fitted.minimum.information)
+    names = [parameter.name for parameter in task.parameters]
+    count = len(names)
+    deviations = np.minimum(np.sqrt(np.diag(covariance)[:count]), UNKNOWN * task.scale)
+    told = {name: p.std for name, p in estimate.parameters.items() if p.std is not None}
+    likelihood = _log_likelihood(fitted)
+    return Fitted(
+        fit=fitted,
+        log_likelihood=likelihood,
+        bic=(count + NoiseModel.of(fitted.problem).size) * float(np.log(task.rows)) - 2.0 * likelihood,
+        estimate=estimate,
+        values=dict(zip(names, fitted.minimum.common[:count].tolist(), strict=True)),
+        deviations=dict(zip(names, deviations.tolist(), strict=True)) | told,
+    )
+
+
+def fit_effect(
+    model: Model,
+    candidate: Candidate,
+    recordings: Sequence[Recording],
+    *,
+    score: Score | None = None,
+    support: float | None = None,
+    most: int = MOST_STARTS,
+    progress: Progress | None = None,
+) -> Fitted:
+    """`model` with the effect of `candidate`, from at most `most` starts; `score` is what the screen says of it.
+
+    Raises DataError and EstimationError as `fit_model`, the latter only where every start fails.
+    """
+    with_it = model.add(candidate.effect, candidate.attached.at)
+    best: Fitted | None = None
+    failed: EstimationError | None = None
+    for start in _starts(model, candidate, score)[:most]:
+        try:
+            found = fit_model(with_it.change(start), recordings, support=support, progress=progress)
+        except DataError:
+            raise
+        except EstimationError as error:
+            failed = error
+            continue
+        if best is None or found.log_likelihood > best.log_likelihood:
+            best = found
+    if best is None:
+        assert failed is not None, "there is at least one start"
+        raise failed
+    return _shaped(best, candidate, recordings, support)
+
+
+def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:
+    """`attached`, the last effect of a model that was `model` before, with the shapes it names."""
+    names = [p.name for p in attached.effect.parameters if not p.amplitude]
+    values = product(*(starts(model, attached, name) for name in names))
+    qualified = [attached.qualified(name) for name in names]
+    return Candidate(attached, tuple(dict(zip(qualified, each, strict=True)) for each in values))
+
+
+def _starts(model: Model, candidate: Candidate, score: Score | None) -> list[Mapping[str, float]]:
+    """Values of shapes and amplitudes to start from, the most promising first."""
+    shapes = list(candidate.variants)
+    if score is not None:
+        shapes = [score.shape, *(each for each in shapes if each != score.shape)]
+    further: dict[str, tuple[float, ...]] = {}
+    for parameter in candidate.effect.parameters:
+        if parameter.amplitude and parameter.starts:
+            name = candidate.attached.qualified(parameter.name)
+            further[name] = starts(model, candidate.attached, parameter.name)[1:]
+    amplitudes = [{name: value} for name, values in further.items() for value in values]
+    return [shapes[0], *({**shapes[0], **each} for each in amplitudes), *shapes[1:]]
+
+
+def _shaped(found: Fitted, candidate: Candidate, recordings: Sequence[Recording], support: float | None) -> Fitted:
+    """`found` with those shape parameters estimated that the record tells, where that pays by BIC."""
+    free = [name for name in candidate.shapes if found.prior.parameter(name).scale > 0.0]
+    base = [parameter.name for parameter in found.fit.problem.parameters]
+    own = {name: value for name, value in found.values.items() if name in candidate.amplitudes}
+    start = found.prior.change(own)
+    for _ in range(2):
+        if not free:
+            break
+        try:
+            wider = start.change(estimated=(*base, *free))
+            trial = fit_model(wider, recordings, support=support, enough=found.log_likelihood)
+        except EstimationError:
+            break
+        told = [name for name in free if trial.estimate.parameters[name].status in (Status.OK, Status.AT_BOUND)]
+        if told == free:
+            return trial if trial.bic < found.bic else found
+        start = start.change({name: trial.values[name] for name in told})
+        free = told
+    return found
+
+
+def _log_likelihood(fitted: Fit) -> float:
+    errors = np.concatenate(fitted.innovations())
+    known = np.where(np.isfinite(errors), errors, 0.0)
+    root = np.linalg.cholesky(fitted.covariance)
+    white = np.linalg.solve(root, known.T)
+    constant = errors.shape[1] * np.log(2.0 * np.pi) + 2.0 * np.sum(np.log(np.diag(root)))
+    return float(-0.5 * (np.sum(white**2) + len(errors) * constant))

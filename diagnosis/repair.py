@@ -1,0 +1,234 @@
+"""A model with an effect added: does the error fall, on data it was not fitted to either, and does that prove anything?
+
+The model is fitted without and with the effect by prediction error, from the same CAD values, and both are held against
+the same records: those they were fitted to, and those that were held out. The error budget is that of the error half a
+second ahead, not of the innovations: from one row to the next the sensors' noise is nearly all there is, while what is
+missing in the equations adds up over time, and that is what a controller or a simulation meets. Channels count by their
+energy over what the sensors alone would make of a right model (diagnosis.ahead.sensor_floors), on held-out data.
+
+A falling error alone proves little: a neighbour, an effect that does almost the same to this record, makes it fall
+nearly as far. So the effect's neighbours are fitted too, and told with their odds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.ahead import errors, on, sensor_floors
+from diagnosis.candidates import Candidate
+from diagnosis.drop_tests import DropTest as DropTest
+from diagnosis.drop_tests import drop_tests as drop_tests
+from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
+from diagnosis.floor import Floor, floor, innovation_ratio
+from diagnosis.held_out import split
+from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
+from diagnosis.screen import Innovations, Score, Screen, screen
+from estimators.contract import EstimationError
+from estimators.methods.prediction_error import Fit
+from estimators.problem import Problem, problem
+from estimators.segments import channels_of
+from models.effect import Effect
+from models.effects import find
+from models.expressions import names_in
+from models.model import Model, ModelError
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+"""Told in words what is done, and the share that is over, 0 to 1."""
+
+NEIGHBOUR_STARTS = 1
+"""Fits of a neighbour, before its shape is estimated: its score says which shape is the most promising."""
+BLOCKS = 10
+"""Parts of the held-out data whose scatter tells how sure a difference between two models is."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """Held-out data, and a right model's RMS errors there, (nh, ny)."""
+
+    recordings: Sequence[Recording]
+    support: float | None
+    floor: Array
+
+    def errors(self, fitted: Fitted) -> list[Array]:
+        """(m, ny) by horizon."""
+        return errors(_on(fitted, self.recordings, self.support), HORIZONS)
+
+    def energy(self, found: Sequence[Array]) -> Array:
+        """Over a right model's, at the last horizon, the mean of the channels: (m,)."""
+        return np.asarray(np.nanmean((found[-1] / self.floor[-1]) ** 2, axis=1))
+
+
+def repair(
+    model: Model,
+    effect: Effect | str,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    *,
+    at: str = "",
+    support: float | None = None,
+    progress: Progress | None = None,
+) -> Repair:
+    """Fit `model` without and with `effect` (at `at`, by default the first place), and tell what the error does.
+
+    Its parameter values and standard deviations are the prior of all fits. Without `held_out`, the last third of each
+    recording in time is held out, and everything is fitted to the first two. `support` rad: the vehicle is free where
+    its roll is less.
+
+    Raises:
+        ModelError: no such effect, or the model cannot have it.
+        DataError: the recordings cannot be used; names channel and reason.
+        EstimationError: the fit fails, so there is nothing to tell.
+    """
+    told = progress or (lambda text, share: None)
+    candidate = candidate_of(model, model.add(effect, at).effects[-1])
+    neighbours = _neighbours(model, candidate, recordings)
+    training, tried = split(model, recordings, held_out, support)
+    count = 3.0 + len(neighbours)
+    told(f"fitting without {candidate.name}", 0.0)
+    without = fit_model(model, training, support=support)
+    told("screening", 1.0 / count)
+    looked_at = _screen(without.fit, model, [candidate, *neighbours])
+    told(f"fitting with {candidate.name}", 1.2 / count)
+    own_score = _score(looked_at, candidate)
+    fitted = fit_effect(model, candidate, training, score=own_score, support=support)
+    there = _on(fitted, tried, support)
+    held = _Held(tried, support, sensor_floors(there, HORIZONS))
+    outputs = fitted.fit.problem.kernel.outputs
+    found_before, found_after = held.errors(without), held.errors(fitted)
+    energy_before, energy_after = held.energy(found_before), held.energy(found_after)
+    rivals = []
+    for place, each in enumerate(neighbours):
+        told(f"fitting its neighbour {each.name}", (2.5 + place) / count)
+        score = _score(looked_at, each)
+        try:
+            found = fit_effect(model, each, training, score=score, support=support, most=NEIGHBOUR_STARTS)
+        except EstimationError:
+            continue  # it cannot explain these records at all
+        energy = held.energy(held.errors(found))
+        rivals.append(
+            Neighbour(
+                effect=each.name,
+                bic_difference=found.bic - fitted.bic,
+                fall=Budget.of(float(np.mean(energy_before)), float(np.mean(energy))).fall,
+                surety=_surety(energy_after - energy),
+                correlation=looked_at.similarity(candidate.name, each.name) if score and own_score else None,
+                separated_by=each.effect.separated_by,
+            )
+        )
+    told("done", 1.0)
+    return Repair(
+        model=fitted.model,
+        effect=candidate.name,
+        title=candidate.effect.title,
+        at=candidate.attached.at,
+        recordings=tuple(each.source for each in recordings),
+        held_out=tuple(each.source for each in held_out)
+        or tuple(f"last third of {each.source}" for each in recordings),
+        before=_side(without, _rms(found_before)),
+        after=_side(fitted, _rms(found_after)),
+        floor_training=_by_channel(sensor_floors(fitted.fit, HORIZONS), outputs),
+        floor_held_out=_by_channel(held.floor, outputs),
+        budget=Budget.of(float(np.mean(energy_before)), float(np.mean(energy_after))),
+        moved=_moved(without, fitted),
+        neighbours=tuple(sorted(rivals, key=lambda each: each.bic_difference)),
+        separated_by=candidate.effect.separated_by,
+        uses_time=any("time" in names_in(text) for text in candidate.effect.expressions.values()),
+        surety=fitted.surety(candidate.name),
+    )
+
+
+def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recording]) -> list[Candidate]:
+    """Those effects that leave almost the same as `candidate`, where the model can have them and has not yet, and their
+    channels are recorded."""
+    found = []
+    there = {attached.effect.name for attached in model.effects}
+    for name in candidate.effect.confused_with:
+        if name in there:
+            continue
+        try:
+            effect = find(name)
+            at = candidate.attached.at if effect.place is candidate.effect.place else ""
+            with_it = model.add(effect, at)
+        except ModelError:
+            continue
+        if all(channel in each.values for each in recordings for channel in channels_of(with_it)):
+            found.append(candidate_of(model, with_it.effects[-1]))
+    return found
+
+
+def _screen(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> Screen:
+    estimated = [parameter.name for parameter in fitted.problem.parameters]
+
+    def attach(group: Sequence[Candidate]) -> Problem:
+        whole = model
+        for each in group:
+            whole = whole.add(each.effect, each.attached.at)
+        return problem(whole, (), estimate=estimated, rows=fitted.problem.segments)
+
+    try:
+        with np.errstate(all="ignore"):
+            return screen(Innovations.of(fitted), attach, candidates)
+    except np.linalg.LinAlgError:  # two candidates that are one to this model: there is no direction of their own
+        return Screen((), {})
+
+
+def _score(looked_at: Screen, candidate: Candidate) -> Score | None:
+    """None where the record shows nothing of the effect at its start."""
+    return next((score for score in looked_at.scores if score.candidate.name == candidate.name), None)
+
+
+def _floor(fitted: Fitted) -> Floor:
+    """What a right model leaves, its gain that of motion: a friction linearised at rest would be a wall."""
+    task, values = fitted.fit.problem, fitted.fit.values.copy()
+    values[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
+    return floor(task, values)
+
+
+def _on(fitted: Fitted, recordings: Sequence[Recording], support: float | None) -> Fit:
+    return on(fitted.fit, problem(fitted.prior, recordings, support=support))
+
+
+def _rms(found: Sequence[Array]) -> Array:
+    return np.array([np.sqrt(np.nanmean(each**2, axis=0)) for each in found])
+
+
+def _surety(gain: Array) -> float:
+    """The mean of `gain` (m,) over its standard error: from blocks of rows, since neighbouring ones go together."""
+    means = np.array([np.mean(block) for block in np.array_split(gain, BLOCKS)])
+    return float(np.mean(means) / max(np.std(means, ddof=1) / np.sqrt(BLOCKS), 1e-300))
+
+
+def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
+    return {name: tuple(column.tolist()) for name, column in zip(outputs, rms.T, strict=True)}
+
+
+def _side(fitted: Fitted, held_out: Array) -> Side:
+    task, outputs = fitted.fit.problem, fitted.fit.problem.kernel.outputs
+    parameters = {
+        name: FittedParameter(value, fitted.deviations[name], each.unit, each.status.value, each.reason)
+        for (name, value), each in zip(fitted.values.items(), fitted.estimate.parameters.values(), strict=True)
+    }
+    return Side(
+        log_likelihood=fitted.log_likelihood,
+        bic=fitted.bic,
+        parameters=parameters,
+        training=_by_channel(_rms(errors(fitted.fit, HORIZONS)), outputs),
+        held_out=_by_channel(held_out, outputs),
+        innovation_ratio=innovation_ratio(task, fitted.fit.values, _floor(fitted)),
+    )
+
+
+def _moved(without: Fitted, fitted: Fitted) -> dict[str, Moved]:
+    return {
+        p.name: Moved(
+            p.value, p.std, (without.values[p.name] - p.value) / p.std, (fitted.values[p.name] - p.value) / p.std
+        )
+        for p in without.fit.problem.parameters
+        if p.std > 0.0
+    }

@@ -1,0 +1,52 @@
+"""What a model file keeps of a fit: rounded values, the recordings with their SHA-256, and what the error did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from diagnosis.repair_result import HORIZONS, Repair
+from estimators.report import significant
+from models.model import Model
+from models.model_history import values_of
+
+
+def rounded(found: Repair) -> Model:
+    """The fitted model, its numbers with as many digits as mean something, and two more."""
+    digits = {name: significant(each.std) + 2 for name, each in found.after.parameters.items()}
+    return found.model.change(
+        {name: round(each.value, digits[name]) for name, each in found.after.parameters.items()},
+        deviations={name: round(each.std, digits[name]) for name, each in found.after.parameters.items()},
+    )
+
+
+def told(
+    found: Repair, before: Model, after: Model, recordings: Sequence[Path], held_out: Sequence[Path]
+) -> Mapping[str, Any]:
+    """What the history keeps of a fit. Errors are those of the budget's horizon."""
+
+    def last(errors: Mapping[str, Sequence[float]]) -> dict[str, float]:
+        return {channel: float(f"{each[-1]:.4g}") for channel, each in errors.items()}
+
+    entry: dict[str, Any] = {
+        "recording": [path.name for path in recordings],
+        "sha256": [_sha256(path) for path in recordings],
+        "held_out": list(found.held_out),
+    }
+    if held_out:
+        entry["held_out_sha256"] = [_sha256(path) for path in held_out]
+    return {
+        **entry,
+        "horizon": HORIZONS[-1],
+        "error_before": last(found.before.training),
+        "error_after": last(found.after.training),
+        "held_out_error_before": last(found.before.held_out),
+        "held_out_error_after": last(found.after.held_out),
+        **values_of(before, after),
+    }
+
+
+def _sha256(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()

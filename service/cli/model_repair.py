@@ -1,0 +1,265 @@
+"""Commands that change a model by what recordings say: model add, model undo, model drop-test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.output import page, print_json
+
+if TYPE_CHECKING:
+    from diagnosis.repair_result import Repair
+    from models.effect import Effect
+    from models.model_file import ModelFile
+    from telemetry.recording import Recording
+
+FileArgument = Annotated[Path, typer.Argument(help="A model file, .toml.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+VehicleOption = Annotated[
+    str | None,
+    typer.Option(
+        "--vehicle",
+        "-v",
+        help="A shipped vehicle or a vehicle file: its support angle, and its CAD values for a shipped model.",
+        show_default="what the recordings say",
+    ),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.command(epilog="Example: `upright model add mine.toml coulomb_friction --recording recordings/step_1.arrow`")(
+        add
+    )
+    app.command(epilog="Example: `upright model undo mine.toml`")(undo)
+    app.command(name="drop-test", epilog="Example: `upright model drop-test mine.toml recordings/*.arrow`")(drop_test)
+
+
+def add(
+    name: Annotated[str, typer.Argument(metavar="MODEL", help="A model file, or with -o a shipped model.")],
+    effect: Annotated[str, typer.Argument(help="A named effect, or the file of an effect of your own (.toml, .py).")],
+    recording: Annotated[
+        list[Path] | None,
+        typer.Option("--recording", "-r", help="Fit the model to it; may be given several times.", show_default="none"),
+    ] = None,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--held-out",
+            help="Try the model on it without fitting; may be given several times.",
+            show_default="the last third of each recording",
+        ),
+    ] = None,
+    vehicle: VehicleOption = None,
+    at: Annotated[
+        str, typer.Option("--at", help="Joint, actuator or sensor.", show_default="the first that can have it")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write this new file instead.", show_default="the model file")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Errors before and after, and what is left: .png, .svg or .pdf.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Add an effect to a model file, with a history entry.
+
+    With recordings the model is fitted without and with it, on all but what is held out; fitted values and standard
+    deviations go into the file, and what the error did into its history. Without, its amplitudes start at zero, where
+    it changes nothing.
+    """
+    import os
+
+    from models.effects.custom import load_effect
+    from models.model_file import write
+
+    if not recording and (held_out or picture):
+        raise typer.BadParameter("needs a --recording to fit the model to.", param_hint="--held-out, --picture")
+    if picture is not None:
+        from diagnosis.method_figure import check_suffix
+
+        check_suffix(picture)
+    before, target = _start(name, vehicle), _target(name, output)
+    files = {own: _from(target, _found(name, path)) for own, path in before.effect_files.items()}
+    own_file = effect.endswith((".toml", ".py"))
+    wanted: Effect | str = load_effect(Path(effect)) if own_file else effect
+    entry: dict[str, Any] = {"action": "add", "effect": before.model.add(wanted, at).effects[-1].name, "date": _now()}
+    found: Repair | None = None
+    if recording:
+        from service.cli.model_entry import rounded, told
+
+        found = _repair(before, wanted, at, recording, held_out or [], vehicle)
+        changed = rounded(found)
+        entry |= told(found, before.model, changed, recording, held_out or [])
+    else:
+        changed = before.model.add(wanted, at)
+    added = changed.effects[-1]
+    if own_file:
+        files[added.name] = os.path.relpath(effect, target.resolve().parent)
+    if found is not None and picture is not None:
+        from diagnosis.repair_figure import save_repair
+
+        save_repair(found, picture)
+    write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), target)
+    if json:
+        document = {
+            "file": str(target),
+            "effect": added.name,
+            "at": added.at,
+            "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in added.parameters},
+        }
+        if found is not None:
+            from diagnosis.repair_words import in_words
+
+            document["repair"] = {**found.to_json(), "words": in_words(found)}
+        print_json(document)
+        return
+    from service.cli.model_page import print_parameters
+
+    page.print(f"{target}: {added.name} added at {added.at}: {added.effect.equation}", markup=False, soft_wrap=True)
+    if found is None:
+        print_parameters(added.parameters)
+        return
+    from service.cli.repair_page import print_repair
+
+    print_repair(found)
+    page.print(f"\nTake it back with `upright model undo {target}`.", markup=False, soft_wrap=True)
+    if picture is not None:
+        page.print(f"Picture: {picture}", markup=False, soft_wrap=True)
+
+
+def undo(file: FileArgument, json: JsonOption = False) -> None:
+    """Take back the last effect that was added: it goes, its history entry goes, and the values from before return.
+
+    A parameter that was changed by hand since keeps its value.
+    """
+    from models.model_file import read, write
+    from models.model_history import undone
+
+    before = read(file)
+    after, effect, kept = undone(before)
+    write(after, file)
+    left = [attached.name for attached in after.model.effects]
+    if json:
+        print_json({"file": str(file), "removed": effect, "effects": left, "kept": list(kept)})
+        return
+    page.print(f"{file}: {effect} taken back. Its effects: {', '.join(left) or 'none'}.", markup=False, soft_wrap=True)
+    if kept:
+        page.print(f"Changed by hand since, and kept: {', '.join(kept)}.", markup=False, soft_wrap=True)
+
+
+def drop_test(
+    file: FileArgument,
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings to fit the model to.")],
+    vehicle: VehicleOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit the model without each of its effects in turn: which of them are needed, and which can go."""
+    from diagnosis.drop_tests import drop_tests
+    from models.model_file import read
+    from models.model_history import before_fits
+    from service.cli.batch import working
+
+    model, support = before_fits(read(file)), _support(vehicle)
+    loaded = [_load(path, vehicle) for path in recordings]
+    with working() as step:
+        tests = drop_tests(model, loaded, support=support, progress=lambda text, share: step(text))
+    if json:
+        print_json({"file": str(file), "effects": [each.to_json() for each in tests]})
+        return
+    from service.cli.repair_page import print_drop_tests
+
+    print_drop_tests(tests, str(file))
+
+
+def _start(name: str, vehicle: str | None) -> ModelFile:
+    """What to add to: a model file, or a shipped model with the CAD values of the vehicle."""
+    from models.model_file import ModelFile, load_model, read
+
+    if name.endswith(".toml"):
+        return read(name)
+    model = load_model(name)
+    if vehicle is not None:
+        from estimators.identify import with_values
+        from service.vehicle_file import load
+
+        parameters = load(vehicle).parameters
+        model = with_values(model, parameters.values, parameters.deviations)
+    return ModelFile(model)
+
+
+def _target(name: str, output: Path | None) -> Path:
+    """The file to write. Raises ModelError where that cannot be."""
+    from models.model import ModelError
+
+    if output is None:
+        if not name.endswith(".toml"):
+            raise ModelError(name, "is a shipped model, which stays as it is", remedy="name a new file: -o mine.toml.")
+        return Path(name)
+    if output.suffix != ".toml":
+        raise ModelError(str(output), "is no name for a model file", remedy="let it end in .toml.")
+    if output.exists() and not (name.endswith(".toml") and output.samefile(name)):
+        raise ModelError(str(output), "is there already", remedy="choose another name, or remove it first.")
+    return output
+
+
+def _found(name: str, path: str) -> Path:
+    return Path(name).resolve().parent / path
+
+
+def _from(target: Path, path: Path) -> str:
+    import os
+
+    return os.path.relpath(path, target.resolve().parent)
+
+
+def _repair(
+    file: ModelFile,
+    effect: Effect | str,
+    at: str,
+    recordings: Sequence[Path],
+    held_out: Sequence[Path],
+    vehicle: str | None,
+) -> Repair:
+    from diagnosis.repair import repair
+    from models.model_history import before_fits
+    from service.cli.batch import working
+
+    support = _support(vehicle)
+    training, tried = ([_load(path, vehicle) for path in paths] for paths in (recordings, held_out))
+    with working() as step:
+        return repair(
+            before_fits(file),
+            effect,
+            training,
+            tried,
+            at=at,
+            support=support,
+            progress=lambda text, share: step(f"{text} ({100.0 * share:.0f} %)"),
+        )
+
+
+def _support(vehicle: str | None) -> float | None:
+    if vehicle is None:
+        return None
+    from service.vehicle_file import load
+
+    return load(vehicle).support
+
+
+def _load(path: Path, vehicle: str | None) -> Recording:
+    from service.cli.batch import load_recording
+    from telemetry.recording import Recording
+
+    found = Recording.load(path) if vehicle is None else load_recording(path, vehicle)
+    return replace(found, source=path.name)
+
+
+def _now() -> Any:
+    from datetime import UTC, datetime
+
+    return datetime.now(UTC).replace(microsecond=0)

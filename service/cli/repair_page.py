@@ -1,0 +1,112 @@
+"""How `upright model add` shows what an effect did: errors and parameters before and after, the budget, the words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from rich.table import Table
+from rich.text import Text
+
+from diagnosis.drop_tests import DropTest
+from diagnosis.repair_result import HORIZONS, Budget, FittedParameter, Repair
+from diagnosis.repair_words import in_words, odds_text, readable
+from estimators.report import significant
+from service.cli.output import page
+
+BAR = 60
+"""Columns of the budget's bar."""
+SHADES = (("sensors", "░"), ("effect", "█"), ("unexplained", "▒"))
+
+
+def print_repair(repair: Repair) -> None:
+    """The whole page."""
+    page.print(f"Fitted: {', '.join(repair.recordings)}. Held out: {', '.join(repair.held_out)}.", markup=False)
+    page.print()
+    page.print(_errors(repair))
+    page.print()
+    page.print(_parameters(repair))
+    page.print(f"\nHeld-out error energy {HORIZONS[-1]:g} s ahead, before {repair.effect} was there", style="bold")
+    for line in budget_lines(repair.budget, repair.effect):
+        page.print(line, markup=False)
+    page.print()
+    for sentence in in_words(repair):
+        page.print(sentence, markup=False)
+
+
+def budget_lines(budget: Budget, effect: str) -> list[str]:
+    """The bar, and what its shades mean."""
+    shares = (budget.sensors, budget.effect, budget.unexplained)
+    edges = [round(BAR * sum(shares[:count])) for count in range(4)]
+    bar = "".join(shade * (end - start) for (_, shade), start, end in zip(SHADES, edges[:-1], edges[1:], strict=True))
+    names = ("sensors", effect, "unexplained")
+    told = (
+        f"{shade} {name} {100.0 * share:.1f} %" for (_, shade), name, share in zip(SHADES, names, shares, strict=True)
+    )
+    return [bar, "   ".join(told)]
+
+
+def print_drop_tests(tests: Sequence[DropTest], file: str) -> None:
+    """One row an effect, those that can go first."""
+    if not tests:
+        page.print(f"{file} has no effects.", markup=False)
+        return
+    rows = [
+        (
+            each.effect,
+            f"{each.likelihood_ratio:.1f}",
+            f"{each.degrees}",
+            f"{each.bic_difference:+.1f}",
+            odds_text(each.odds),
+            each.verdict,
+        )
+        for each in tests
+    ]
+    page.print(_table(("effect", "likelihood\nratio", "parameters", "BIC\nwithout it", "odds for it", ""), rows))
+    for each in tests:
+        if not each.needed:
+            page.print(f"`upright model remove {file} {each.effect}` removes it; then test again.", markup=False)
+            break
+
+
+def _errors(repair: Repair) -> Table:
+    rows = []
+    kinds = (
+        repair.before.training,
+        repair.after.training,
+        repair.before.held_out,
+        repair.after.held_out,
+        repair.floor_held_out,
+    )
+    for channel, unit in repair.units.items():
+        shown, factor = readable(unit)
+        name = f"{channel}, {shown}"
+        for place, horizon in enumerate(HORIZONS):
+            rows.append((name, f"{horizon:g} s", *(f"{factor * errors[channel][place]:.3g}" for errors in kinds)))
+            name = ""
+    headings = ("RMS error", "ahead", "fitted\nbefore", "\nafter", "held out\nbefore", "\nafter", "sensors\nalone")
+    return _table(headings, rows)
+
+
+def _parameters(repair: Repair) -> Table:
+    rows = []
+    for name, after in repair.after.parameters.items():
+        before, moved = repair.before.parameters.get(name), repair.moved.get(name)
+        cad = ("", "") if moved is None else (f"{moved.cad:.5g}", f"{moved.before:+.1f} → {moved.after:+.1f}")
+        note = "" if after.status == "ok" else f"{after.status.replace('_', ' ')}"
+        rows.append((name, "" if before is None else _value(before), _value(after), after.unit, *cad, note))
+    return _table(("parameter", "before", "after", "unit", "CAD", "std\nfrom CAD", ""), rows)
+
+
+def _value(parameter: FittedParameter) -> str:
+    digits = significant(parameter.std)
+    return f"{parameter.value:.{digits}f} ±{parameter.std:.{digits}f}"
+
+
+def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for place, heading in enumerate(headings):
+        left = place == 0 or heading in ("", "unit")
+        table.add_column(heading, justify="left" if left else "right", no_wrap=place == 0)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
