@@ -83,6 +83,25 @@ HIDDEN: dict[str, HiddenEffect] = {
 }
 """Every hidden effect by its canonical name."""
 
+UNLISTED: dict[str, HiddenEffect] = {
+    effect.name: effect
+    for effect in (
+        HiddenEffect("test_cubic_drag", "N m s^3/rad^3", 1.5e5, "roll torque against the rate cubed", signed=True),
+        HiddenEffect(
+            "test_one_sided_damping", "N m s/rad^2", 5.0e4, "damping that grows with the roll angle", signed=True
+        ),
+        HiddenEffect(
+            "test_varying_stiffness", "N m/rad", 3.0e3, "stiffness that swings with time, at 0.7 Hz", signed=True
+        ),
+        HiddenEffect(
+            "test_patchy_damping", "N m s/rad", 6.0e2, "damping that changes sign every 5 mrad of roll", signed=True
+        ),
+    )
+}
+"""What no catalogue has, to test whether a diagnosis says that it does not know: `test_` begins their names."""
+
+_ALL = HIDDEN | UNLISTED
+
 
 def parse_hidden(arguments: Iterable[str]) -> dict[str, float | None]:
     """`["coulomb_friction", "input_delay=2"]` as a `SimulationConfig.hidden`. Raises UnknownEffectError."""
@@ -102,13 +121,13 @@ def parse_hidden(arguments: Iterable[str]) -> dict[str, float | None]:
 def sizes_of(hidden: Mapping[str, float | None]) -> dict[str, float]:
     """The size of each named effect in its own unit; those at level 0 are left out. Raises UnknownEffectError."""
     for name in hidden:
-        if name not in HIDDEN:
+        if name not in _ALL:
             raise UnknownEffectError(
                 name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {', '.join(HIDDEN)}."
             )
     sizes = {}
     for name, given in hidden.items():
-        effect, level = HIDDEN[name], 1.0 if given is None else given
+        effect, level = _ALL[name], 1.0 if given is None else given
         size = effect.size * level
         least = -math.inf if effect.signed else 0.0
         if not (math.isfinite(level) and least <= size <= effect.most):

@@ -109,6 +109,22 @@ def _imbalance(size: float) -> RollEffect:
     return _Formula(formula)
 
 
+def _cubic_drag(size: float) -> RollEffect:
+    return _Formula(lambda plant: -size * plant.roll_rate**3)
+
+
+def _one_sided_damping(size: float) -> RollEffect:
+    return _Formula(lambda plant: -size * plant.roll * plant.roll_rate)
+
+
+def _varying_stiffness(size: float) -> RollEffect:
+    return _Formula(lambda plant: size * plant.roll * math.sin(2.0 * math.pi * 0.7 * plant.time))
+
+
+def _patchy_damping(size: float) -> RollEffect:
+    return _Formula(lambda plant: -size * plant.roll_rate * math.sin(2.0 * math.pi * plant.roll / 0.01))
+
+
 _MAKERS: dict[str, Callable[[float], RollEffect]] = {
     "static_torque": _static,
     "viscous_friction": _viscous,
@@ -124,6 +140,10 @@ _MAKERS: dict[str, Callable[[float], RollEffect]] = {
     "periodic_disturbance": _machinery,
     "torque_drift": _drift,
     "gimbal_imbalance": _imbalance,
+    "test_cubic_drag": _cubic_drag,
+    "test_one_sided_damping": _one_sided_damping,
+    "test_varying_stiffness": _varying_stiffness,
+    "test_patchy_damping": _patchy_damping,
 }
 
 

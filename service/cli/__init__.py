@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, live, model, talk, vehicle
+from service.cli import batch, benchmark, live, model, talk, vehicle
 from telemetry.errors import UprightError
 
 app = typer.Typer(
@@ -31,6 +31,7 @@ talk.register(app)
 batch.register(app)
 vehicle.register(app)
 model.register(app)
+benchmark.register(app)
 
 
 def main() -> None:

@@ -1,0 +1,229 @@
+"""Commands that measure the program itself: benchmark hidden-effects."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.output import page, people, print_json
+
+if TYPE_CHECKING:
+    from service.hidden_effects.cases import Grid
+    from service.hidden_effects.trial import Bench
+
+benchmark = typer.Typer(help="How good the diagnosis is, measured by anyone.", no_args_is_help=True)
+
+NO_BASELINE = "none"
+EXAMPLES = """Examples:
+
+`upright benchmark hidden-effects --quick` a few minutes, to see whether it works
+
+`upright benchmark hidden-effects --effects coulomb_friction,sensor_delay --sizes 1,2,4 --seeds 10`
+
+`upright benchmark hidden-effects --scheduler tcp://server:8786 --output nightly.jsonl` on many machines
+
+`upright benchmark hidden-effects --summary nightly.jsonl --picture confusion.png` the figures alone, nothing is run
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to `app`."""
+    app.add_typer(benchmark, name="benchmark")
+
+
+@benchmark.callback()
+def group() -> None:
+    """A group even where it has one command."""
+
+
+@benchmark.command("hidden-effects", epilog=EXAMPLES)
+def hidden_effects(
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            help="Effects to hide, with commas between.",
+            show_default="all that the model lacks, and some no catalogue has",
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None, typer.Option(help="In multiples of the size that can just be seen.", show_default="1,2,4,8")
+    ] = None,
+    noise: Annotated[
+        str | None, typer.Option(help="IMU noise in multiples of the data sheet's.", show_default="1")
+    ] = None,
+    excitations: Annotated[
+        str | None, typer.Option(help="Experiments of the vehicle.", show_default="multisine,sweep,square,hold")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Records of each kind.", show_default="3")] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few cases and no baselines, unless options say otherwise.")
+    ] = False,
+    baseline: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--baseline",
+            help="Hold the diagnosis against differentiate_sindy, smoother_stepwise, exhaustive_bic, or none.",
+            show_default="all",
+        ),
+    ] = None,
+    model: Annotated[
+        str, typer.Option(help="The model that lacks what is hidden: monocab_roll, or monocab_reduced.")
+    ] = "monocab_roll",
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Results, a JSON line a case; what is there is not run again.")
+    ] = Path("hidden-effects.jsonl"),
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine.", show_default="one a core")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Dask scheduler to run on, as tcp://HOST:8786, instead of on this machine.", show_default=False
+        ),
+    ] = None,
+    summary: Annotated[
+        Path | None, typer.Option("--summary", help="Run nothing: the figures of this results file.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Which effect was called what: .png, .svg or .pdf.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
+) -> None:
+    """Hide effects of known size in virtual vehicles, and count how often the diagnosis names them.
+
+    Ctrl-C ends it and shows what is done by then; the same command goes on from there.
+    """
+    from diagnosis.method_figure import check_suffix
+    from service.hidden_effects import results
+    from service.hidden_effects.benchmark import benchmark as run
+    from service.hidden_effects.spread import machines, processes
+    from service.hidden_effects.summary import summarise
+
+    if picture is not None:
+        check_suffix(picture)
+    interrupted = False
+    if summary is not None:
+        lines = results.read(summary)
+    else:
+        bench = _bench(quick, baseline, model)
+        grid = _grid(bench, quick, effects, sizes, noise, excitations, seeds)
+        spread = machines(scheduler) if scheduler else processes(workers or os.cpu_count() or 1)
+        try:
+            with _counting() as progress:
+                lines = run(grid.cases(), bench, output, spread, progress)
+        except KeyboardInterrupt:
+            interrupted = True
+            lines = results.read(output) if output.exists() else {}
+            people.print(f"Interrupted. What is done is in {output}; the same command goes on from there.")
+    figures = summarise(lines.values())
+    if picture is not None and lines:
+        from service.hidden_effects.confusion_picture import save_confusion
+
+        save_confusion(figures, picture)
+    if json:
+        print_json(figures.to_json())
+    else:
+        from service.cli.benchmark_page import print_summary
+
+        print_summary(figures)
+        if picture is not None:
+            page.print(f"\nPicture: {picture}")
+    if interrupted:
+        raise typer.Exit(130)
+    if not figures.cases.get("ok"):
+        raise typer.Exit(1)
+
+
+def _grid(
+    bench: Bench,
+    quick: bool,
+    effects: str | None,
+    sizes: str | None,
+    noise: str | None,
+    excitations: str | None,
+    seeds: int | None,
+) -> Grid:
+    """The grid that the options ask for. Raises UnknownEffectError, and BadParameter for what cannot be."""
+    from service.hidden_effects.cases import QUICK, Grid
+    from service.hidden_effects.sizes import lackable
+    from service.vehicle_file import load
+
+    base = QUICK if quick else Grid()
+    able = [name for name in base.effects if lackable(bench.nominal, name)]
+    for name in _words(effects or ""):
+        if not lackable(bench.nominal, name):
+            what = f"{bench.model} does not lack {name}: it has it, or measures what comes after it"
+            raise typer.BadParameter(what, param_hint="--effects")
+    if excitations is not None:
+        there = load("monocab").experiments
+        for name in _words(excitations):
+            if name not in there:
+                raise typer.BadParameter(f"{name!r} is none of {', '.join(there)}", param_hint="--excitations")
+    return Grid(
+        effects=tuple(able) if effects is None else _words(effects),
+        sizes=base.sizes if sizes is None else _numbers(sizes, "--sizes"),
+        noises=base.noises if noise is None else _numbers(noise, "--noise"),
+        excitations=base.excitations if excitations is None else _words(excitations),
+        seeds=base.seeds if seeds is None else seeds,
+    )
+
+
+def _bench(quick: bool, baseline: list[str] | None, model: str) -> Bench:
+    """Raises BadParameter for an unknown baseline, ModelError for an unknown model."""
+    from models.library import get
+    from service.hidden_effects.answers import diagnosis
+    from service.hidden_effects.baselines import BASELINES
+    from service.hidden_effects.trial import SUBJECT, Bench
+
+    chosen = baseline if baseline is not None else [] if quick else list(BASELINES)
+    for name in chosen:
+        if name not in BASELINES and name != NO_BASELINE:
+            there = ", ".join((*BASELINES, NO_BASELINE))
+            raise typer.BadParameter(f"{name!r} is none of {there}", param_hint="--baseline")
+    methods = {name: BASELINES[name] for name in chosen if name != NO_BASELINE}
+    return Bench(methods={SUBJECT: diagnosis, **methods}, model=get(model).name)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+
+
+def _numbers(text: str, option: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word) for word in _words(text))
+    except ValueError:
+        numbers = ()
+    if not numbers or not all(0.0 < number < float("inf") for number in numbers):
+        raise typer.BadParameter(f"{text!r} are no positive numbers with commas between", param_hint=option)
+    return numbers
+
+
+@contextmanager
+def _counting() -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over all cases, with the time that is left, on stderr."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("cases"),
+        BarColumn(30),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        # Cases take half a minute: an estimate over the usual half a minute would see one of them.
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=people, speed_estimate_period=3600.0) as progress:
+        task = progress.add_task("cases", total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -1,0 +1,93 @@
+"""What a method answers when it is asked what a model lacks: the same shape for the diagnosis and for the baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from models.effect import Effect
+from models.model import Model
+from telemetry.recording import Recording
+
+ADEQUATE = "adequate"
+MISSING = "missing_effect"
+UNKNOWN = "unknown"
+INSUFFICIENT = "insufficient_data"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One effect that was found. `parameters`: name to value and standard deviation, where they are known."""
+
+    effect: str
+    tied_with: tuple[str, ...] = ()
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """It and those that it cannot be told from."""
+        return frozenset((self.effect, *self.tied_with))
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """`found`: the best first. With the verdict `unknown` something is missing beside or instead of them.
+
+    `repaired` is the model with the found effects and fitted values, None where the method fits none. `detectable`:
+    effect to the smallest size that can be seen, in the unit of its first amplitude.
+    """
+
+    verdict: str
+    found: tuple[Found, ...] = ()
+    repaired: Model | None = None
+    detectable: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def naming(cls, *effects: str) -> Answer:
+        """The answer of a method that gives names alone; adequate where it gives none."""
+        return cls(MISSING if effects else ADEQUATE, tuple(map(Found, effects)))
+
+
+class Method(Protocol):
+    """Says what `model` lacks to explain the recordings. `support` rad: the vehicle is free where its roll is less.
+
+    `candidates` are the effects that may be it, by default the whole catalogue.
+    """
+
+    def __call__(
+        self,
+        model: Model,
+        recordings: Sequence[Recording],
+        support: float,
+        candidates: Sequence[str | Effect] | None = None,
+    ) -> Answer: ...
+
+
+def diagnosis(
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float,
+    candidates: Sequence[str | Effect] | None = None,
+) -> Answer:
+    """What `upright diagnose` says."""
+    from diagnosis.diagnose import diagnose
+
+    return of_diagnosis(diagnose(model, recordings, support=support, candidates=candidates))
+
+
+def of_diagnosis(found: Any) -> Answer:
+    """A diagnosis.diagnose.Diagnosis as an answer."""
+    findings = [
+        Found(
+            each.effect,
+            tuple(each.tied_with),
+            {
+                name: (float(parameter.value), float(parameter.std))
+                for name, parameter in each.parameters.items()
+                if parameter.value is not None and parameter.std is not None
+            },
+        )
+        for each in found.findings
+    ]
+    return Answer(str(found.verdict), tuple(findings), found.repaired, dict(found.minimum_detectable or {}))

@@ -1,0 +1,15 @@
+"""The baselines by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from service.hidden_effects.answers import Method
+from service.hidden_effects.exhaustive import exhaustive_bic
+from service.hidden_effects.regressions import differentiate_sindy, smoother_stepwise
+
+BASELINES: Mapping[str, Method] = {
+    "differentiate_sindy": differentiate_sindy,
+    "smoother_stepwise": smoother_stepwise,
+    "exhaustive_bic": exhaustive_bic,
+}

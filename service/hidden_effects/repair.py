@@ -1,0 +1,66 @@
+"""How much of the error a repair takes away, and how much is left over the floor, as the benchmark sees it.
+
+    closed = (E0 - E1) / (E0 - floor)        left = E1 / floor
+
+E is the mean squared one-step prediction error, whitened: E0 of the nominal model, E1 of the repaired one, floor of the
+right model, which has what the plant has, at its shapes. All were fitted to the record of the case. `closed` is taken
+on a record with another excitation, `left` on the record itself. All predict with the right model's filter gain and are
+weighed by its innovations' covariance: a gain of its own would hide a model's error in process noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.gauss_newton import minimise
+from estimators.methods.prediction_error import fit
+from estimators.problem import problem
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Yardstick:
+    """The right model's filter: gain (ny,) of each state by name, and what whitens its innovations (ny, ny)."""
+
+    gain: dict[str, Array]
+    weights: Array
+
+    def energy(self, model: Model, recordings: Sequence[Recording], support: float) -> float:
+        """Mean squared whitened prediction error of `model` as it is, its initial states fitted.
+
+        Infinite where it runs away.
+        """
+        task = problem(model, recordings, support=support)
+        outputs = len(task.kernel.outputs)
+        # A state of an effect that the right model does not have follows the motion, uncorrected.
+        gain = np.array([self.gain.get(state, np.zeros(outputs)) for state in task.kernel.states])
+        evaluate = partial(task.evaluate, weights=self.weights, gain=gain)
+        found = minimise(
+            evaluate, task.start, task.own_start, scale=task.scale, lower=task.start, upper=task.start, iterations=10
+        )
+        if found is None:
+            return float("inf")
+        rows = [len(segment) * outputs for segment in task.segments]
+        errors = [block.residual[:count] for block, count in zip(found.blocks, rows, strict=True)]
+        return float(np.mean(np.concatenate(errors) ** 2))
+
+
+def fitted(model: Model, recordings: Sequence[Recording], support: float) -> tuple[Model, Yardstick]:
+    """`model` with the values of a prediction-error fit, and its filter. Raises EstimationError and ArithmeticError."""
+    found = fit(problem(model, recordings, support=support))
+    values = dict(zip(found.problem.kernel.parameters, found.values.tolist(), strict=True))
+    gain = dict(zip(found.problem.kernel.states, found.gain, strict=True))
+    return model.change(values), Yardstick(gain, np.linalg.inv(np.linalg.cholesky(found.covariance)))
+
+
+def closed(before: float, after: float, floor: float) -> float | None:
+    """The share of the error that is gone; None where the nominal model is no worse than the right one."""
+    return (before - after) / (before - floor) if before > floor else None

@@ -1,0 +1,206 @@
+"""What the results come to: the figures of merit of each method, each with its 95 % interval and the number of cases.
+
+Shares have Wilson's interval (E. B. Wilson, JASA 22 (1927) 209), medians that of the order statistics. "Seen" are the
+cases at twice the detectable size and more. A method that failed on a case was not right there.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from statistics import median
+from typing import Any
+
+from scipy.stats import binom, binomtest
+
+from service.hidden_effects.answers import ADEQUATE, INSUFFICIENT, MISSING, UNKNOWN
+from service.hidden_effects.cases import Kind
+from service.hidden_effects.results import methods_of
+from service.hidden_effects.trial import DETECTABLE, Line
+
+SEEN = 2.0
+"""Multiple of the detectable size from which on an effect should be named."""
+FAILED = "failed"
+"""What is written for a method that gave no answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A share or a median of `of` cases with its 95 % interval; all None where there is no case."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+    of: int
+    count: int | None = None
+    """Of a share: in how many cases it is so."""
+
+    def to_json(self) -> dict[str, float | int | None]:
+        told: dict[str, float | int | None] = {
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+            "of": self.of,
+        }
+        return told if self.count is None else {**told, "count": self.count}
+
+
+def share(true: Collection[bool]) -> Figure:
+    """How many of the cases are so."""
+    of, count = len(true), sum(true)
+    if not of:
+        return Figure(None, None, None, 0, 0)
+    interval = binomtest(count, of).proportion_ci(method="wilson")
+    return Figure(count / of, float(interval.low), float(interval.high), of, count)
+
+
+def middle(values: Iterable[float | None]) -> Figure:
+    """The median of the values that there are. Below six of them no two hold it with 95 %, so the interval is None."""
+    known = sorted(value for value in values if value is not None)
+    if not known:
+        return Figure(None, None, None, 0)
+    # The median lies between the k-th and the k-th last value unless fewer than k of n coins show heads, or tails.
+    rank = int(binom.ppf(0.025, len(known), 0.5))
+    told = rank >= 1
+    return Figure(median(known), known[rank - 1] if told else None, known[-rank] if told else None, len(known))
+
+
+@dataclass(frozen=True, slots=True)
+class Merit:
+    """The figures of one method. `right` and `both` are by size, `false_alarms` and `right_by_excitation` by
+    excitation, `confusion` by hidden effect and what was named first."""
+
+    right_seen: Figure
+    right: Mapping[str, Figure]
+    right_by_excitation: Mapping[str, Figure]
+    seen_unknown: Figure
+    """Of single effects that are seen, how often something unknown is said to be there: beside it or in its place."""
+    false_alarms_all: Figure
+    false_alarms: Mapping[str, Figure]
+    unlisted_unknown: Figure
+    unlisted_misnamed: Figure
+    both_seen: Figure
+    both: Mapping[str, Figure]
+    held_out_closed: Figure
+    energy_over_floor: Figure
+    covered: Figure
+    seconds: Figure
+    failed: int
+    confusion: Mapping[str, Mapping[str, int]]
+
+    def to_json(self) -> dict[str, Any]:
+        def plain(value: Any) -> Any:
+            if isinstance(value, Figure):
+                return value.to_json()
+            return {key: plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
+
+        return {name: plain(getattr(self, name)) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """`cases` by status, `conditions` of all of them, `detectable` by excitation and noise and by effect, `methods`."""
+
+    conditions: str
+    cases: Mapping[str, int]
+    detectable: Mapping[str, Mapping[str, float]]
+    methods: Mapping[str, Merit]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "conditions": self.conditions,
+            "cases": dict(self.cases),
+            "detectable": {key: dict(sizes) for key, sizes in self.detectable.items()},
+            "methods": {name: merit.to_json() for name, merit in self.methods.items()},
+        }
+
+
+def summarise(lines: Iterable[Line]) -> Summary:
+    """The figures of all methods in the lines of a results file."""
+    lines = list(lines)
+    usable = [line for line in lines if line["status"] == "ok"]
+    return Summary(
+        conditions=lines[0]["conditions"] if lines else "",
+        cases=Counter(line["status"] for line in lines),
+        detectable={
+            f"{line['excitation']}, noise {line['noise']:g}": line[DETECTABLE] for line in usable if DETECTABLE in line
+        },
+        methods={name: merit(usable, name) for name in methods_of(usable)},
+    )
+
+
+def merit(lines: Sequence[Line], method: str) -> Merit:
+    """The figures of `method` in lines whose status is ok."""
+    asked = [line for line in lines if method in line["methods"]]
+    by_kind = {kind: [line for line in asked if line["kind"] == kind.value] for kind in Kind}
+    nothing, one, two, unlisted = (by_kind[kind] for kind in (Kind.NOTHING, Kind.ONE, Kind.TWO, Kind.UNLISTED))
+    seen, both_seen, strange = ([line for line in part if line["size"] >= SEEN] for part in (one, two, unlisted))
+
+    def told(line: Line) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = line["methods"][method]
+        return found
+
+    def right(line: Line) -> bool:
+        found = told(line).get("found", [])
+        return bool(found) and _names(line["effects"][0], found[0])
+
+    def both(line: Line) -> bool:
+        return any(
+            all(_names(effect, found) for effect, found in zip(line["effects"], chosen, strict=True))
+            for chosen in permutations(told(line).get("found", []), len(line["effects"]))
+        )
+
+    def alarm(line: Line) -> bool:
+        return told(line).get("verdict") in (MISSING, UNKNOWN)
+
+    confusion: dict[str, Counter[str]] = {}
+    for line in (*seen, *strange):
+        confusion.setdefault(line["effects"][0], Counter())[_named(told(line), line["kind"])] += 1
+    return Merit(
+        right_seen=share([right(line) for line in seen]),
+        right=_by(one, _size, right),
+        right_by_excitation=_by(seen, _excitation, right),
+        seen_unknown=share([told(line).get("verdict") == UNKNOWN for line in seen]),
+        false_alarms_all=share([alarm(line) for line in nothing]),
+        false_alarms=_by(nothing, _excitation, alarm),
+        unlisted_unknown=share([told(line).get("verdict") == UNKNOWN for line in strange]),
+        unlisted_misnamed=share([told(line).get("verdict") == MISSING for line in strange]),
+        both_seen=share([both(line) for line in both_seen]),
+        both=_by(two, _size, both),
+        held_out_closed=middle(told(line).get("held_out_closed") for line in (*seen, *both_seen)),
+        energy_over_floor=middle(told(line).get("energy_over_floor") for line in (*nothing, *one, *two)),
+        covered=share([each for line in (*one, *two) for each in told(line).get("covered", {}).values()]),
+        seconds=middle(told(line)["seconds"] for line in asked),
+        failed=sum(bool(told(line)["error"]) for line in asked),
+        confusion=confusion,
+    )
+
+
+def _names(effect: str, found: Mapping[str, Any]) -> bool:
+    """Whether a finding names `effect`, alone or with at most one other."""
+    return effect in (found["effect"], *found["tied_with"]) and len(found["tied_with"]) <= 1
+
+
+def _named(answer: Mapping[str, Any], kind: str) -> str:
+    """What an answer calls it, in a word."""
+    if answer["error"]:
+        return FAILED
+    # What no catalogue has is rightly unknown, whatever stands beside it; a listed effect has been found or not.
+    if answer["found"] and not (kind == Kind.UNLISTED.value and answer["verdict"] == UNKNOWN):
+        return str(answer["found"][0]["effect"])
+    return {ADEQUATE: "nothing", INSUFFICIENT: "insufficient data"}.get(answer["verdict"], str(answer["verdict"]))
+
+
+def _by(lines: Sequence[Line], key: Callable[[Line], str], true: Callable[[Line], bool]) -> dict[str, Figure]:
+    keys = dict.fromkeys(key(line) for line in lines)
+    return {each: share([true(line) for line in lines if key(line) == each]) for each in keys}
+
+
+def _size(line: Line) -> str:
+    return f"{line['size']:g}"
+
+
+def _excitation(line: Line) -> str:
+    return str(line["excitation"])

@@ -1,0 +1,230 @@
+"""One case from the record to its line in the results: what each method said, its time, what its repair does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from models.library import get
+from models.model import Model
+from service.hidden_effects.answers import Answer, Method, diagnosis
+from service.hidden_effects.cases import Case, Kind
+from service.hidden_effects.repair import Yardstick, closed, fitted
+from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
+from service.hidden_effects.unlisted import UNLISTED_EFFECTS
+from service.vehicle_file import load
+from simulation.config import SimulationConfig
+from telemetry.errors import UprightError
+from telemetry.recording import Recording
+
+Record = Callable[[str, Mapping[str, float], float, float, int], Recording]
+"""Of excitation, levels of the hidden effects, noise, duration in s and seed."""
+Line = dict[str, Any]
+"""What the results file keeps of a case."""
+
+SUBJECT = "upright"
+"""The method that is judged: its clean record says which sizes are asked."""
+DETECTABLE = "detectable"
+WITHIN_95 = 1.959964
+"""Standard deviations to either side that hold 95 %."""
+
+
+def virtual(excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int) -> Recording:
+    """A record of the virtual MONOCAB, its IMU `noise` times as noisy as the data sheet says."""
+    from service.virtual_run import record
+
+    def noisy(configuration: SimulationConfig) -> SimulationConfig:
+        imu = configuration.imu
+        louder = replace(
+            imu,
+            angular_rate_density=noise * imu.angular_rate_density,
+            acceleration_std=noise * imu.acceleration_std,
+        )
+        return replace(configuration, imu=louder)
+
+    # Levels are told to six digits, as the plant gets them.
+    hide = [f"{name}={level:.6g}" for name, level in hidden.items()]
+    return record("monocab", excitation, hide=hide, seed=seed, duration=duration, configure=noisy)
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What is asked of every case: `methods` by name, of which SUBJECT is one, on records of `duration` s."""
+
+    methods: Mapping[str, Method] = field(default_factory=lambda: {SUBJECT: diagnosis})
+    duration: float = 30.0
+    record: Record = virtual
+    model: str = "monocab_roll"
+    """One that lacks nothing where nothing is hidden. The gimbals' speed loops are more than the one lag that
+    `monocab_reduced` has for them, so that there a clean record is not one with nothing missing."""
+
+    @property
+    def conditions(self) -> str:
+        """What must be the same for all lines of a file."""
+        return f"{self.model}, {self.duration:g} s"
+
+    @property
+    def nominal(self) -> Model:
+        """The model that lacks the hidden effects, with the vehicle file's values."""
+        from estimators.identify import with_values
+
+        parameters = load("monocab").parameters
+        return with_values(get(self.model), parameters.values, parameters.deviations)
+
+
+def held_out(excitation: str) -> str:
+    """The experiment of the record that a repair is judged by."""
+    return "multisine" if excitation == "sweep" else "sweep"
+
+
+def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
+    """The line of `case`. `detectable`: effect to the smallest size that can be seen, from the reference case.
+
+    What goes wrong in the case is told in the line; nothing is raised but what is a mistake in the program.
+    """
+    line: Line = {
+        "key": case.key,
+        "kind": case.kind.value,
+        "effects": list(case.effects),
+        "size": case.size,
+        "noise": case.noise,
+        "excitation": case.excitation,
+        "number": case.number,
+        "seed": case.seed(),
+        "conditions": bench.conditions,
+    }
+    try:
+        hidden = levels(case, detectable)
+    except NotDetectableError as error:
+        return {**line, "status": "not_detectable", "reason": str(error), "methods": {}}
+    line |= {"levels": hidden, "sizes": plant_sizes(hidden)}
+    try:
+        recording = bench.record(case.excitation, hidden, case.noise, bench.duration, case.seed())
+        other = None
+        if case.kind is not Kind.NOTHING:
+            seed = case.seed("held out")
+            other = bench.record(held_out(case.excitation), hidden, case.noise, bench.duration, seed)
+    except UprightError as error:
+        return {**line, "status": "not_recorded", "reason": str(error), "methods": {}}
+    return {**line, "status": "ok", "reason": "", **_asked(case, bench, hidden, recording, other)}
+
+
+def _asked(
+    case: Case, bench: Bench, hidden: Mapping[str, float], recording: Recording, other: Recording | None
+) -> Line:
+    model, support = bench.nominal, load("monocab").support
+    judge = _Judge(model, recording, other, support, hidden)
+    methods: dict[str, Line] = {}
+    extra: Line = {}
+    for name, method in bench.methods.items():
+        began = time.perf_counter()
+        try:
+            answer = method(model, [recording], support)
+            seconds = time.perf_counter() - began
+            methods[name] = {"seconds": seconds, **judge.of(answer), "error": ""}
+        except Exception as error:  # one method's failure is its result, and does not touch the others
+            methods[name] = {"seconds": time.perf_counter() - began, "error": f"{type(error).__name__}: {error}"}
+            continue
+        if name == SUBJECT and case == case.reference:
+            unlisted = method(model, [recording], support, candidates=list(UNLISTED_EFFECTS.values())).detectable
+            extra[DETECTABLE] = {**answer.detectable, **unlisted}
+    return {"methods": methods, **extra}
+
+
+class _Judge:
+    """Holds the answers about one record against the truth. Fits are kept: several methods may name the same effect."""
+
+    def __init__(
+        self,
+        model: Model,
+        recording: Recording,
+        other: Recording | None,
+        support: float,
+        hidden: Mapping[str, float],
+    ) -> None:
+        self._model = model
+        self._data = [recording]
+        self._other = other
+        self._support = support
+        self._hidden = hidden
+        self._fits: dict[tuple[str, ...], Model] = {}
+        self._yardstick: Yardstick | None = None
+
+    def of(self, answer: Answer) -> Line:
+        found = [
+            {"effect": each.effect, "tied_with": list(each.tied_with), "parameters": dict(each.parameters)}
+            for each in answer.found
+        ]
+        line: Line = {"verdict": answer.verdict, "found": found, "covered": self._covered(answer)}
+        return line | self._repair(answer)
+
+    def _covered(self, answer: Answer) -> dict[str, bool]:
+        """By effect that was found, whether the 95 % interval of its size holds the plant's."""
+        sizes = plant_sizes(self._hidden)
+        covered = {}
+        for each in answer.found:
+            local = SAME_EQUATION.get(each.effect, "")
+            told = each.parameters.get(local) or each.parameters.get(f"{each.effect}.{local}")
+            if each.effect in sizes and told is not None:
+                value, deviation = told
+                covered[each.effect] = abs(value - sizes[each.effect]) <= WITHIN_95 * deviation
+        return covered
+
+    def _repair(self, answer: Answer) -> Line:
+        """What the repair does to the error; what cannot be worked out is None, with the reason."""
+        nothing: Line = {"held_out_closed": None, "energy_over_floor": None}
+        try:
+            right = self._right()
+            assert self._yardstick is not None
+            repaired = self._repaired(answer)
+            floor = self._yardstick.energy(right, self._data, self._support)
+            line: Line = {
+                "held_out_closed": None,
+                "energy_over_floor": self._yardstick.energy(repaired, self._data, self._support) / floor,
+            }
+            if self._other is not None:
+                energies = [
+                    self._yardstick.energy(each, [self._other], self._support)
+                    for each in (self._nominal(), repaired, right)
+                ]
+                line["held_out_closed"] = closed(*energies)
+        except (UprightError, ArithmeticError, np.linalg.LinAlgError) as error:
+            return {**nothing, "repair_error": str(error)}
+        return line
+
+    def _right(self) -> Model:
+        if self._yardstick is None:
+            model = right_model(self._model, self._hidden, _event(self._data[0]))
+            self._fits[("right",)], self._yardstick = fitted(model, self._data, self._support)
+        return self._fits[("right",)]
+
+    def _nominal(self) -> Model:
+        if () not in self._fits:
+            self._fits[()] = fitted(self._model, self._data, self._support)[0]
+        return self._fits[()]
+
+    def _repaired(self, answer: Answer) -> Model:
+        if not answer.found:
+            return self._nominal()
+        if answer.repaired is not None:
+            return answer.repaired
+        names = tuple(sorted(each.effect for each in answer.found))
+        if names not in self._fits:
+            model = self._model
+            for name in names:
+                model = model.add(name)
+            self._fits[names] = fitted(model, self._data, self._support)[0]
+        return self._fits[names]
+
+
+def _event(recording: Recording) -> float:
+    """s from the first row on at which the plant's torque step begins: so long after the first SYNC."""
+    from service.virtual_run import BOOT_TIME
+    from simulation.vehicle import START_NS
+
+    begin = (int(recording.metadata.get("start_ns", START_NS)) - START_NS) * 1e-9
+    return BOOT_TIME + SimulationConfig().event_time - begin

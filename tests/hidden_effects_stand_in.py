@@ -1,0 +1,131 @@
+"""Stand-ins for the slow parts of the benchmark of hidden effects, importable by worker processes.
+
+A "recording" carries in its metadata what is hidden in it, so that a stand-in of the diagnosis can read the answer.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from models.effect import Effect
+from models.model import Model
+from service.hidden_effects.answers import ADEQUATE, UNKNOWN, Answer
+from service.hidden_effects.cases import Grid
+from service.hidden_effects.trial import SUBJECT, Bench
+from simulation.hidden import HIDDEN, UNLISTED
+from telemetry.channels import TABLES
+from telemetry.recording import Recording
+
+FOLDER = "UPRIGHT_TEST_FOLDER"
+"""Where the stand-ins leave a file a call, so that a test can count calls in other processes."""
+CATALOGUE_ONLY = frozenset(HIDDEN)
+SMALL = Grid(
+    effects=("static_torque", "coulomb_friction", "test_cubic_drag"),
+    sizes=(2.0,),
+    excitations=("multisine",),
+    seeds=1,
+)
+"""Five cases: nothing, one of each, and the two listed effects together."""
+
+
+def labelled(excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int) -> Recording:
+    """No record at all, only what is in it."""
+    channels = TABLES["monocab"]
+    metadata = {"hidden": json.dumps(dict(hidden)), "seed": str(seed)}
+    return Recording(
+        channels=channels,
+        timestamp_ns=np.arange(2, dtype=np.int64),
+        values={name: np.zeros(2) for name in channels.names},
+        metadata=metadata,
+        source=excitation,
+    )
+
+
+def all_knowing(
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float,
+    candidates: Sequence[str | Effect] | None = None,
+) -> Answer:
+    """Names what is hidden; an effect that the catalogue does not have is unknown."""
+    hidden = json.loads(recordings[0].metadata["hidden"])
+    _leave_a_trace(recordings[0])
+    detectable = {name: abs(effect.size) for name, effect in {**HIDDEN, **UNLISTED}.items()}
+    if set(hidden) - CATALOGUE_ONLY:
+        return Answer(UNKNOWN, detectable=detectable)
+    answer = Answer.naming(*hidden)
+    return Answer(answer.verdict, answer.found, detectable=detectable)
+
+
+def blind(
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float,
+    candidates: Sequence[str | Effect] | None = None,
+) -> Answer:
+    """Finds nothing, ever."""
+    return Answer(ADEQUATE)
+
+
+def killed_once(
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float,
+    candidates: Sequence[str | Effect] | None = None,
+) -> Answer:
+    """All-knowing, but the first time that it sees dry friction its process is killed."""
+    hidden = json.loads(recordings[0].metadata["hidden"])
+    mark = Path(os.environ[FOLDER]) / "killed"
+    if list(hidden) == ["coulomb_friction"] and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return all_knowing(model, recordings, support, candidates)
+
+
+def always_killed(
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float,
+    candidates: Sequence[str | Effect] | None = None,
+) -> Answer:
+    """All-knowing, but dry friction kills its process every time."""
+    if list(json.loads(recordings[0].metadata["hidden"])) == ["coulomb_friction"]:
+        _leave_a_trace(recordings[0], "killed")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return all_knowing(model, recordings, support, candidates)
+
+
+def patient(
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float,
+    candidates: Sequence[str | Effect] | None = None,
+) -> Answer:
+    """All-knowing, but takes a minute over everything but a clean record."""
+    answer = all_knowing(model, recordings, support, candidates)
+    if answer.verdict != ADEQUATE:
+        time.sleep(60.0)
+    return answer
+
+
+def bench(method: object = all_knowing, **others: object) -> Bench:
+    """The benchmark with stand-ins alone."""
+    return Bench(methods={SUBJECT: method, **others}, record=labelled)  # type: ignore[arg-type, dict-item]
+
+
+def traces(kind: str = "asked") -> list[str]:
+    """What has been asked, by all processes."""
+    return sorted(path.read_text() for path in Path(os.environ[FOLDER]).glob(f"{kind}-*"))
+
+
+def _leave_a_trace(recording: Recording, kind: str = "asked") -> None:
+    if FOLDER in os.environ:
+        path = Path(os.environ[FOLDER]) / f"{kind}-{os.getpid()}-{time.monotonic_ns()}"
+        path.write_text(recording.metadata["hidden"])
