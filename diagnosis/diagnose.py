@@ -235,7 +235,8 @@ def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress)
             fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
         except ArithmeticError:
             continue
-    fits = sorted((each for each in fits if each.evidence > base.evidence + WORTH), key=lambda each: -each.evidence)
+    fits = [each for each in fits if each.fit.minimum.converged and each.evidence > base.evidence + WORTH]
+    fits.sort(key=lambda each: -each.evidence)
     if not fits:
         return None
     best = _simplest(fits, base)

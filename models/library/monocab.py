@@ -87,7 +87,7 @@ _RATE_ERROR = State(
     "rad/s",
     "-filter_integral_gain * roll_error",
     initial_std=2e-4,
-    process_noise=4e-5,
+    process_noise=1.3e-5,
     noise_known=True,
     meaning="what the roll filter has not learned of the gyro's bias",
 )

@@ -12,6 +12,7 @@ import typer
 from service.cli.output import page, people, print_json
 
 if TYPE_CHECKING:
+    from diagnosis.report import Provenance
     from models.effect import Effect
 
 
@@ -46,6 +47,10 @@ def diagnose(
             " the model to this file, and the trail beside it.",
         ),
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> None:
     """Find the physical effect that a model lacks, or say that the recordings cannot tell.
@@ -71,6 +76,19 @@ def diagnose(
         found = run(
             nominal, loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress
         )
+        if report is not None:
+            from diagnosis.report import write_report
+
+            origin = provenance(file.vehicle.id, recordings)
+            text = write_report(
+                found,
+                nominal,
+                loaded,
+                support=file.support,
+                provenance=origin,
+                progress=lambda text: progress(text, 1.0),
+            )
+            report.write_text(text, encoding="utf-8")
     if auto is not None and found.repaired is not None:
         from service.trail import write_trail
 
@@ -81,10 +99,24 @@ def diagnose(
         from service.cli.diagnose_page import print_diagnosis
 
         print_diagnosis(found)
+        if report is not None:
+            page.print(f"\nReport: {report}")
         if auto is not None and found.repaired is not None:
             page.print(f"\nModel: {auto}, and how it came about: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA:
         raise typer.Exit(1)
+
+
+def provenance(vehicle: str, recordings: list[Path]) -> Provenance:
+    """Where a report comes from, for its foot."""
+    from datetime import UTC, datetime
+    from hashlib import sha256
+    from importlib.metadata import version
+
+    from diagnosis.report import Provenance
+
+    hashes = {path.name: sha256(path.read_bytes()).hexdigest() for path in recordings}
+    return Provenance(vehicle, version("upright"), datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), hashes)
 
 
 def chosen(name: str) -> str | Effect:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
@@ -37,8 +39,16 @@ def print_diagnosis(found: Diagnosis) -> None:
     if found.minimum_detectable and found.repaired is not None:
         page.print()
         page.print(_detectable(found))
-    for name, why in (found.left_out or {}).items():
-        page.print(f"[dim]not looked for: {name}: {escape(why)}[/]")
+    for why, names in _reasons(found.left_out or {}).items():
+        page.print(f"[dim]Not looked for: {', '.join(names)}: {escape(why)}[/]")
+
+
+def _reasons(left_out: Mapping[str, str]) -> dict[str, list[str]]:
+    """Reason to the effects that it holds for."""
+    found: dict[str, list[str]] = {}
+    for name, why in left_out.items():
+        found.setdefault(why.removeprefix(f"effect {name}: "), []).append(name)
+    return found
 
 
 def _ranking(finding: Finding) -> Table:

@@ -46,9 +46,11 @@ def demo(
     data: DataOption = None,
     seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
 ) -> None:
-    """The whole story without hardware: a virtual vehicle on a virtual bus is balanced, excited and identified."""
+    """The whole story without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
     from diagnosis.compare import compare as compare_models
-    from service.cli.batch import comparison_table, estimates_beside, load_recording, read_models, working
+    from service.cli.batch import load_recording, working
+    from service.cli.compare import estimates_beside, read_models
+    from service.cli.compare_page import comparison_table
     from service.cli.talk import follow
     from service.demo import run_demo
     from service.demo_figure import save_run
@@ -66,13 +68,17 @@ def demo(
         with working() as step:
             step(f"comparing and drawing {path.name}")
             recording = load_recording(path, vehicle)
-            models = {"CAD": file.parameters.values, **read_models(estimates_beside(path), file.parameters.values)}
-            comparisons = compare_models(models, recording, file.support)
+            models = read_models([str(estimates_beside(path))], file)
+            comparisons = compare_models(models, [recording], support=file.support, progress=step)
             save_run(recording, file, picture)
         page.print(comparison_table(comparisons, title=path.stem))
         page.print(f"  recording {path}\n  picture   {picture}")
+    from service.cli.diagnose import diagnose
+
+    report = recordings[-1].with_name("diagnosis.html")
+    diagnose([recordings[-1]], vehicle=vehicle, report=report)
     page.print(
-        "Next: `upright compare RECORDING --picture FILE.png` shows where a model fails, `upright --help` the rest."
+        "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add what is missing."
     )
 
 

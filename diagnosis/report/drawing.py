@@ -1,0 +1,139 @@
+"""How the report's figures look: inline SVG whose text is text, in colours that differ in lightness, too.
+
+Before is orange, dashed and hollow, after is blue, full and filled: either tells them apart without the other, for
+people who see no red or green and for paper without colour. Drawn without pyplot: no display, no global state.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import StringIO
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+WIDTH = 7.2
+"""in, about what A4 leaves between its margins: text is as large on paper as it says here."""
+MOST_POINTS = 1500
+"""Of a curve: more than paper or a screen of that width shows."""
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "upright",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.01,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.5,
+}
+MEASURED, FLOOR = "0.72", "0.35"
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Of one model's curves."""
+
+    colour: str
+    dash: Any
+    marker: str
+    filled: bool
+    width: float
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Keywords of a curve."""
+        return {"color": self.colour, "linestyle": self.dash, "linewidth": self.width}
+
+    @property
+    def points(self) -> dict[str, Any]:
+        """Keywords of markers without a line."""
+        face = self.colour if self.filled else "white"
+        return {"color": self.colour, "marker": self.marker, "markerfacecolor": face, "linestyle": "none"}
+
+
+BEFORE = Look("#D55E00", (0, (2.5, 0.8)), "o", False, 1.5)
+AFTER = Look("#0072B2", "-", "s", True, 0.9)
+
+
+def looks(count: int) -> tuple[Look, ...]:
+    """Of a model alone, which is as it stays, or of one before and after."""
+    return (AFTER,) if count == 1 else (BEFORE, AFTER)
+
+
+def svg(figure: Figure, name: str, label: str) -> str:
+    """`figure` as an element of a page, read out as `label`. `name` keeps its ids apart from those of others."""
+    text = StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    body = text.getvalue()
+    body = body[body.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="', f'id="{name}-', body)
+    body = re.sub(r'href="#', f'href="#{name}-', body)
+    body = body.replace("url(#", f"url(#{name}-")
+    # Whoever lacks the font that the layout was made for gets one as wide.
+    body = body.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
+    # A hundredth of a point is finer than any printer.
+    body = re.sub(r'\b(?:d|x|y|transform)="[^"]*"', lambda found: re.sub(r"(\d\.\d\d)\d+", r"\1", found[0]), body)
+    body = re.sub(r'(<svg [^>]*?)width="[^"]*pt" ?', r"\1", body, count=1)
+    body = re.sub(r'(<svg [^>]*?)height="[^"]*pt" ?', r"\1", body, count=1)
+    return body.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+
+
+def thinned(*columns: Array) -> list[Array]:
+    """Every so many points of a curve, the same of all `columns`."""
+    step = max(1, -(-len(columns[0]) // MOST_POINTS))
+    return [column[::step] for column in columns]
+
+
+def shown(unit: str) -> tuple[float, str]:
+    """Factor and unit in which a person reads it: angles in degrees."""
+    if unit.startswith("rad"):
+        return float(np.degrees(1.0)), unit.replace("rad", "deg", 1)
+    return 1.0, unit
+
+
+def in_a_row(begins: Sequence[float], ends: Sequence[float]) -> Array:
+    """s by which each part of several recordings is shifted to stand after the one before, (n,).
+
+    Parts are in order; where time goes back, another recording begins.
+    """
+    shifts, shift, last = [], 0.0, -np.inf
+    for begin, end in zip(begins, ends, strict=True):
+        if begin < last:
+            shift += last - begin
+        shifts.append(shift)
+        last = end
+    return np.array(shifts)
+
+
+def file_name(source: str) -> str:
+    """The last part of a path."""
+    return source.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def separate(axes: Axes, begins: Sequence[float], names: Sequence[str]) -> None:
+    """Where each recording begins, and its name, where there are several."""
+    if len(begins) < 2:
+        return
+    for begin, name in zip(begins, names, strict=True):
+        axes.axvline(begin, color="0.5", linewidth=0.6)
+        axes.annotate(
+            name, (begin, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -2), textcoords="offset points",
+            fontsize=6.5, color="0.3", va="top", parse_math=False, annotation_clip=True,
+        )  # fmt: skip

@@ -1,0 +1,137 @@
+"""A diagnosis as one HTML page that can be mailed and printed: no script, no other file, nothing to load.
+
+People look before they read: the verdict, then pictures, then the ranking in words and numbers. The caller says what a
+pure function cannot know: who, which files, when.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from diagnosis.compare import Comparison, compare
+from diagnosis.diagnose import Diagnosis
+from diagnosis.floor import floor, innovation_ratio
+from diagnosis.report import tables
+from diagnosis.report.drawing import file_name
+from diagnosis.report.words import headline
+from estimators.contract import EstimationError
+from models.model import Model
+from telemetry.recording import Recording
+
+Progress = Callable[[str], None]
+
+ALONE, BEFORE, AFTER = "fitted model", "before", "after"
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a report is from. `hashes`: SHA-256 of each recording by its name. `date` is shown as it is given."""
+
+    vehicle: str = ""
+    version: str = ""
+    date: str = ""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Inline SVG, empty where there is none; `missing` says in words why."""
+
+    overlay: str = ""
+    energies: str = ""
+    forces: str = ""
+    staircase: str = ""
+    missing: str = ""
+
+
+def write_report(
+    diagnosis: Diagnosis,
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    support: float | None = None,
+    provenance: Provenance | None = None,
+    progress: Progress | None = None,
+) -> str:
+    """The page as text. `model` and `recordings` are what `diagnosis` is of, `support` as it was there.
+
+    `progress` is told in words what is being done.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    tell = progress or (lambda text: None)
+    comparisons, why = _comparisons(diagnosis, recordings, support, tell)
+    tell("drawing")
+    environment = Environment(
+        loader=PackageLoader("diagnosis.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html").render(
+        headline=headline(diagnosis),
+        diagnosis=diagnosis,
+        model=model,
+        recordings=recordings,
+        figures=_figures(diagnosis, comparisons, why),
+        comparisons=comparisons,
+        errors=list(tables.errors(comparisons)) if comparisons else [],
+        rankings=tables.rankings(diagnosis),
+        parameters=tables.parameters(diagnosis),
+        remarks=tables.remarks(diagnosis),
+        held=tables.held(diagnosis),
+        detectables=tables.detectables(diagnosis),
+        left_out=tables.left_out(diagnosis),
+        used=tables.used(diagnosis, recordings),
+        file_name=file_name,
+        provenance=provenance or Provenance(),
+    )
+
+
+def _comparisons(
+    diagnosis: Diagnosis, recordings: Sequence[Recording], support: float | None, tell: Progress
+) -> tuple[list[Comparison], str]:
+    """The model without and with what was found against the recordings, or why that cannot be."""
+    if not diagnosis.steps:
+        return [], "There is nothing to draw: no model could be fitted to these recordings."
+    models = {ALONE: diagnosis.steps[0].fitted}
+    if diagnosis.findings:
+        models = {BEFORE: diagnosis.steps[0].fitted, AFTER: diagnosis.steps[-1].fitted}
+    try:
+        tell("comparing before and after")
+        return compare(models, recordings, support=support, progress=tell), ""
+    except EstimationError as error:
+        return [], f"The models could not be run over the recordings: {error}"
+
+
+def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) -> Figures:
+    from diagnosis.report import pictures
+
+    falling = pictures.staircase(*_stairs(diagnosis)) if diagnosis.steps else ""
+    if not comparisons:
+        return Figures(staircase=falling, missing=why)
+    return Figures(
+        overlay=pictures.overlay(comparisons),
+        energies=pictures.energies(comparisons),
+        forces=pictures.forces(comparisons),
+        staircase=falling,
+    )
+
+
+def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:
+    """Names and innovation energies over the floor: as given, fitted, and after each effect."""
+    names, ratios = [], []
+    task = diagnosis.steps[0].fit.problem
+    try:
+        given = task.kernel.vector()
+        ratios.append(innovation_ratio(task, given, floor(task, given)))
+        names.append("as given")
+    except EstimationError:
+        pass  # values with which the model runs away have no error to show
+    for place, step in enumerate(diagnosis.steps):
+        fit = step.fit
+        ratios.append(innovation_ratio(fit.problem, fit.values, floor(fit.problem, fit.values)))
+        names.append("fitted" if place == 0 else f"with {diagnosis.findings[place - 1].effect}")
+    return names, ratios

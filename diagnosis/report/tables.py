@@ -1,0 +1,259 @@
+"""The report's tables as rows of finished text: effects by probability, parameters, errors, what would have shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.compare import Comparison
+from diagnosis.diagnose import Diagnosis, Finding
+from diagnosis.report.drawing import shown
+from diagnosis.screen import Score, Screen
+from estimators.contract import ParameterEstimate
+from estimators.methods.prediction_error import result
+from estimators.report import significant
+from telemetry.recording import Recording
+
+HARD_SPACE = "\N{NO-BREAK SPACE}"
+NOTHING = "nothing"
+"""Stands among the effects for a model that lacks none of them."""
+LEAST_SHOWN = 5e-4
+"""Probability below which an effect is left out of a ranking, except for the FEWEST first."""
+FEWEST = 4
+LARGE = 1000.0
+"""Standard deviation from which on its last digits are left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """One effect in a ranking. `probability` 0 to 1; `group` is "tied" or empty; the rest is text."""
+
+    name: str
+    title: str
+    probability: float
+    group: str
+    p_value: str
+    size: str
+    detectable: str
+
+    @property
+    def percent(self) -> str:
+        percent = 100.0 * self.probability
+        return f"{percent:.1f} %" if percent >= 0.1 or percent == 0.0 else "< 0.1 %"
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """One step of the diagnosis: what was found, in words, and all that came into question, the likeliest first."""
+
+    finding: Finding | None
+    title: str
+    rows: tuple[Ranked, ...]
+    left_out: int
+
+    @property
+    def tied(self) -> int:
+        """Rows in the bracket, which are the first ones."""
+        return sum(row.group == "tied" for row in self.rows)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """A parameter as it was known (CAD), as the model alone fits it, and with the effects; text."""
+
+    name: str
+    unit: str
+    cad: str
+    before: str
+    after: str
+    moved: str
+
+
+def rankings(diagnosis: Diagnosis) -> list[Ranking]:
+    """One for each finding; where there is none, what the screen alone says of those that came nearest."""
+    if not diagnosis.findings:
+        return [_nearest(diagnosis.screens[0])] if diagnosis.screens and diagnosis.screens[0].scores else []
+    return [_ranking(finding, screen) for finding, screen in zip(diagnosis.findings, diagnosis.screens, strict=False)]
+
+
+def _ranking(finding: Finding, screen: Screen) -> Ranking:
+    bracket = {finding.effect, *finding.tied_with} if finding.tied_with else set()
+    rows = []
+    for name, odds in finding.odds.items():
+        score = screen.score(name)
+        size = _found(finding, score) if name == finding.effect else _screened(score)
+        rows.append(_row(score, finding.probability * odds, "tied" if name in bracket else "", size))
+    rows.sort(key=lambda row: (row.group != "tied", row.name != finding.effect, -row.probability))
+    kept = [row for place, row in enumerate(rows) if place < FEWEST or row.probability >= LEAST_SHOWN or row.group]
+    nothing = max(0.0, 1.0 - finding.probability * sum(finding.odds.values()))
+    # A hundredth of LEAST_SHOWN is what rounding leaves of a difference.
+    title = "a model that lacks none of these"
+    kept.append(Ranked(NOTHING, title, nothing if nothing > 0.01 * LEAST_SHOWN else 0.0, "", "", "", ""))
+    return Ranking(finding, screen.score(finding.effect).candidate.effect.title, tuple(kept), len(rows) + 1 - len(kept))
+
+
+def _nearest(screen: Screen) -> Ranking:
+    rows = [_row(score, 0.0, "", _screened(score)) for score in screen.scores[: 2 * FEWEST]]
+    return Ranking(None, "", tuple(rows), len(screen.scores) - len(rows))
+
+
+def _row(score: Score, probability: float, group: str, size: str) -> Ranked:
+    candidate = score.candidate
+    return Ranked(
+        candidate.name, candidate.effect.title, probability, group, p_text(score.p_value), size, detectable(score)
+    )
+
+
+def _found(finding: Finding, score: Score) -> str:
+    """All its parameters, from the fit."""
+    told = [
+        f"{_own(name)} ={HARD_SPACE}{value_text(each)}{_unit(each.unit)}"
+        for name, each in finding.parameters.items()
+        if each.value is not None
+    ]
+    return "; ".join(told) if told else _screened(score)
+
+
+def _screened(score: Score) -> str:
+    """Its first amplitude, from the linearised model."""
+    first = score.candidate.amplitudes[0]
+    size, error = score.sizes[first], score.standard_errors[first]
+    text = with_std(size, error) if np.isfinite(error) else f"{size:.2g}"
+    return f"{_own(first)} ≈{HARD_SPACE}{text}{_amplitude_unit(score)}"
+
+
+def detectable(score: Score) -> str:
+    """The least size of its first amplitude that would have shown."""
+    if not np.isfinite(score.detectable):
+        return "none that this record could show"
+    first = _own(score.candidate.amplitudes[0])
+    return f"{first} ={HARD_SPACE}{score.detectable:.2g}{_amplitude_unit(score)}"
+
+
+def detectables(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Effect, its title, the least size that the recordings would have shown; by name."""
+    scores = diagnosis.screens[0].scores if diagnosis.screens else ()
+    return sorted((score.candidate.name, score.candidate.effect.title, detectable(score)) for score in scores)
+
+
+def parameters(diagnosis: Diagnosis) -> list[ParameterRow]:
+    """What was estimated, with what was known before beside it."""
+    if not diagnosis.steps:
+        return []
+    told = [result(step.fit, 0.0).parameters for step in (diagnosis.steps[0], diagnosis.steps[-1])]
+    before, after = told
+    # Start values, not those of a fit: the model of a step still has them.
+    known = {p.name: p for p in diagnosis.steps[0].model.parameters}
+    rows = []
+    for name, each in after.items():
+        cad, first = known.get(name), before.get(name)
+        text = moved = ""
+        if cad is not None:
+            text = with_std(cad.value, cad.std) if cad.std > 0.0 else f"{cad.value:.5g}"
+        if cad is not None and cad.std > 0.0:
+            values = [one.value for one in ((first, each) if len(diagnosis.steps) > 1 else (each,)) if one is not None]
+            moved = " → ".join("?" if value is None else f"{(value - cad.value) / cad.std:+.1f}" for value in values)
+        rows.append(
+            ParameterRow(
+                name=name,
+                unit="" if each.unit == "1" else each.unit,
+                cad=text,
+                before="" if first is None else value_text(first),
+                after=value_text(each),
+                moved=moved,
+            )
+        )
+    return rows
+
+
+def remarks(diagnosis: Diagnosis) -> list[str]:
+    """Why a value is not told; parameters of the same reason together."""
+    because: dict[str, list[str]] = {}
+    if diagnosis.steps:
+        for name, each in result(diagnosis.steps[-1].fit, 0.0).parameters.items():
+            if each.reason:
+                because.setdefault(each.reason, []).append(name)
+    return [f"{', '.join(names)}: {reason}" for reason, names in because.items()]
+
+
+def value_text(estimate: ParameterEstimate) -> str:
+    """Value and standard deviation, two digits of the latter."""
+    if estimate.value is None or estimate.std is None:
+        return "not told"
+    return with_std(estimate.value, estimate.std)
+
+
+def with_std(value: float, std: float) -> str:
+    """Two digits of the standard deviation, and the value to the same place."""
+    if std >= LARGE:
+        place = 1 - int(np.floor(np.log10(std)))
+        return f"{round(value, place):.0f}{HARD_SPACE}±{round(std, place):.0f}"
+    digits = significant(std)
+    return f"{value:.{digits}f}{HARD_SPACE}±{std:.{digits}f}"
+
+
+def errors(comparisons: Sequence[Comparison]) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
+    """By channel, a model each: fit in percent, RMS error with its unit, the same over that of noise."""
+    outputs = {output.name: output for output in comparisons[0].innovations.problem.model.outputs}
+    for channel in comparisons[0].fit_percent:
+        factor, unit = shown(outputs[channel].unit)
+        cells = [
+            (
+                f"{each.fit_percent[channel]:.2f} %",
+                f"{factor * each.rmse[channel]:.3g} {unit}",
+                f"{each.rmse[channel] / each.noise_floor[channel]:.3g}",
+            )
+            for each in comparisons
+            if channel in each.fit_percent
+        ]
+        yield channel, cells
+
+
+def p_text(value: float) -> str:
+    """A p-value as people write it."""
+    return "< 1e-6" if value < 1e-6 else f"{value:.2g}"
+
+
+def left_out(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Effects that were not looked for, those with the same reason together, and the reason."""
+    because: dict[str, list[str]] = {}
+    for name, reason in sorted((diagnosis.left_out or {}).items()):
+        because.setdefault(reason.removeprefix(f"effect {name}: "), []).append(name)
+    return [(", ".join(names), reason) for reason, names in because.items()]
+
+
+def used(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
+    """How much of the recordings the diagnosis rests on."""
+    if not diagnosis.steps:
+        return ""
+    whole = sum(recording.duration for recording in recordings)
+    return f"{diagnosis.steps[0].fit.problem.span:.1f} of {whole:.1f} s"
+
+
+def held(diagnosis: Diagnosis) -> Mapping[str, str]:
+    """Values that were not asked for, by name: what all the others rest on."""
+    if not diagnosis.steps:
+        return {}
+    last = diagnosis.steps[-1]
+    free = {p.name for p in last.fit.problem.parameters}
+    return {
+        p.name: f"{p.value:.5g}{_unit(p.unit)}" + (f" ±{p.std:.2g}" if p.std > 0.0 else "")
+        for p in last.model.parameters
+        if p.name not in free
+    }
+
+
+def _own(name: str) -> str:
+    return name.rsplit(".", 1)[-1]
+
+
+def _unit(unit: str) -> str:
+    """After a number, from which no line break parts it."""
+    return "" if unit == "1" else f"{HARD_SPACE}{unit.replace(' ', HARD_SPACE)}"
+
+
+def _amplitude_unit(score: Score) -> str:
+    first = score.candidate.amplitudes[0]
+    return _unit(next(p.unit for p in score.candidate.attached.parameters if p.name == first))

@@ -1,0 +1,96 @@
+"""The verdict in one line and what to do next, in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from models.effect import Effect
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """`kind` is the verdict as a word that also names its colour and its icon; `text` the line; `next_step` to do."""
+
+    kind: str
+    word: str
+    text: str
+    next_step: str
+
+
+def headline(diagnosis: Diagnosis) -> Headline:
+    """What a person reads first."""
+    return Headline(
+        diagnosis.verdict.value,
+        diagnosis.verdict.value.replace("_", " ").capitalize(),
+        _line(diagnosis),
+        next_step(diagnosis),
+    )
+
+
+def _line(diagnosis: Diagnosis) -> str:
+    names = _listed([_named(finding) for finding in diagnosis.findings])
+    match diagnosis.verdict:
+        case Verdict.ADEQUATE:
+            return "the model explains these recordings as well as their noise allows"
+        case Verdict.MISSING_EFFECT:
+            alone = diagnosis.findings[0] if len(diagnosis.findings) == 1 else None
+            if alone is not None and not alone.tied_with:
+                names = f"{names}: {effect_of(diagnosis, 0, names).title}"
+            return f"the model lacks {names}"
+        case Verdict.UNKNOWN:
+            found = f"{names} would explain a part; " if names else ""
+            return f"{found}the model lacks something that no known effect explains"
+        case Verdict.INSUFFICIENT_DATA:
+            return "these recordings cannot tell what the model lacks"
+
+
+def _listed(names: Sequence[str]) -> str:
+    *first, last = names or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _named(finding: Finding) -> str:
+    """With what it cannot be told apart from."""
+    return " or ".join((finding.effect, *finding.tied_with))
+
+
+def next_step(diagnosis: Diagnosis) -> str:
+    """One sentence."""
+    if diagnosis.suggested_experiment:
+        return _experiment(diagnosis.suggested_experiment)
+    match diagnosis.verdict:
+        case Verdict.ADEQUATE:
+            return "Use the model with the fitted values; there is nothing to add."
+        case Verdict.INSUFFICIENT_DATA:
+            return "Mend what the reason below names, record again, and diagnose again."
+        case Verdict.UNKNOWN:
+            return (
+                "Look at where it still fails below, describe the effect that you suspect in a file, and diagnose again"
+                " with --also FILE.toml."
+            )
+        case Verdict.MISSING_EFFECT:
+            return _add_or_tell_apart(diagnosis)
+
+
+def _add_or_tell_apart(diagnosis: Diagnosis) -> str:
+    for place, finding in enumerate(diagnosis.findings):
+        if finding.tied_with:
+            how = effect_of(diagnosis, place, finding.effect).separated_by.rstrip(".")
+            others = _listed(finding.tied_with)
+            return f"Tell {finding.effect} apart from {others} before you build on it: {how[:1].lower()}{how[1:]}."
+    names = _listed([finding.effect for finding in diagnosis.findings])
+    return f"Add {names} to the model (upright model add), and check it on a recording that it was not fitted to."
+
+
+def effect_of(diagnosis: Diagnosis, step: int, name: str) -> Effect:
+    """The effect called `name` that was looked for in `step`."""
+    return diagnosis.screens[step].score(name).candidate.effect
+
+
+def _experiment(suggested: Mapping[str, Any]) -> str:
+    """In its own words, where it has some."""
+    text = suggested.get("text") or f"record {suggested['experiment']}"
+    return f"Record once more, then diagnose again: {text}."
