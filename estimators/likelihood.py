@@ -84,7 +84,7 @@ class Likelihood:
             run = kernel.run(
                 segment, values, start, gain=gain, gain_slopes=by_gain, active=active, substeps=task.substeps
             )
-            if not (np.all(np.isfinite(run.predicted)) and np.all(np.isfinite(run.sensitivity))):
+            if run.runs_away:
                 return None
             error = segment.measured - run.predicted
             unknown = ~np.isfinite(error)

@@ -115,7 +115,7 @@ class Problem:
             start = initial.copy()
             start[list(self.own)] = part
             run = self.kernel.run(segment, values, start, gain=gain, active=active, substeps=self.substeps)
-            if not (np.all(np.isfinite(run.predicted)) and np.all(np.isfinite(run.sensitivity))):
+            if run.runs_away:
                 return None
             error = segment.measured - run.predicted
             residual = (np.where(np.isfinite(error), error, 0.0) @ weights.T).ravel()

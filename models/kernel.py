@@ -28,6 +28,7 @@ Progress = Callable[[str], None]
 FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
 """What the code of a model consists of (models.codegen, models.column_code)."""
 LOOPS = "upright_run"
+LARGEST = 1e100
 ELSEWHERE = -1
 """Number of what is no parameter, initial state or gain."""
 
@@ -45,6 +46,12 @@ class Run:
     predicted: Array
     sensitivity: Array
     final: Array
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether a number is not finite, or so large that its square is not."""
+        largest = max(np.max(np.abs(part), initial=0.0) for part in (self.predicted, self.sensitivity))
+        return not largest < LARGEST
 
 
 @dataclass(slots=True)

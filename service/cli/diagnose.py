@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,6 +62,7 @@ def diagnose(
     from diagnosis.diagnose import diagnose as run
     from models.effects import CATALOGUE
     from service.cli.batch import identified_model, load_recording
+    from service.next_experiment import suggest_for
     from service.vehicle_file import load
 
     file = load(vehicle)
@@ -76,6 +78,8 @@ def diagnose(
         found = run(
             nominal, loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress
         )
+        progress("choosing the next experiment", 1.0)
+        found = replace(found, suggested_experiment=suggest_for(file, found, nominal, loaded))
         if report is not None:
             from diagnosis.report import write_report
 

@@ -36,6 +36,8 @@ def print_diagnosis(found: Diagnosis) -> None:
         page.print(f"[bold]{number}. {finding.effect}[/] ({finding.family})")
         page.print(_ranking(finding))
         page.print(Padding(escape(finding.explanation), (0, 2)))
+    if found.suggested_experiment:
+        page.print(f"\nNext: {escape(str(found.suggested_experiment['text']))}")
     if found.minimum_detectable and found.repaired is not None:
         page.print()
         page.print(_detectable(found))

@@ -25,7 +25,24 @@ def register(app: typer.Typer) -> None:
 
 
 def experiment(
-    name: Annotated[str, typer.Argument(help="One of the vehicle file's experiments, as in `upright config show`.")],
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME | RECORDINGS...",
+            help="One of the vehicle file's experiments, as in `upright config show`; with --separate, recordings.",
+            show_default=False,
+        ),
+    ] = None,
+    separate: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            "--separate",
+            metavar="EFFECT EFFECT",
+            help="Run the experiment that tells these two apart soonest: as the recordings show them, or else as small"
+            " as they can be seen.",
+            show_default=False,
+        ),
+    ] = None,
     vehicle: VehicleOption = "monocab",
     socket: SocketOption = None,
     json: JsonOption = False,
@@ -35,6 +52,14 @@ def experiment(
     Ctrl-C ends it in order: the vehicle is lowered onto its support. Exit code 3: refused by an interlock (the reasons
     are printed), 4: the safety verdict stopped the vehicle.
     """
+    if separate is not None:
+        from service.cli.separate import chosen_experiment
+
+        name, vehicle = chosen_experiment(separate, names or [], vehicle)
+    elif names and len(names) == 1:
+        name = names[0]
+    else:
+        raise typer.BadParameter("name one experiment, or two effects with --separate", param_hint="NAME")
     try:
         answer = follow(_call({"verb": "experiment", "name": name}, vehicle, socket))
     except KeyboardInterrupt:

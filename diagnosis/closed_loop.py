@@ -1,0 +1,106 @@
+"""What a model would do in an experiment that was not run: the loop of the compiled model and its controller.
+
+Sample by sample the model shows its outputs, the controller answers with the inputs, and the model goes on: without
+noise, from rest. The controller is a plain callable, so that the vehicle's own can be used here. A command is held from
+its row on; an input that is a measurement (the gimbals' motion, say) is given for the row after, which it leads to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.problem import problem
+from models.model import Hold, Model
+from models.segment import Segment
+
+Array = NDArray[np.float64]
+
+ROOM = 0.8
+"""Share of a limit that a prediction may reach: the rest is for noise, and for what the model does not know."""
+
+Controller = Callable[[float, Mapping[str, float]], Mapping[str, float]]
+"""From the time, s, and the outputs by name to the inputs by name; further channels that have a limit may be in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """The largest size of a channel; `unit` and `factor` say it to people, `meaning` says why."""
+
+    channel: str
+    largest: float
+    unit: str
+    meaning: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """An excitation of the vehicle that could be run.
+
+    `parameters` as the vehicle file has them; `duration` s; `period` s of the control loop; `controller()` makes a
+    fresh one with the excitation in it. `shorter(s)` is the same experiment in less time, None where it cannot be.
+    """
+
+    name: str
+    parameters: Mapping[str, Any]
+    duration: float
+    period: float
+    controller: Callable[[], Controller] = field(repr=False)
+    limits: tuple[Limit, ...] = ()
+    shorter: Callable[[float], Experiment | None] = field(default=lambda duration: None, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """`rows` of the experiment as the model predicts them. `broken`: the limit that it comes too near to, or ""."""
+
+    rows: Segment
+    broken: str
+
+
+def causal(model: Model) -> Model:
+    """`model` with no input that acts before it is given, as a fit of the clocks may end with."""
+    early = {name for each in model.inputs for name in each.delays if model.parameter(name).value < 0.0}
+    return model.change(dict.fromkeys(early, 0.0))
+
+
+def simulate(model: Model, experiment: Experiment) -> Course:
+    """The closed loop of `model` (see `causal`) and the controller, up to the row at which a limit is broken."""
+    count = round(experiment.duration / experiment.period) + 1
+    time = experiment.period * np.arange(count, dtype=np.float64)
+    inputs, outputs = len(model.inputs), len(model.outputs)
+    knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
+    rows = Segment(time, knots, np.zeros((count, inputs)), np.zeros((count, outputs)), experiment.name)
+    task = problem(model, (), rows=[rows])
+    kernel, values = task.kernel, task.kernel.vector()
+    memory, nothing = kernel.memory(np.zeros(len(kernel.states))), np.empty((count, outputs, 0))
+    controller = experiment.controller()
+    place = {name: number for number, name in enumerate(kernel.inputs)}
+    later = {each.name: int(each.hold is Hold.FIRST_ORDER) for each in model.inputs}
+    move = kernel.ready(rows, values, memory, None, (), rows.measured, nothing, substeps=task.substeps)
+    move(0, 0, False)
+    for row in range(count - 1):
+        seen = dict(zip(kernel.outputs, rows.measured[row].tolist(), strict=True))
+        given = controller(float(time[row]), seen)
+        for limit in experiment.limits:
+            value = abs(given[limit.channel] if limit.channel in given else seen[limit.channel])
+            if not value <= ROOM * limit.largest:
+                return Course(rows, _broken(limit, value, float(time[row])))
+        for name, number in place.items():
+            rows.inputs[row + later[name], number] = given[name]
+        move(row, row + 1, True)
+    return Course(rows, "")
+
+
+def _broken(limit: Limit, value: float, time: float) -> str:
+    if not np.isfinite(value):
+        return f"the model runs away {time:.1f} s after the start"
+    return (
+        f"{limit.channel} would reach {limit.factor * value:.3g} {limit.unit} after {time:.1f} s, more than"
+        f" {100.0 * ROOM:g} % of the {limit.factor * limit.largest:.3g} {limit.unit} {limit.meaning}"
+    )

@@ -1,0 +1,44 @@
+"""`upright experiment --separate A B`: which experiment that is, told before it is run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from service.cli.output import people
+from telemetry.errors import UprightError
+
+
+class NothingSeparates(UprightError):
+    """No safe experiment of the vehicle tells two effects apart in a reasonable time."""
+
+
+def chosen_experiment(effects: tuple[str, str], recordings: Sequence[str], vehicle: str) -> tuple[str, str]:
+    """The experiment's name and the vehicle's id; what will be run, and why no other, is printed on stderr.
+
+    Raises NothingSeparates, and ModelError for an effect that the vehicle's model cannot have.
+    """
+    from service.cli.batch import identified_model, load_recording
+    from service.cli.diagnose import share_done
+    from service.next_experiment import separating
+    from service.vehicle_file import load
+
+    file = load(vehicle)
+    loaded = [load_recording(Path(path), vehicle) for path in recordings]
+    with share_done() as progress:
+        choice = separating(file, identified_model(None, file), effects, loaded, progress)
+    for outlook in choice.outlooks:
+        if outlook.refused:
+            people.print(f"  not {outlook.experiment.name}: {outlook.refused}")
+    best = choice.best
+    if best is None:
+        raise NothingSeparates(
+            f"no experiment of {file.vehicle.id} separates {effects[0]} from {effects[1]}.",
+            remedy="Add one to the vehicle file that moves the vehicle more, or at other amplitudes or frequencies.",
+        )
+    whole = file.experiments[best.experiment.name]
+    people.print(f"{best.text} ({best.rate:.2g} nats/s expected).")
+    people.print(f"Running {best.experiment.name}: {whole.title or whole.excitation}, {whole.duration:g} s.")
+    if best.runs > 1:
+        people.print(f"This is the first of {best.runs} runs; give all their recordings to `upright diagnose`.")
+    return best.experiment.name, file.vehicle.id

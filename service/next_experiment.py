@@ -1,0 +1,241 @@
+"""The vehicle's own experiments as the diagnosis predicts them, and which of them to run next.
+
+Joins what the control loop runs (controller, excitation, limits of the vehicle file) to `diagnosis.next_experiment`,
+which knows no vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from math import degrees, expm1, radians
+from typing import Any
+
+from diagnosis.closed_loop import Controller, Experiment, Limit, simulate
+from diagnosis.diagnose import Diagnosis, Verdict
+from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
+from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals
+from estimators.segments import SUPPORT_MARGIN
+from models.control_design import RollDesign
+from models.model import Model, ModelError
+from service.controller import RollController, design
+from service.excitation import Excitation, ExcitationError, InjectionPoint, make_excitation
+from service.vehicle_file import ExperimentSection, VehicleFile
+from telemetry.errors import UprightError
+from telemetry.recording import Recording
+
+UNTOLD = ("coulomb_friction", "viscous_friction")
+"""What a record that is too poor for a diagnosis tells apart the least."""
+SMALL = 0.03
+"""Share of its typical size at which an effect is looked at to find the size at which it just shows."""
+DRIVEN = {"precession_rate_setpoint", "precession_rate", "precession"}
+DRIVEN |= {"trim_position", "trim_rate", "trim_rate_setpoint"}
+"""Inputs of models that the loop gives."""
+MOST_RIVALS = 4
+MOST_UNSEEN = 3
+"""Effects that might have been missed that are looked at."""
+DETECTABLE = 10.8
+"""nats that the smallest effect is worth that is found with 99 % probability at 1 % false alarms: (2 x 2.33)^2 / 2."""
+
+
+def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, str]]:
+    """The experiments of a vehicle file that can be predicted, and by name why the others are none."""
+    gains = design(vehicle)
+    found, left_out = [], {}
+    for name, section in vehicle.experiments.items():
+        if section.excitation == "none":
+            left_out[name] = "moves nothing"
+        elif InjectionPoint(section.at) is InjectionPoint.REST:
+            left_out[name] = "begins on a support, which the models do not know"
+        else:
+            try:
+                found.append(_experiment(name, section, vehicle, gains))
+            except ExcitationError as error:
+                left_out[name] = str(error)
+    return found, left_out
+
+
+def suggest_for(
+    vehicle: VehicleFile,
+    diagnosis: Diagnosis,
+    model: Model,
+    recordings: Sequence[Recording],
+    progress: Progress | None = None,
+) -> Mapping[str, Any] | None:
+    """What to record next after a `diagnosis` of `model` from `recordings`, as `Diagnosis.suggested_experiment`.
+
+    Tied effects are to be told apart. Where no effect was found, it is asked what would show the largest that may have
+    been missed; where the recordings could not be used, what tells dry from viscous friction. None where nothing is in
+    question, no experiment of the vehicle tells it, or the vehicle's loop cannot be predicted with this model.
+    """
+    try:
+        return _suggestion(vehicle, diagnosis, model, recordings, progress)
+    except (UprightError, ArithmeticError):
+        # A diagnosis is worth having without a suggestion.
+        return None
+
+
+def _suggestion(
+    vehicle: VehicleFile,
+    diagnosis: Diagnosis,
+    model: Model,
+    recordings: Sequence[Recording],
+    progress: Progress | None,
+) -> Mapping[str, Any] | None:
+    if diagnosis.verdict is Verdict.INSUFFICIENT_DATA:
+        return _as_json(separating(vehicle, model, UNTOLD, progress=progress))
+    repaired = diagnosis.repaired
+    if repaired is None:
+        return None
+    experiments = _predictable(vehicle, repaired)
+    if diagnosis.findings:
+        tied = next((finding for finding in diagnosis.findings if finding.tied_with), None)
+        if tied is None:
+            return None
+        names = [tied.effect, *sorted(tied.tied_with, key=lambda name: -tied.odds[name])][:MOST_RIVALS]
+        rivals = fitted_rivals(repaired.remove(tied.effect), recordings, vehicle.support, names)
+        return _as_json(suggest(rivals, experiments, progress)) if len(rivals) > 1 else None
+    if diagnosis.verdict is Verdict.ADEQUATE:
+        bare = fitted(repaired, recordings, vehicle.support)
+        for effect, size in _unseen(repaired, diagnosis.minimum_detectable or {})[:MOST_UNSEEN]:
+            missed = replace(bare, name=effect, model=_with(bare.model, effect, size))
+            found = suggest((missed, bare), experiments, progress)
+            if found.best is not None:
+                return found.best.to_json()
+    return None
+
+
+def separating(
+    vehicle: VehicleFile,
+    model: Model,
+    effects: Sequence[str],
+    recordings: Sequence[Recording] = (),
+    progress: Progress | None = None,
+) -> Choice:
+    """The experiment that tells `effects` apart, as `recordings` show them, or else at the smallest size that shows.
+
+    Raises ModelError for an effect that the model cannot have, and DataError for recordings that cannot be used.
+    """
+    bare, experiments = model, _predictable(vehicle, model)
+    for name in effects:
+        if any(attached.name == name for attached in bare.effects):
+            bare = bare.remove(name)
+    if recordings:
+        return suggest(fitted_rivals(bare, recordings, vehicle.support, effects), experiments, progress)
+    alone = Rival.assumed(NOTHING_MORE, bare)
+    rivals = [_just_visible(bare, name, alone, experiments) for name in effects]
+    return suggest(rivals, experiments, progress)
+
+
+def _as_json(choice: Choice) -> Mapping[str, Any] | None:
+    return choice.best.to_json() if choice.best is not None else None
+
+
+def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
+    """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
+    lacking = {"roll", "roll_rate"} - {each.name for each in model.outputs}
+    lacking |= {each.name for each in model.inputs} - DRIVEN
+    if lacking:
+        what = f"the loop with the vehicle's controller cannot be closed: {', '.join(sorted(lacking))}"
+        raise ModelError(f"model {model.name}", what, remedy="use one of the vehicle's own models.")
+    return experiments_of(vehicle)[0]
+
+
+def _unseen(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Effects and the size up to which they may have been missed, the largest against its typical size first."""
+    found = []
+    for name, size in sizes.items():
+        attached = model.add(name).effects[-1]
+        first = next(p for p in attached.parameters if p.name == attached.amplitudes[0])
+        if size <= max(abs(first.lower), abs(first.upper)):
+            found.append((size / first.typical, name, size))
+    return [(name, size) for _, name, size in sorted(found, reverse=True)]
+
+
+def _with(model: Model, effect: str, size: float) -> Model:
+    """`model` with `effect`, its first amplitude at `size`, all of them estimated."""
+    wider = model.add(effect)
+    return wider.change({wider.effects[-1].amplitudes[0]: size})
+
+
+def _just_visible(model: Model, effect: str, alone: Rival, experiments: Sequence[Experiment]) -> Rival:
+    """`model` with `effect` as small as the best of `experiments` would just show it: nats grow with the square."""
+    attached = model.add(effect).effects[-1]
+    size = SMALL * next(p for p in attached.parameters if p.name == attached.amplitudes[0]).typical
+    tried = Rival.assumed(effect, _with(model, effect, size))
+    courses = (simulate(tried.model, experiment) for experiment in experiments)
+    nats = [expected_log_odds(tried, course.rows, alone) for course in courses if not course.broken]
+    if not nats or max(nats) <= 0.0:
+        raise ModelError(f"effect {effect}", "no safe experiment shows it", remedy="give recordings of it.")
+    return Rival.assumed(effect, _with(model, effect, size * (DETECTABLE / max(nats)) ** 0.5))
+
+
+def _experiment(name: str, section: ExperimentSection, vehicle: VehicleFile, gains: RollDesign) -> Experiment:
+    excitation = make_excitation(section, float(vehicle.control.rate))
+    limits = vehicle.limits
+    upright = min(vehicle.support - SUPPORT_MARGIN, radians(limits.roll_deg))
+    turn = degrees(1.0)
+
+    def shorter(duration: float) -> Experiment | None:
+        if duration >= section.duration:
+            return None
+        try:
+            return _experiment(name, section.model_copy(update={"duration": duration}), vehicle, gains)
+        except ExcitationError:
+            return None
+
+    return Experiment(
+        name=name,
+        parameters=section.model_dump(exclude_none=True, exclude={"title"}),
+        duration=excitation.duration,
+        period=vehicle.period,
+        controller=partial(_loop, vehicle, gains, excitation),
+        limits=(
+            Limit("roll", upright, "deg", "at which the supports carry", turn),
+            Limit("roll_rate", radians(limits.roll_rate_deg), "deg/s", "of limits.roll_rate_deg", turn),
+            Limit("precession", radians(limits.precession_budget_deg), "deg", "of limits.precession_budget_deg", turn),
+            Limit("precession_rate_setpoint", limits.precession_rate, "rad/s", "of limits.precession_rate"),
+            Limit("setpoint_slope", limits.precession_acceleration, "rad/s^2", "of limits.precession_acceleration"),
+        ),
+        shorter=shorter,
+    )
+
+
+def _loop(vehicle: VehicleFile, gains: RollDesign, excitation: Excitation) -> Controller:
+    """The vehicle's controller with the excitation in it, and the gimbals of models whose input is their motion."""
+    controller = RollController.from_design(gains, vehicle)
+    on_reference = excitation.at is InjectionPoint.ROLL_REFERENCE
+    period = vehicle.period
+    follows = -expm1(-period / gains.parameters.speed_loop_lag)
+    rate = precession = before = 0.0
+
+    def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
+        nonlocal rate, precession, before
+        rate = seen.get("precession_rate", rate)
+        precession = seen.get("precession", precession)
+        value = excitation.value(time)
+        setpoint = controller.step(
+            seen["roll"],
+            seen["roll_rate"],
+            rate,
+            precession,
+            value if on_reference else 0.0,
+            period,
+            0.0 if on_reference else value,
+        )
+        after = rate + follows * (setpoint - rate)
+        precession += 0.5 * period * (rate + after)
+        rate = after
+        slope, before = (setpoint - before) / period, setpoint
+        return {
+            "precession_rate_setpoint": setpoint,
+            "precession_rate": rate,
+            "precession": precession,
+            "trim_position": 0.0,
+            "trim_rate": 0.0,
+            "trim_rate_setpoint": 0.0,
+            "setpoint_slope": slope,
+        }
+
+    return step
