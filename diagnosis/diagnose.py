@@ -60,6 +60,10 @@ CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
 
 
+CHECKED = 3
+"""Effects, the likeliest first, that are tried on unseen data before none is named."""
+
+
 class Verdict(StrEnum):
     """What a diagnosis ends with."""
 
@@ -220,6 +224,26 @@ def unidentified(base: FullFit) -> str:
 
 def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress) -> tuple[Finding, FullFit] | None:
     """The effect that explains most, in the model; None where none stands up to a full fit and to unseen data."""
+    fits = _contenders(base, screened, workspace, tell)
+    # What the screen saw in a neighbour is this effect's, too: the strongest is tested, the best fitting is named.
+    names = {each.candidate.name for each in fits if each.candidate}
+    p_value = min((each.p_value for each in screened.scores if each.candidate.name in names), default=1.0)
+    if p_value >= LEVEL:
+        return None
+    for attempt in range(CHECKED):
+        if not fits:
+            return None
+        best = _simplest(fits, base)
+        tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
+        gain, closed = _on_unseen(base, best, workspace)
+        if (gain is None or gain[0] >= gain[1]) and (closed is None or closed > 0.0):
+            return _finding(base, best, fits, screened, p_value, gain, closed), best
+        fits = [each for each in fits if each is not best]
+    return None
+
+
+def _contenders(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress) -> list[FullFit]:
+    """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
     quicks: list[QuickFit] = []
     for number, score in enumerate(worth):
@@ -227,56 +251,45 @@ def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress)
         quicks.append(quick(base.fit, base.model, score, workspace))
     quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
     quicks.sort(key=lambda each: -each.gain)
-    contenders = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
+    chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
     fits: list[FullFit] = []
-    for number, each in enumerate(contenders):
-        tell(f"fitting {each.candidate.effect.title}", 0.6 + 0.3 * number / len(contenders))
+    for number, each in enumerate(chosen):
+        tell(f"fitting {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
         try:
             fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
         except ArithmeticError:
             continue
     fits = [each for each in fits if each.fit.minimum.converged and each.evidence > base.evidence + WORTH]
-    fits.sort(key=lambda each: -each.evidence)
-    if not fits:
-        return None
-    best = _simplest(fits, base)
+    return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _finding(
+    base: FullFit,
+    best: FullFit,
+    fits: Sequence[FullFit],
+    screened: Screen,
+    p_value: float,
+    gain: tuple[float, float] | None,
+    closed: float | None,
+) -> Finding:
     assert best.candidate is not None
-    score = screened.score(best.candidate.name)
-    # What the screen saw in a neighbour is this effect's, too: the strongest is tested, the best fitting is named.
-    p_value = min(
-        each.p_value
-        for each in screened.scores
-        if each.candidate.name in {f.candidate.name for f in fits if f.candidate}
-    )
-    if p_value >= LEVEL:
-        return None
-    tell("checking on data that the fit has not seen", 0.95)
-    gain, closed = _on_unseen(base, best, workspace)
-    if gain is not None and gain[0] < gain[1]:
-        return None
-    odds = {
-        each.candidate.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0)))
-        for each in fits
-        if each.candidate
-    }
-    tied = tuple(name for name, value in odds.items() if name != best.candidate.name and value > TIED)
+    odds = {each.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0))) for each in fits}
     none = float(np.exp(max(base.evidence - best.evidence, -700.0)))
     told = result(best.fit, 0.0).parameters
-    own = {name: told[name] for name in told if name.startswith(f"{best.candidate.name}.")}
     finding = Finding(
-        effect=best.candidate.name,
+        effect=best.name,
         family=best.candidate.effect.family.value,
-        parameters=own,
+        parameters={name: told[name] for name in told if name.startswith(f"{best.name}.")},
         probability=1.0 / (sum(odds.values()) + none),
         p_value=p_value,
         held_out_error_closed_percent=closed,
-        tied_with=tied,
+        tied_with=tuple(name for name, value in odds.items() if name != best.name and value > TIED),
         explanation="",
         log_likelihood_gain=best.log_likelihood - base.log_likelihood,
         held_out_gain=gain,
         odds=odds,
     )
-    return replace(finding, explanation=explain(finding, best.candidate, score, screened)), best
+    return replace(finding, explanation=explain(finding, best.candidate, screened.score(best.name), screened))
 
 
 def _asked(finding: Finding, before: Sequence[Finding]) -> float:

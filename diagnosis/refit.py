@@ -56,6 +56,11 @@ class FullFit:
     cost: float
 
     @property
+    def name(self) -> str:
+        """Of the effect that was added last; empty for the model alone."""
+        return self.candidate.name if self.candidate else ""
+
+    @property
     def evidence(self) -> float:
         """Logarithm of the model's posterior odds, but for a constant."""
         return self.log_likelihood - self.cost

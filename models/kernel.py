@@ -28,7 +28,7 @@ Progress = Callable[[str], None]
 FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
 """What the code of a model consists of (models.codegen, models.column_code)."""
 LOOPS = "upright_run"
-LARGEST = 1e100
+LARGEST = 1e30
 ELSEWHERE = -1
 """Number of what is no parameter, initial state or gain."""
 
@@ -49,9 +49,9 @@ class Run:
 
     @property
     def runs_away(self) -> bool:
-        """Whether a number is not finite, or so large that its square is not."""
-        largest = max(np.max(np.abs(part), initial=0.0) for part in (self.predicted, self.sensitivity))
-        return not largest < LARGEST
+        """Whether a number is not finite, or so large that no vehicle is meant."""
+        largest = (np.max(np.abs(part), initial=0.0) for part in (self.predicted, self.sensitivity))
+        return not all(each < LARGEST for each in largest)  # not a number is not less
 
 
 @dataclass(slots=True)

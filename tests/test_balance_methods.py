@@ -327,13 +327,13 @@ def test_an_amplitude_that_noise_takes_below_zero_is_zero(sweep: list[Recording]
 
 
 def test_a_scale_that_is_not_anchored_names_what_it_goes_with(sweep: list[Recording]) -> None:
-    estimate = least_squares(ROLL.add("input_gain"), sweep[:1], support=SUPPORT)
+    estimate = least_squares(DRIVEN.add("input_gain"), sweep[:1], support=SUPPORT)
     assert_unknown(estimate, Status.UNIDENTIFIABLE, "input_gain.gain")
     assert "inertia" in estimate.parameters["input_gain.gain"].reason
 
 
 def test_two_of_the_same_are_not_told_apart(sweep: list[Recording]) -> None:
-    estimate = least_squares(ROLL.add("input_delay"), sweep[:1], support=SUPPORT)
+    estimate = least_squares(DRIVEN.add("input_delay"), sweep[:1], support=SUPPORT)
     assert estimate.status is Status.UNIDENTIFIABLE
     assert "input_delay.delay" in estimate.parameters["drive_offset"].reason
     assert "drive_offset" in estimate.parameters["input_delay.delay"].reason
