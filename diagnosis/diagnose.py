@@ -21,12 +21,12 @@ from diagnosis.adequacy import Adequacy, adequacy
 from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.gate import check
-from diagnosis.held_out import split
-from diagnosis.refit import FullFit, QuickFit, closed_percent, full, held_out, quick, with_effect
+from diagnosis.refit import FullFit, QuickFit, full, quick, with_effect
 from diagnosis.screen import Innovations, Screen, screen
+from diagnosis.unseen import Fold, Unseen, folds, judge
 from diagnosis.workspace import Workspace, attached
 from estimators.contract import EstimationError, ParameterEstimate
-from estimators.methods.prediction_error import result
+from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem
 from estimators.segments import DataError
 from models.effect import Effect
@@ -235,9 +235,9 @@ def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress)
             return None
         best = _simplest(fits, base)
         tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
-        gain, closed = _on_unseen(base, best, workspace)
-        if (gain is None or gain[0] >= gain[1]) and (closed is None or closed > 0.0):
-            return _finding(base, best, fits, screened, p_value, gain, closed), best
+        unseen = _on_unseen(base, best, workspace)
+        if unseen is None or (unseen.gain >= unseen.std and (unseen.closed_percent or 1.0) > 0.0):
+            return _finding(base, best, fits, screened, p_value, unseen), best
         fits = [each for each in fits if each is not best]
     return None
 
@@ -269,8 +269,7 @@ def _finding(
     fits: Sequence[FullFit],
     screened: Screen,
     p_value: float,
-    gain: tuple[float, float] | None,
-    closed: float | None,
+    unseen: Unseen | None,
 ) -> Finding:
     assert best.candidate is not None
     odds = {each.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0))) for each in fits}
@@ -282,11 +281,11 @@ def _finding(
         parameters={name: told[name] for name in told if name.startswith(f"{best.name}.")},
         probability=1.0 / (sum(odds.values()) + none),
         p_value=p_value,
-        held_out_error_closed_percent=closed,
+        held_out_error_closed_percent=unseen.closed_percent if unseen else None,
         tied_with=tuple(name for name, value in odds.items() if name != best.name and value > TIED),
         explanation="",
         log_likelihood_gain=best.log_likelihood - base.log_likelihood,
-        held_out_gain=gain,
+        held_out_gain=(unseen.gain, unseen.std) if unseen else None,
         odds=odds,
     )
     return replace(finding, explanation=explain(finding, best.candidate, screened.score(best.name), screened))
@@ -315,21 +314,18 @@ def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:
     return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best
 
 
-def _on_unseen(base: FullFit, best: FullFit, workspace: Workspace) -> tuple[tuple[float, float] | None, float | None]:
-    """What fits of a part of the data say of the rest: gain in log likelihood with its standard deviation, and the
-    percentage of the error half a second ahead that is closed. None where the data are too few for it."""
-    recordings = workspace.recordings
+def _on_unseen(base: FullFit, best: FullFit, workspace: Workspace) -> Unseen | None:
+    """What fits of a part of the data say of the rest; None where the data are too few for it."""
+    others = [each.effect for each in workspace.others(base.model)]
+
+    def fits(part: Fold) -> tuple[Fit, Fit]:
+        few = Workspace.of(base.model, part.seen, workspace.support, others)
+        return full(base.model, few).fit, full(best.model, few).fit
+
     try:
-        seen, tried = split(base.model, recordings[:-1] or recordings, recordings[1:][-1:], workspace.support)
-        since = (
-            0.0 if len(recordings) > 1 else float(tried[0].time[np.isfinite(tried[0][base.model.outputs[0].name])][0])
-        )
-        few = Workspace.of(base.model, seen, workspace.support, [each.effect for each in workspace.others(base.model)])
-        without, with_it = full(base.model, few).fit, full(best.model, few).fit
-        gain = held_out(without, with_it, recordings[-1:], workspace.support, since)
-        return gain, closed_percent(without, with_it, tried, workspace.support)
+        return judge(folds(base.model, workspace.recordings, workspace.support), fits, workspace.support)
     except (EstimationError, ArithmeticError):
-        return None, None
+        return None
 
 
 def _verdict(

@@ -8,32 +8,23 @@ effect in the model less noise is needed, which is what makes the difference bet
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis import ahead
 from diagnosis.candidates import Candidate
 from diagnosis.screen import Score, whitening
 from diagnosis.workspace import Workspace
-from estimators.gauss_newton import Block, eliminate, minimise
+from estimators.gauss_newton import Block, minimise
 from estimators.methods.prediction_error import Fit, fit
-from estimators.problem import Problem, problem
 from models.model import Model
-from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 
 STARTS = 2
 """Shapes that a quick fit starts from, at most."""
 ITERATIONS = 8
-SETTLING = 0.5
-"""s at the beginning of held-out data that tell of the start, not of the model."""
-HORIZON = 0.5
-"""s ahead at which held-out errors are told: far enough for a missing force to show."""
-BLOCK = 1.0
-"""s of held-out data that count as one piece of evidence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,62 +143,3 @@ def log_likelihood(fitted: Fit) -> float:
             0.5 * float(np.sum(known * np.linalg.solve(fitted.covariance, known.T).T)) + 0.5 * len(known) * logarithm
         )
     return total
-
-
-def held_out(
-    one: Fit, other: Fit, recordings: Sequence[Recording], support: float | None, since: float
-) -> tuple[float, float]:
-    """By how much the log likelihood of `recordings` from `since` s on is larger under `other` than under `one`, with
-    the standard deviation of that. Neither has seen it.
-
-    What comes before lets the predictors find their state, as an effect with memory asks for.
-    """
-    differences = _by_block(other, recordings, support, since) - _by_block(one, recordings, support, since)
-    return float(np.sum(differences)), float(np.sqrt(len(differences)) * np.std(differences, ddof=1))
-
-
-def closed_percent(one: Fit, other: Fit, recordings: Sequence[Recording], support: float | None) -> float | None:
-    """How much of the error energy HORIZON ahead that exceeds the sensors' is gone with `other` instead of `one`, on
-    data that neither has seen; None where there is no error to close."""
-    there = ahead.on(other, problem(other.problem.model, recordings, support=support))
-    floor = ahead.sensor_floors(there, (HORIZON,))[0]
-    before, after = (
-        float(np.nanmean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2))
-        for each in (ahead.on(one, problem(one.problem.model, recordings, support=support)), there)
-    )
-    return 100.0 * (before - after) / (before - 1.0) if before > 1.0 else None
-
-
-def _by_block(fitted: Fit, recordings: Sequence[Recording], support: float | None, since: float) -> Array:
-    seen = fitted.problem
-    task = problem(seen.model, recordings, support=support)
-    task = replace(task, substeps=max(task.substeps, seen.substeps))
-    outputs = len(task.kernel.outputs)
-    _, logarithm = np.linalg.slogdet(fitted.covariance)
-    found = []
-    for segment, residual in zip(task.segments, unseen(fitted, task), strict=True):
-        each = residual[: len(segment) * outputs].reshape(-1, outputs)
-        log_density = -0.5 * np.sum(each**2, axis=1) - 0.5 * logarithm
-        begin = max(since, float(segment.time[0]) + SETTLING)
-        used = segment.time >= begin
-        number = ((segment.time - begin) / BLOCK).astype(np.int64)
-        found.append(np.bincount(number[used], weights=log_density[used]))
-    return np.concatenate(found)
-
-
-def unseen(fitted: Fit, task: Problem) -> list[Array]:
-    """Whitened innovations of data that were not fitted, by stretch, each start fitted on its own."""
-    weights = whitening(fitted)
-    common = fitted.minimum.common[: len(fitted.problem.free)]
-    own = [part.copy() for part in task.own_start]
-    blocks: list[Block] = []
-    for _ in range(2):
-        found = task.evaluate(common, own, weights=weights, gain=fitted.gain)
-        if found is None:
-            raise ArithmeticError("the model runs away on data that it was not fitted to")
-        blocks = found
-        own = [
-            part - np.linalg.lstsq(block.own, block.residual, rcond=None)[0]
-            for part, block in zip(own, blocks, strict=True)
-        ]
-    return [eliminate(block)[0] for block in blocks]

@@ -56,7 +56,7 @@ def diagnose(
 ) -> None:
     """Find the physical effect that a model lacks, or say that the recordings cannot tell.
 
-    Of several recordings the last is held out to check on; of a single one its last third. Ctrl-C ends it.
+    Of several recordings the last is held out to check on; of a single one each third in turn. Ctrl-C ends it.
     """
     from diagnosis.diagnose import Verdict
     from diagnosis.diagnose import diagnose as run

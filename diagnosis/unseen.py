@@ -1,0 +1,136 @@
+"""What fits say of data that they have not seen: the last of several recordings, or each third of a single one in turn.
+
+A third is judged by fits of the other two. Predictors run through the whole recording, so that they know their state
+when the third begins, as an effect with memory asks for; only what they predict inside it counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis import ahead
+from diagnosis.screen import whitening
+from estimators.gauss_newton import Block, eliminate
+from estimators.methods.prediction_error import Fit
+from estimators.problem import Problem, problem
+from estimators.segments import segments
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+THIRDS = 3
+SETTLING = 0.5
+"""s at the beginning of a recording that tell of the start, not of the model."""
+BLOCK = 1.0
+"""s of held-out data that count as one piece of evidence."""
+HORIZON = 0.5
+"""s ahead at which held-out errors are told: far enough for a missing force to show."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """`seen` is fitted. Of `whole`, the rows from `begin` to `end` (s) are judged; `tried` has these alone."""
+
+    seen: tuple[Recording, ...]
+    whole: Recording
+    tried: Recording
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """`gain`: rise of the log likelihood; `std` of it; `closed_percent`: of the error energy HORIZON ahead that exceeds
+    the sensors', what is gone, None where there was none."""
+
+    gain: float
+    std: float
+    closed_percent: float | None
+
+
+def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
+    """What to fit and what to judge. Raises DataError where the recordings cannot be used."""
+    whole = recordings[-1]
+    if len(recordings) > 1:
+        return [Fold(tuple(recordings[:-1]), whole, whole, 0.0, float("inf"))]
+    rows = np.concatenate([segment.time for segment in segments(model, recordings, support=support)])
+    edges = np.quantile(rows, np.linspace(0.0, 1.0, THIRDS + 1))
+    edges[-1] = np.inf
+    found = []
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        inside = (whole.time >= begin) & (whole.time < end)
+        found.append(Fold((_only(model, whole, ~inside),), whole, _only(model, whole, inside), begin, end))
+    return found
+
+
+def judge(parts: Sequence[Fold], fits: Callable[[Fold], tuple[Fit, Fit]], support: float | None) -> Unseen:
+    """What the second of two fits says of unseen data, against the first. Raises ArithmeticError, EstimationError."""
+    gains: list[Array] = []
+    energies: list[tuple[float, float]] = []
+    for part in parts:
+        without, with_it = fits(part)
+        gains.append(_log_density(with_it, part, support) - _log_density(without, part, support))
+        energies.append(_energies(without, with_it, part.tried, support))
+    differences = np.concatenate(gains)
+    before, after = np.mean(energies, axis=0)
+    return Unseen(
+        gain=float(np.sum(differences)),
+        std=float(np.sqrt(len(differences)) * np.std(differences, ddof=1)),
+        closed_percent=float(100.0 * (before - after) / (before - 1.0)) if before > 1.0 else None,
+    )
+
+
+def _energies(one: Fit, other: Fit, recording: Recording, support: float | None) -> tuple[float, float]:
+    """Error energy HORIZON ahead over that of the sensors' noise, under `one` and under `other`."""
+    there = ahead.on(other, problem(other.problem.model, [recording], support=support))
+    floor = ahead.sensor_floors(there, (HORIZON,))[0]
+    before = ahead.on(one, problem(one.problem.model, [recording], support=support))
+    first, second = (float(np.nanmean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2)) for each in (before, there))
+    return first, second
+
+
+def _log_density(fitted: Fit, part: Fold, support: float | None) -> Array:
+    """Of the judged rows, by blocks of a second."""
+    seen = fitted.problem
+    task = problem(seen.model, [part.whole], support=support)
+    task = replace(task, substeps=max(task.substeps, seen.substeps))
+    outputs = len(task.kernel.outputs)
+    _, logarithm = np.linalg.slogdet(fitted.covariance)
+    found = []
+    for segment, residual in zip(task.segments, _innovations(fitted, task), strict=True):
+        each = residual[: len(segment) * outputs].reshape(-1, outputs)
+        density = -0.5 * np.sum(each**2, axis=1) - 0.5 * logarithm
+        begin = max(part.begin, float(segment.time[0]) + SETTLING)
+        judged = (segment.time >= begin) & (segment.time < part.end)
+        number = ((segment.time - begin) / BLOCK).astype(np.int64)
+        found.append(np.bincount(number[judged], weights=density[judged]))
+    return np.concatenate(found)
+
+
+def _innovations(fitted: Fit, task: Problem) -> list[Array]:
+    """Whitened, by stretch, with the initial state of each fitted."""
+    weights = whitening(fitted)
+    common = fitted.minimum.common[: len(fitted.problem.free)]
+    own = [part.copy() for part in task.own_start]
+    blocks: list[Block] = []
+    for _ in range(2):
+        found = task.evaluate(common, own, weights=weights, gain=fitted.gain)
+        if found is None:
+            raise ArithmeticError("the model runs away on data that it was not fitted to")
+        blocks = found
+        own = [
+            part - np.linalg.lstsq(block.own, block.residual, rcond=None)[0]
+            for part, block in zip(own, blocks, strict=True)
+        ]
+    return [eliminate(block)[0] for block in blocks]
+
+
+def _only(model: Model, recording: Recording, kept: NDArray[np.bool_]) -> Recording:
+    """`recording` with the measured outputs known where `kept` (n,) alone; time goes on counting from its first row."""
+    hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
+    return replace(recording, values={**recording.values, **hidden})
