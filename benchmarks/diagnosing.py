@@ -1,0 +1,77 @@
+"""How long does a diagnosis take? `python benchmarks/diagnosing.py`
+
+A minute of sine sweep on the virtual vehicle, with viscous friction hidden in it, against the whole catalogue, its code
+compiled. Told are wall clock and CPU seconds of
+
+    first answer       data read and looked at, the model fitted, every effect screened: sizes and p-values
+    diagnosis          all of it: quick and full fits, unseen data, what is left
+    exhaustive search  what an expert would script: an output-error fit with each effect, ranked by BIC
+
+and the ratio of the last to the first two. Wanted: a first answer within 1 s, all within 10 s, on two cores.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from diagnosis.diagnose import diagnose
+from diagnosis.gate import check
+from diagnosis.refit import full
+from diagnosis.screen import Innovations, screen
+from diagnosis.workspace import Workspace, attached
+from estimators.identify import nominal_model, with_values
+from service.hidden_effects.exhaustive import exhaustive_bic
+from service.vehicle_file import load
+from service.virtual_run import record
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+
+
+def main() -> None:
+    recording = record("monocab", "sweep", hide=["viscous_friction"], seed=1)
+    print(f"{recording.duration:.0f} s of sweep, {len(recording)} rows, {recording.rate:.0f} Hz")
+
+    def first_answer() -> str:
+        check(MODEL, [recording], VEHICLE.support)
+        workspace = Workspace.of(MODEL, [recording], VEHICLE.support)
+        base = full(MODEL, workspace)
+        found = screen(
+            Innovations.of(base.fit), lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates
+        )
+        return f"{found.scores[0].candidate.name}, of {len(found.scores)} effects"
+
+    def whole() -> str:
+        found = diagnose(MODEL, [recording], support=VEHICLE.support)
+        return f"{found.verdict}: {', '.join(each.effect for each in found.findings)}"
+
+    first_answer(), whole()  # compiled from here on
+    seconds = {}
+    for name, work in (("first answer", first_answer), ("diagnosis", whole), ("exhaustive search", _search(recording))):
+        seconds[name] = _timed(name, work)
+    for name in ("first answer", "diagnosis"):
+        print(f"exhaustive search / {name}: {seconds['exhaustive search'] / seconds[name]:.0f}")
+
+
+def _search(recording: Any) -> Callable[[], str]:
+    def search() -> str:
+        found = exhaustive_bic(MODEL, [recording], VEHICLE.support)
+        return ", ".join(each.effect for each in found.found[:3])
+
+    return search
+
+
+def _timed(name: str, work: Callable[[], str]) -> float:
+    wall, cpu = time.perf_counter(), time.process_time()
+    said = work()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    print(f"{name:18s} {wall:6.2f} s wall, {cpu:6.2f} s CPU   {said}")
+    return cpu
+
+
+if __name__ == "__main__":
+    main()
