@@ -60,6 +60,8 @@ CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
 
 
+SURE = 2.0
+"""Standard deviations from zero of an amplitude that a part of the data tells. One that does not tell cannot judge."""
 CHECKED = 3
 """Effects, the likeliest first, that are tried on unseen data before none is named."""
 
@@ -315,12 +317,21 @@ def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:
 
 
 def _on_unseen(base: FullFit, best: FullFit, workspace: Workspace) -> Unseen | None:
-    """What fits of a part of the data say of the rest; None where the data are too few for it."""
+    """What fits of a part of the data say of the rest; None where no part tells the effects that `best` has more."""
+    there = {each.name for each in base.model.effects}
+    amplitudes = [name for each in best.model.effects if each.name not in there for name in each.amplitudes]
     others = [each.effect for each in workspace.others(base.model)]
 
-    def fits(part: Fold) -> tuple[Fit, Fit]:
+    def fits(part: Fold) -> tuple[Fit, Fit] | None:
         few = Workspace.of(base.model, part.seen, workspace.support, others)
-        return full(base.model, few).fit, full(best.model, few).fit
+        with_it = full(best.model, few).fit
+        told = result(with_it, 0.0).parameters
+        sure = (
+            each.value is not None and each.std is not None and abs(each.value) > SURE * each.std
+            for each in told.values()
+        )
+        known = dict(zip(told, sure, strict=True))
+        return (full(base.model, few).fit, with_it) if any(known[name] for name in amplitudes) else None
 
     try:
         return judge(folds(base.model, workspace.recordings, workspace.support), fits, workspace.support)

@@ -68,14 +68,24 @@ def folds(model: Model, recordings: Sequence[Recording], support: float | None) 
     return found
 
 
-def judge(parts: Sequence[Fold], fits: Callable[[Fold], tuple[Fit, Fit]], support: float | None) -> Unseen:
-    """What the second of two fits says of unseen data, against the first. Raises ArithmeticError, EstimationError."""
+def judge(
+    parts: Sequence[Fold], fits: Callable[[Fold], tuple[Fit, Fit] | None], support: float | None
+) -> Unseen | None:
+    """What the second of two fits says of unseen data, against the first; None where no part has such fits.
+
+    Raises ArithmeticError, EstimationError.
+    """
     gains: list[Array] = []
     energies: list[tuple[float, float]] = []
     for part in parts:
-        without, with_it = fits(part)
+        found = fits(part)
+        if found is None:
+            continue
+        without, with_it = found
         gains.append(_log_density(with_it, part, support) - _log_density(without, part, support))
         energies.append(_energies(without, with_it, part.tried, support))
+    if not gains:
+        return None
     differences = np.concatenate(gains)
     before, after = np.mean(energies, axis=0)
     return Unseen(

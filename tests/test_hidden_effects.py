@@ -247,12 +247,15 @@ def test_what_the_vehicle_cannot_bear_is_told(folder: Path) -> None:
 
 
 INTERRUPTED = """
+import signal
 import sys
 from pathlib import Path
 import hidden_effects_stand_in as stand_in
 from service.hidden_effects.benchmark import benchmark
 from service.hidden_effects.spread import processes
 if __name__ == "__main__":
+    # Under a shell that runs the tests in the background, Ctrl-C would be ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         benchmark(stand_in.SMALL.cases(), stand_in.bench(stand_in.patient), Path(sys.argv[1]), processes(2))
     except KeyboardInterrupt:
