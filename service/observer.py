@@ -19,7 +19,6 @@ import socket
 import sys
 import threading
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -240,12 +239,30 @@ class Observer:
     # Results
 
     async def _compile(self) -> None:
-        """Once in a thread, so that from then on all estimators are made at once."""
-        aside = ThreadPoolExecutor(1, "compile", initializer=_give_way)
-        try:
-            await asyncio.get_running_loop().run_in_executor(aside, self._new_bank().join)
-        finally:
-            aside.shutdown(wait=False)
+        """Once in a thread, so that from then on all estimators are made at once. The end does not wait for it."""
+        loop = asyncio.get_running_loop()
+        finished: asyncio.Future[None] = loop.create_future()
+
+        def finish(error: Exception | None) -> None:
+            if finished.done():
+                return
+            if error is None:
+                finished.set_result(None)
+            else:
+                finished.set_exception(error)
+
+        def work() -> None:
+            _give_way()
+            failure: Exception | None = None
+            try:
+                self._new_bank().join()
+            except Exception as error:
+                failure = error
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                loop.call_soon_threadsafe(finish, failure)
+
+        threading.Thread(target=work, name="compile", daemon=True).start()
+        await finished
         self._compiled.set()
         self._estimators.join()
 
