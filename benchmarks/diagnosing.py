@@ -19,7 +19,8 @@ from typing import Any
 from diagnosis.diagnose import diagnose
 from diagnosis.gate import check
 from diagnosis.refit import full
-from diagnosis.screen import Innovations, screen
+from diagnosis.screen import screen
+from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.identify import nominal_model, with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
@@ -41,7 +42,7 @@ def main() -> None:
         workspace = Workspace.of(MODEL, [recording], VEHICLE.support)
         base = full(MODEL, workspace)
         found = screen(
-            Innovations.of(base.fit), lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates
+            Whitened.of(base.fit), lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates
         )
         return f"{found.scores[0].candidate.name}, of {len(found.scores)} effects"
 

@@ -22,8 +22,9 @@ from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.gate import check
 from diagnosis.refit import FullFit, QuickFit, full, quick, with_effect
-from diagnosis.screen import Innovations, Screen, screen
+from diagnosis.screen import Screen, screen
 from diagnosis.unseen import Fold, Unseen, folds, judge
+from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.contract import EstimationError, ParameterEstimate
 from estimators.methods.prediction_error import Fit, result
@@ -206,7 +207,7 @@ def _screen(base: FullFit, workspace: Workspace) -> Screen:
     def attach(group: Sequence[Candidate]) -> Problem:
         return workspace.problem(attached(base.model, group))
 
-    return screen(Innovations.of(base.fit), attach, workspace.others(base.model))
+    return screen(Whitened.of(base.fit), attach, workspace.others(base.model))
 
 
 def _part(tell: Progress, begin: float, width: float, text: str, share: float) -> None:

@@ -36,7 +36,9 @@ def explain(finding: Finding, candidate: Candidate, score: Score, screened: Scre
         if nearest not in finding.tied_with:
             told.append(f"Its nearest neighbour, {nearest}, is {_odds(finding.odds[nearest])} times less likely.")
         closed = screened.similarity(finding.effect, nearest) ** 2
-        told.append(f"{nearest} alone would close about {100.0 * closed:.0f} % of the gap too, so that proves little.")
+        told.append(
+            f"{nearest} instead would close about {100.0 * closed:.0f} % of the gap: a falling error proves little."
+        )
     if finding.held_out_gain is not None:
         gain, std = finding.held_out_gain
         told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} +-{std:.2g}.")

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
-from diagnosis.screen import Score, whitening
+from diagnosis.screen import Score
+from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
 from estimators.gauss_newton import Block, minimise
 from estimators.methods.prediction_error import Fit, fit

@@ -26,7 +26,8 @@ from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
 from diagnosis.floor import Floor, floor, innovation_ratio
 from diagnosis.held_out import split
 from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
-from diagnosis.screen import Innovations, Score, Screen, screen
+from diagnosis.screen import Score, Screen, screen
+from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
@@ -173,7 +174,7 @@ def _screen(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> Scree
 
     try:
         with np.errstate(all="ignore"):
-            return screen(Innovations.of(fitted), attach, candidates)
+            return screen(Whitened.of(fitted), attach, candidates)
     except np.linalg.LinAlgError:  # two candidates that are one to this model: there is no direction of their own
         return Screen((), {})
 

@@ -11,7 +11,8 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from diagnosis.closed_loop import causal
 from diagnosis.refit import FullFit, full, quick, with_effect
-from diagnosis.screen import Innovations, screen
+from diagnosis.screen import screen
+from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.innovations import NoiseModel
 from models.model import Model
@@ -80,7 +81,7 @@ def fitted_rivals(
     workspace = Workspace.of(model, recordings, support, tuple(effects))
     base = full(model, workspace)
     screened = screen(
-        Innovations.of(base.fit),
+        Whitened.of(base.fit),
         lambda group: workspace.problem(attached(base.model, group)),
         workspace.others(base.model),
     )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis import ahead
-from diagnosis.screen import whitening
+from diagnosis.whitened import whitening
 from estimators.gauss_newton import Block, eliminate
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem

@@ -25,8 +25,8 @@ from estimators.method_table import METHODS, Domain, Method, experiment_of, unsu
 from estimators.prediction import free_motion, predict, sensor_noise
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
-from estimators.torque_balance import NUISANCE, TorqueBalance
 from estimators.torque_balance import Method as BalanceMethod
+from estimators.torque_balance import TorqueBalance
 from models import library
 from models.kernel import compile_model
 from models.model import Model
@@ -225,11 +225,6 @@ def _recursive(name: str, subject: Subject, recorded: ChannelTable) -> tuple[Est
     form = module.Method(name)
     made = module.RecursivePredictionError(subject.model, support=subject.support, channels=recorded, method=form)
     return made, recorded
-
-
-def identified(parameters: Mapping[str, float], estimate: Estimate) -> dict[str, float]:
-    """`parameters` with those replaced or added that `estimate` determines; what is a sensor's nuisance stays out."""
-    return {**parameters, **{name: value for name, value in estimate.values.items() if name != NUISANCE}}
 
 
 def _before(subject: Subject) -> dict[str, dict[str, Any]]:

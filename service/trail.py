@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -14,10 +15,13 @@ from models.model import Model
 from models.model_file import ModelFile, write
 
 
-def write_trail(target: Path, found: Diagnosis, nominal: Model, recordings: Sequence[Path]) -> None:
+def write_trail(
+    target: Path, found: Diagnosis, nominal: Model, recordings: Sequence[Path], own: Mapping[str, Path]
+) -> None:
     """The repaired model to `target`, with its history, and every step to `target` with the suffix .trail.json.
 
-    Raises OSError where that cannot be written.
+    `own`: the files of effects of the user's own, by the effect's name. Raises OSError and ModelError where that cannot
+    be written.
     """
     assert found.repaired is not None
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -35,6 +39,8 @@ def write_trail(target: Path, found: Diagnosis, nominal: Model, recordings: Sequ
         for finding in found.findings
     )
     model = replace(found.repaired, name=target.stem)
-    write(ModelFile(model=model, history=history), target)
+    there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}
+    files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
+    write(ModelFile(model=model, history=history, effect_files=files), target)
     document = {"date": date, "model": nominal.name, "recordings": hashes, **found.to_json()}
     target.with_suffix(".trail.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

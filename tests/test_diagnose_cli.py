@@ -73,8 +73,18 @@ def test_everything_that_is_written(recording: Path, tmp_path: Path) -> None:
 def test_an_effect_of_ones_own(recording: Path, tmp_path: Path) -> None:
     own = tmp_path / "wheel_drag.toml"
     own.write_text(OWN)
-    document = json.loads(upright(recording, "--effect", "quadratic_drag", "--also", own, "--json"))
-    assert document["findings"][0]["effect"] == "wheel_drag"
+    model = tmp_path / "repaired.toml"
+    asked = ("--effect", "quadratic_drag", "--also", own, "--auto", model, "--json")
+    assert json.loads(upright(recording, *asked))["findings"][0]["effect"] == "wheel_drag"
+    file = read(model)
+    assert [each.name for each in file.model.effects] == ["wheel_drag"]
+    assert file.effect_files == {"wheel_drag": "wheel_drag.toml"}
+
+
+def test_a_folder_that_is_not_there_is_said_before_the_work(recording: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["diagnose", str(recording), "--report", str(tmp_path / "nowhere" / "page.html")])
+    assert done.exit_code == 2
+    assert "there is no folder" in done.output.replace("\n", " ")
 
 
 def test_data_that_cannot_tell_end_with_1_and_the_reason(tmp_path: Path) -> None:

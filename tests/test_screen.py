@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 from diagnosis.candidates import at_frequencies, candidates_for
-from diagnosis.screen import Innovations, Screen, project, screen
+from diagnosis.screen import Screen, screen
+from diagnosis.whitened import Whitened, project
 from diagnosis.workspace import Workspace, attached
 from estimators.identify import nominal_model, with_values
 from estimators.methods.prediction_error import fit
@@ -26,24 +27,24 @@ FEW = ("static_torque", "coulomb_friction", "viscous_friction", "cubic_stiffness
 
 
 @cache
-def clean() -> tuple[Workspace, Innovations]:
+def clean() -> tuple[Workspace, Whitened]:
     workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, FEW)
-    return workspace, Innovations.of(fit(workspace.problem(MODEL)))
+    return workspace, Whitened.of(fit(workspace.problem(MODEL)))
 
 
-def screened(innovations: Innovations) -> Screen:
+def screened(innovations: Whitened) -> Screen:
     workspace, _ = clean()
     return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
 
 
-def white(seed: int) -> Innovations:
+def white(seed: int) -> Whitened:
     """What a right model would leave."""
     _, innovations = clean()
     noise = np.random.default_rng(seed).standard_normal((len(innovations.residual), 1))
     return replace(innovations, residual=project(noise, innovations.nuisance)[:, 0])
 
 
-def planted(name: str, size: float) -> Innovations:
+def planted(name: str, size: float) -> Whitened:
     """White innovations with what `size` of the first amplitude of `name` would add to them, to first order."""
     workspace, innovations = clean()
     candidate = next(each for each in workspace.candidates if each.name == name)

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from models.effect import Effect
 
 
+SUFFIXES = (".toml", ".py")
+"""Of a file with an effect of one's own."""
+
+
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
     vehicle: Annotated[
@@ -65,6 +69,9 @@ def diagnose(
     from service.next_experiment import suggest_for
     from service.vehicle_file import load
 
+    for target in (auto, report):
+        if target is not None and not target.absolute().parent.is_dir():
+            raise typer.BadParameter(f"there is no folder {target.parent} to write {target.name} to")
     file = load(vehicle)
     nominal = identified_model(model, file)
     if model is None:  # what identification assumes beside the vehicle's own equations is to be found here
@@ -73,6 +80,7 @@ def diagnose(
     candidates: list[str | Effect] | None = [chosen(name) for name in effect] if effect else None
     if own:
         candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen, own)]
+    from_files = {chosen(name).name: Path(name) for name in (*(effect or ()), *(own or ())) if name.endswith(SUFFIXES)}
     loaded = [load_recording(path, vehicle) for path in recordings]
     with share_done() as progress:
         found = run(
@@ -96,7 +104,7 @@ def diagnose(
     if auto is not None and found.repaired is not None:
         from service.trail import write_trail
 
-        write_trail(auto, found, nominal, recordings)
+        write_trail(auto, found, nominal, recordings, from_files)
     if json:
         print_json(found.to_json())
     else:
@@ -123,9 +131,9 @@ def provenance(vehicle: str, recordings: list[Path]) -> Provenance:
     return Provenance(vehicle, version("upright"), datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), hashes)
 
 
-def chosen(name: str) -> str | Effect:
+def chosen(name: str) -> Effect:
     """An effect of the catalogue by name, or one's own from a file. Raises ModelError."""
-    if name.endswith((".toml", ".py")):
+    if name.endswith(SUFFIXES):
         from models.effects.custom import load_effect
 
         return load_effect(Path(name))

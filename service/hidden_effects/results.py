@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from service.hidden_effects.cases import Case
-from service.hidden_effects.trial import Bench, Line
+from service.hidden_effects.trial import Bench, Line, beginning
 from telemetry.errors import UprightError
 
 FAILED = "failed"
@@ -85,20 +85,7 @@ def _answered(line: Line | None, methods: Iterable[str]) -> bool:
 
 def failed(case: Case, bench: Bench, reason: str) -> Line:
     """The line of a case that could not be run to its end."""
-    return {
-        "key": case.key,
-        "kind": case.kind.value,
-        "effects": list(case.effects),
-        "size": case.size,
-        "noise": case.noise,
-        "excitation": case.excitation,
-        "number": case.number,
-        "seed": case.seed(),
-        "conditions": bench.conditions,
-        "status": FAILED,
-        "reason": reason,
-        "methods": {},
-    }
+    return {**beginning(case, bench), "status": FAILED, "reason": reason, "methods": {}}
 
 
 def methods_of(lines: Iterable[Line]) -> Sequence[str]:

@@ -81,12 +81,9 @@ def held_out(excitation: str) -> str:
     return "multisine" if excitation == "sweep" else "sweep"
 
 
-def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
-    """The line of `case`. `detectable`: effect to the smallest size that can be seen, from the reference case.
-
-    What goes wrong in the case is told in the line; nothing is raised but what is a mistake in the program.
-    """
-    line: Line = {
+def beginning(case: Case, bench: Bench) -> Line:
+    """What the line of a case begins with, however it ends."""
+    return {
         "key": case.key,
         "kind": case.kind.value,
         "effects": list(case.effects),
@@ -97,6 +94,14 @@ def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
         "seed": case.seed(),
         "conditions": bench.conditions,
     }
+
+
+def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
+    """The line of `case`. `detectable`: effect to the smallest size that can be seen, from the reference case.
+
+    What goes wrong in the case is told in the line; nothing is raised but what is a mistake in the program.
+    """
+    line = beginning(case, bench)
     try:
         hidden = levels(case, detectable)
     except NotDetectableError as error:

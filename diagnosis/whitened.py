@@ -1,0 +1,152 @@
+"""The innovations of a fit, made white, and what parameters, noise and effects would do to them.
+
+With weights W (ny, ny), W' W the inverse of their covariance, z = W e is white where the model is right. Derivatives
+of z by all that is fitted anyway are its nuisances; what is left of an effect's derivative beside them is all that the
+record can tell of it. Source: Ljung, "System identification", 2nd ed., sections 7.4 and 16.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.gauss_newton import Block
+from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import Fit
+from estimators.problem import Problem
+
+Array = NDArray[np.float64]
+
+BLOCK = 0.5
+"""s in which innovations that are not white are taken as one."""
+FINEST = 32
+"""Steps a row, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """The whitened innovations of a fit, and what its nuisances would do to them.
+
+    `residual` (n,), all nuisances projected out; `blocks` (n,) numbers the half-seconds; `starts`, by stretch, an
+    orthonormal basis of what its initial state does; `nuisance` (n + k, p), the last k rows of it the priors.
+    """
+
+    fit: Fit
+    residual: Array
+    blocks: NDArray[np.int64]
+    starts: tuple[Array, ...]
+    nuisance: Array
+
+    @classmethod
+    def of(cls, fitted: Fit) -> Whitened:
+        task, noise = fitted.problem, NoiseModel.of(fitted.problem)
+        held, size = task.uncertain, len(task.free)
+        typical = np.array([task.model.parameters[place].typical for place in (*task.free, *held)])
+        slopes = noise.slopes(fitted.values, fitted.minimum.common[size:], (*task.free, *held), typical)
+        blocks = task.evaluate(
+            fitted.minimum.common[:size],
+            fitted.minimum.own[: len(task.segments)],
+            weights=whitening(fitted),
+            gain=fitted.gain,
+            slopes=slopes,
+            also=held,
+        )
+        assert slopes is not None, "the fit ended here"
+        assert blocks is not None, "the fit ended here"
+        bases = [np.linalg.qr(block.own)[0] for block in blocks]
+        columns = np.concatenate([_less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
+        residual = np.concatenate([_less(block.residual, basis) for block, basis in zip(blocks, bases, strict=True)])
+        deviations = np.array([task.model.parameters[place].std for place in held])
+        known = size + len(held)
+        prior = np.zeros(columns.shape[1])
+        prior[:size], prior[known:] = np.sqrt(fitted.prior[:size]), np.sqrt(fitted.prior[size:])
+        prior[size:known] = 1.0 / deviations
+        nuisance = np.concatenate((columns, np.diag(prior)))
+        residual = project(residual[:, None], nuisance)[:, 0]
+        return cls(fitted, residual, _blocks(task, blocks), tuple(bases), nuisance)
+
+    def directions(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> Array:
+        """What a unit of each of `amplitudes` in the vehicle does to the innovations, (n, m), nuisances still in it.
+
+        `full` is the problem of the model with the effects, on the same rows.
+        """
+        task = self.fit.problem
+        known = dict(zip(task.kernel.parameters, self.fit.values.tolist(), strict=True))
+        neutral = {p.name: p.value for p in full.model.parameters if p.name not in known} | dict.fromkeys(
+            amplitudes, 0.0
+        )
+        values = full.kernel.vector({**neutral, **known, **shape})
+        active = [full.kernel.index(name) for name in amplitudes]
+        gain = np.zeros((len(full.kernel.states), len(full.kernel.outputs)))
+        gain[: len(self.fit.gain)] = self.fit.gain
+        weights = whitening(self.fit)
+        parts = []
+        for segment, start, basis in zip(full.segments, self.fit.starts, self.starts, strict=True):
+            initial = np.concatenate((start, np.zeros(len(gain) - len(start))))
+            # A state that is fast only where the vehicle moves fast does not show in the poles at rest.
+            substeps = max(full.substeps, task.substeps)
+            run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
+            while not np.all(np.isfinite(run.sensitivity)) and substeps < FINEST:
+                substeps *= 2
+                run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
+            moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
+            rows = (weights @ moved).reshape(-1, len(active))
+            rows = np.concatenate((rows, np.zeros((len(basis) - len(rows), len(active)))))
+            parts.append(_less(rows, basis))
+        return np.concatenate(parts)
+
+
+PEAKS = 3
+SLOWEST = 0.1
+"""Hz, of a peak in the spectrum that is looked at."""
+
+
+def peaks(innovations: Whitened) -> tuple[list[float], int]:
+    """Frequencies, Hz, at which the innovations have most power, where a line or a mode would be; among how many."""
+    task = innovations.fit.problem
+    outputs = len(task.kernel.outputs)
+    longest = int(np.argmax([len(segment) for segment in task.segments]))
+    before = sum(len(segment) * outputs + len(task.own) for segment in task.segments[:longest])
+    segment = task.segments[longest]
+    rows = innovations.residual[before : before + len(segment) * outputs].reshape(-1, outputs)
+    window = np.hanning(len(rows))[:, None]
+    power = np.sum(np.abs(np.fft.rfft(rows * window, axis=0)) ** 2, axis=1)
+    frequency = np.fft.rfftfreq(len(rows), float(np.median(np.diff(segment.time))))
+    power[frequency < SLOWEST] = 0.0
+    found: list[float] = []
+    for place in np.argsort(power)[::-1]:
+        if all(abs(frequency[place] - other) > 2.0 / segment.duration for other in found):
+            found.append(float(frequency[place]))
+        if len(found) == PEAKS:
+            break
+    return found, len(frequency)
+
+
+def whitening(fitted: Fit) -> Array:
+    """What makes innovations independent and of unit variance, (ny, ny)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(fitted.covariance)))
+
+
+def project(columns: Array, nuisance: Array) -> Array:
+    """`columns` (n, m) less what the nuisances (n + k, p), k rows of priors last, explain of them."""
+    scaled = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
+    data = scaled[: len(columns)]
+    return np.asarray(columns - data @ np.linalg.lstsq(scaled.T @ scaled, data.T @ columns, rcond=1e-13)[0])
+
+
+def _less(columns: Array, basis: Array) -> Array:
+    return np.asarray(columns - basis @ (basis.T @ columns))
+
+
+def _blocks(task: Problem, evaluated: Sequence[Block]) -> NDArray[np.int64]:
+    """The half-second each row belongs to; rows that say how far a start may be off go with the first."""
+    numbers, following = [], 0
+    for segment, block in zip(task.segments, evaluated, strict=True):
+        number = ((segment.time - segment.time[0]) / BLOCK).astype(np.int64)
+        rows = np.repeat(number, len(task.kernel.outputs))
+        numbers.append(following + np.concatenate((rows, np.zeros(len(block.residual) - len(rows), dtype=np.int64))))
+        following += int(number[-1]) + 1
+    return np.concatenate(numbers)
