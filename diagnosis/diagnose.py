@@ -294,17 +294,17 @@ def _finding(
     return replace(finding, explanation=explain(finding, best.candidate, screened.score(best.name), screened))
 
 
+def alike(one: Effect, other: Effect) -> bool:
+    """Whether the two are easily confused, by the catalogue's own word."""
+    return one.family is other.family or other.name in one.confused_with or one.name in other.confused_with
+
+
 def _asked(finding: Finding, before: Sequence[Finding]) -> float:
     """Gain in log likelihood that a further effect has to bring."""
     total = sum(each.log_likelihood_gain for each in before)
     effect = find(finding.effect)
-    alike = any(
-        each.family == finding.family
-        or each.effect in effect.confused_with
-        or finding.effect in find(each.effect).confused_with
-        for each in before
-    )
-    return total * (FURTHER_ALIKE if alike else FURTHER)
+    neighbours = any(alike(effect, find(each.effect)) for each in before)
+    return total * (FURTHER_ALIKE if neighbours else FURTHER)
 
 
 def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:

@@ -13,7 +13,7 @@ Source: Ljung, "System identification", 2nd ed., section 11.5.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import StrEnum
 
@@ -22,7 +22,7 @@ import numpy as np
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.frame_chunks import FrameChunks
 from estimators.problem import FINEST, Problem, jacobian
-from estimators.recursive_predictor import RecursivePredictor
+from estimators.recursive_predictor import RecursivePredictor, Seen
 from models import library
 from models.kernel import Progress, compile_model
 from models.model import Model, Parameter
@@ -53,7 +53,7 @@ class RecursivePredictionError:
     `parameters` and `deviations` are the vehicle file's CAD values and their standard deviations, of which the model
     takes those that it has. `support` rad: the vehicle is free where its first joint's coordinate is less. `memory` s
     is the time constant of forgetting. To make one compiles the model, which takes seconds where it is not in the cache
-    (`progress` is told), and nothing later does.
+    (`progress` is told), and nothing later does. `watch` is shown every chunk of cycles.
     Raises EstimationError where nothing is to be estimated or a channel is missing, ModelError for a model that cannot
     be.
     """
@@ -69,6 +69,7 @@ class RecursivePredictionError:
         method: Method = Method.PREDICTION_ERROR,
         memory: float = math.inf,
         progress: Progress | None = None,
+        watch: Callable[[Seen], None] | None = None,
     ) -> None:
         model = library.get(model) if isinstance(model, str) else model
         names = {parameter.name for parameter in model.parameters}
@@ -81,6 +82,8 @@ class RecursivePredictionError:
             raise EstimationError("memory", f"{memory:g} s is no time constant", remedy="give a positive one.")
         self._method = method
         self._memory = memory
+        self.watch = watch
+        """Is shown every chunk of cycles."""
         window = WINDOW if method is Method.OUTPUT_ERROR else 0.0
         self._chunks = FrameChunks(model, channels, support=support, rows=CHUNK, window=window)
         self._problem = at_rest(model, 0.01, progress)
@@ -104,7 +107,7 @@ class RecursivePredictionError:
             period = self._chunks.period
             corrected = self._method is Method.PREDICTION_ERROR
             problem = at_rest(self._model, period)
-            self._predictor = RecursivePredictor(problem, period, self._memory, corrected=corrected)
+            self._predictor = RecursivePredictor(problem, period, self._memory, corrected=corrected, watch=self.watch)
         self._predictor.take(chunk)
 
     def result(self) -> Estimate:

@@ -17,6 +17,8 @@ excited, feedback biases it as any output error: the predictor with a gain is th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,14 +56,47 @@ WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a chunk of n rows was predicted with, and what came of it, for whoever looks further than this model.
+
+    `values` (np,), `gain` (nx, ny); `whitening` (ny, ny) turns an innovation into independent ones of unit variance.
+    `residual` (n * ny,) are these; `columns` (n * ny, m) what the unknowns z (nz,), the stretch's initial state and the
+    parameters that are held but not exactly known do to the prediction, whitened, per typical size or standard
+    deviation. `prior` (m,) is one over their variances. A `count` says that all so far was seen from too far away: this
+    is chunk number `place` of as many that all of it comes in again.
+    """
+
+    chunk: Chunk
+    values: Array
+    gain: Array | None
+    whitening: Array
+    residual: Array
+    columns: Array
+    z: Array
+    prior: Array
+    place: int
+    count: int
+
+
 class RecursivePredictor:
     """`problem` without data says what is sought; cycles follow each other in `period` s.
 
-    `memory` s is the time constant of forgetting. Without `corrected` it is a simulation.
+    `memory` s is the time constant of forgetting. Without `corrected` it is a simulation. `watch` is shown every chunk
+    that was learned from, as it comes and whenever all is gone through again.
     """
 
-    def __init__(self, problem: Problem, period: float, memory: float, *, corrected: bool) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        period: float,
+        memory: float,
+        *,
+        corrected: bool,
+        watch: Callable[[Seen], None] | None = None,
+    ) -> None:
         self._problem, self._period, self._memory = problem, period, memory
+        self._watch = watch
         self._noise = NoiseModel.of(problem) if corrected else None
         model, kernel = problem.model, problem.kernel
         free, logarithms = len(problem.free), self._noise.size if self._noise else 0
@@ -82,8 +117,10 @@ class RecursivePredictor:
         self._start, self._scale, (self._lower, self._upper) = problem.start, problem.scale, problem.bounds
         known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
         widest = np.full(logarithms, WIDEST)
+        prior = np.concatenate(((problem.scale / known) ** 2, np.full(logarithms, SPREAD**-2)))
+        self._prior = np.concatenate((prior, np.ones(len(spread) + len(held))))
         self._regression = RecursiveGaussNewton(
-            np.concatenate(((problem.scale / known) ** 2, np.full(logarithms, SPREAD**-2))),
+            prior,
             np.concatenate(((self._lower - self._start) / self._scale, -widest)),
             np.concatenate(((self._upper - self._start) / self._scale, widest)),
             asked=free,
@@ -97,10 +134,9 @@ class RecursivePredictor:
         )
         self._squares = np.diag(np.square([output.noise for output in model.outputs]))
         self._weight = 1.0
-        self._delays = tuple(tuple(map(kernel.index, each.delays)) for each in model.inputs)
-        self._initial = tuple((state.initial, f"state {state.name}, initial") for state in model.states)
         self._state: Memory | None = None
         self._gain_at: Array | None = None
+        self._gain_now: Array | None = None
         self._gain = np.zeros((states, outputs))
         self._gain_slopes = np.zeros((len(gains), logarithms))
         self._kept: list[Chunk] = []
@@ -178,17 +214,18 @@ class RecursivePredictor:
         segment, rows = chunk.segment, chunk.rows
         values = self._values
         if self._state is None or chunk.begins:
-            initial = self._measured_state(segment.measured[chunk.first])
+            initial = measured_state(self._problem, segment.measured[chunk.first])
             self._state = self._problem.kernel.memory(initial, self._active)
         else:
-            self._find_inputs(self._state, segment, chunk.first, values)
+            self._state.pointer[:] = inputs_at(self._problem, segment, chunk.first, values)
+        gain = self._gain_now = self._steady(values)
         predicted = np.empty_like(segment.measured)
         slopes = np.empty((*segment.measured.shape, len(self._active)))
         self._problem.kernel.proceed(
             segment,
             values,
             self._state,
-            self._steady(values),
+            gain,
             self._active,
             predicted,
             slopes,
@@ -199,8 +236,9 @@ class RecursivePredictor:
         )
         return segment.measured[rows] - predicted[rows], slopes[rows]
 
-    def _gather(self, chunk: Chunk, error: Array, slopes: Array) -> None:
-        """What the errors say, weighed by the covariance that is known now."""
+    def _gather(self, chunk: Chunk, error: Array, slopes: Array, *, again: tuple[int, int] = (0, 0)) -> None:
+        """What the errors say, weighed by the covariance that is known now. `again` (place, count): it is one
+        of all that are kept."""
         if chunk.begins:
             self._regression.begin()
         whitening = self._whitening()
@@ -208,7 +246,12 @@ class RecursivePredictor:
         direct, free = len(self._sizes), self._free
         scaled = white[:, :direct] * self._sizes
         columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
-        self._regression.add((error @ whitening.T).ravel(), columns, self._kept_share(error))
+        residual = (error @ whitening.T).ravel()
+        self._regression.add(residual, columns, self._kept_share(error))
+        if self._watch is not None:
+            z = self._regression.z.copy()
+            used = (self._values, self._gain_now, whitening)
+            self._watch(Seen(chunk, *used, residual, columns, z, self._prior, *again))
 
     def _learn_again(self) -> Array:
         """All that is kept, seen from where the unknowns are now; how far they move then, (n,)."""
@@ -224,8 +267,8 @@ class RecursivePredictor:
         self._weight *= STALE
         for error, slopes in seen:
             self._learn_noise(error, slopes)
-        for chunk, (error, slopes) in zip(chunks, seen, strict=True):
-            self._gather(chunk, error, slopes)
+        for place, (chunk, (error, slopes)) in enumerate(zip(chunks, seen, strict=True)):
+            self._gather(chunk, error, slopes, again=(place, len(chunks)))
         self._seen_from = self._regression.z
         self._regression.move(self._seen_from, self._reach)
         return np.abs(self._regression.z - self._seen_from)
@@ -286,14 +329,17 @@ class RecursivePredictor:
         explained: Array = slopes[:, :, self._own] @ (self._sizes[self._own] * start)
         return error - explained
 
-    def _find_inputs(self, state: Memory, segment: Segment, row: int, values: Array) -> None:
-        """Rows have moved up since the last chunk: which sample of each input acts at `row`."""
-        late = [sum(values[place] for place in places) for places in self._delays]
-        passed = np.count_nonzero(segment.knots + late < segment.time[row], axis=0)
-        state.pointer[:] = np.maximum(passed - 1, 0)
 
-    def _measured_state(self, measured: Array) -> Array:
-        """The state (nx,) as the outputs `measured` (ny,) show it."""
-        shown = zip(self._problem.kernel.outputs, map(float, measured), strict=True)
-        known = {**self._problem.model.values, **dict(shown)}
-        return np.array([number(text, known, what) for text, what in self._initial])
+def inputs_at(problem: Problem, segment: Segment, row: int, values: Array) -> NDArray[np.int64]:
+    """Which sample of each input (nu,) acts at `row`, at parameter `values` (np,)."""
+    late = [sum(values[problem.kernel.index(name)] for name in each.delays) for each in problem.model.inputs]
+    passed = np.count_nonzero(segment.knots + late < segment.time[row], axis=0)
+    return np.asarray(np.maximum(passed - 1, 0))
+
+
+def measured_state(problem: Problem, measured: Array) -> Array:
+    """The state (nx,) as the outputs `measured` (ny,) show it."""
+    shown = zip(problem.kernel.outputs, map(float, measured), strict=True)
+    known = {**problem.model.values, **dict(shown)}
+    states = problem.model.states
+    return np.array([number(state.initial, known, f"state {state.name}, initial") for state in states])

@@ -23,6 +23,7 @@ from drivers.imu_format import check_format
 from service import assembly
 from service.api import ApiServer, ExitCode, Message, result
 from service.control_loop import QUICK_STOP_TIME, ControlLoop, Mode
+from service.news import News
 from service.notify import Notifier
 from service.observer_client import ObserverClient
 from service.readiness import drive_states
@@ -280,11 +281,13 @@ class Daemon:
             yield result(ExitCode.REFUSED, "interlock", " ".join(interlocks), interlocks=interlocks)
             return
         run = self.loop.start_experiment(name)
-        phase = None
+        phase, news = None, News()
         while self.loop.run is run:
             if run.phase is not phase:
                 phase = run.phase
                 yield {"type": "event", "severity": "info", "code": phase.name.lower(), "text": phase.text}
+            for text in news.of(self.observer.diagnosis):
+                yield {"type": "event", "severity": "warning", "code": "missing_effect", "text": text}
             self.observer.progress(name, run.fraction, run.remaining)
             yield {
                 "type": "progress",
@@ -292,6 +295,7 @@ class Daemon:
                 "fraction": run.fraction,
                 "remaining": run.remaining,
                 "estimates": self.observer.estimates,
+                "diagnosis": self.observer.diagnosis,
             }
             await asyncio.sleep(PROGRESS_PERIOD)
         summary = await self.observer.finished_recording()
@@ -314,6 +318,7 @@ class Daemon:
             "missed_cycles": self.loop.missed_cycles,
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
+            "diagnosis": self.observer.diagnosis,
             "socket": str(self.places.socket),
             "data": str(self.places.data),
         }

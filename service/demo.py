@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from service import api, virtual_vehicle
-from service.cli.output import page, parameter_table, people
+from service.cli.output import missing_effects, page, parameter_table, people
 from service.control_loop import Mode
 from service.daemon import Daemon, Places
 from service.embedded_broker import EmbeddedBroker
@@ -86,4 +86,5 @@ async def _experiment(name: str, socket: Path, follow: Follow) -> Path:
         raise DemoError(f"experiment {name}: {answer['text']}")
     if answer.get("estimates"):
         page.print(parameter_table(answer["estimates"]))
+        page.print(missing_effects(answer.get("diagnosis")))
     return Path(answer["recording"])

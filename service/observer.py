@@ -1,11 +1,11 @@
-"""The observer process: recorder, online estimators and MQTT, fed through a pipe by the control process.
+"""The observer process: recorder, online estimators, live diagnosis and MQTT, fed by the control process.
 
     python -m service.observer SOCKET_FD
 
-The first message is `hello` (`service.assembly.observer_hello`), the end of the pipe is the order to end: a running
-recording is finished, `offline` is published, and it exits, whether control said goodbye or died. The recorder and the
-estimators take exactly the same cycles, those from a recording's agreed start to its end, so that a replay of the
-recording gives the same numbers. It runs at a lower priority than control and never makes it wait.
+Its pipe brings `hello` first (`service.assembly.observer_hello`), then cycles and orders. The end of the pipe is the
+order to end: a running recording is finished, `offline` is published, and it exits, whether control said goodbye or
+died. The recorder and the estimators take exactly the same cycles, those from a recording's agreed start to its end, so
+that a replay of the recording gives the same numbers. It runs at a lower priority than control and never makes it wait.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from typing import Any
 from service import link
 from service.mqtt import GOODBYE_TIME, MqttConfig, MqttConfigError, MqttPublisher
 from service.mqtt_payloads import TelemetryBatches, parameters
+from service.news import News
 from service.online_estimators import EstimatorBank, online_estimators
 from service.recorder import Recorder
 from telemetry.channels import TABLES
@@ -71,6 +72,8 @@ class Observer:
         self._new_bank = partial(online_estimators, hello["kind"], values, deviations, hello["support"])
         self._estimators = self._new_bank()
         self._compiled = asyncio.Event()
+        self._news = News()
+        self._published: Mapping[str, Any] | None = None
         self._recorder: Recorder | None = None
         self._end: dict[str, str] = {}
         self._end_timer: asyncio.TimerHandle | None = None
@@ -162,7 +165,7 @@ class Observer:
     def _start_recording(self, order: dict[str, Any]) -> None:
         self._end = self._end or {"end_reason": "another recording began"}
         self._close_recording()
-        self._estimators = self._new_bank()
+        self._estimators, self._news = self._new_bank(), News()
         if self._compiled.is_set():
             self._estimators.join()
         raw_buses = RAW_BUSES if order["raw_log"] else ()
@@ -171,7 +174,15 @@ class Observer:
             self._recorder = Recorder(stem, self._channels, order["start_ns"], order["metadata"], raw_buses)
         except OSError as error:
             self._complain("recorder", f"nothing is recorded: {error}")
-            self._send({"type": "finished", "recording": f"{stem}.arrow", "failure": str(error), "estimates": {}})
+            self._send(
+                {
+                    "type": "finished",
+                    "recording": f"{stem}.arrow",
+                    "failure": str(error),
+                    "estimates": {},
+                    "diagnosis": None,
+                }
+            )
 
     def _stop_recording(self, order: dict[str, Any]) -> None:
         """The last rows may still be on their way: the recording is closed when they are in, or late."""
@@ -205,10 +216,11 @@ class Observer:
                 await asyncio.wait_for(self._compiled.wait(), LATE_ESTIMATES)
                 estimators.join()
         estimates = estimators.results()
-        self._publish_parameters(estimates)
+        diagnosis = estimators.diagnosis()
+        self._publish(estimates, diagnosis)
         async with self._writing:
             try:
-                await asyncio.to_thread(recorder.finish, end, estimates)
+                await asyncio.to_thread(recorder.finish, end, estimates, diagnosis)
             except OSError as error:
                 failure = f"the recording could not be completed: {error}"
                 self._complain("recorder", failure)
@@ -218,6 +230,7 @@ class Observer:
             "rows": recorder.rows,
             "failure": failure,
             "estimates": estimates,
+            "diagnosis": diagnosis,
         })  # fmt: skip
 
     async def _write_regularly(self) -> None:
@@ -270,9 +283,9 @@ class Observer:
         while True:
             await asyncio.sleep(ESTIMATE_PERIOD)
             if self._recorder is not None:
-                estimates = self._estimators.results()
-                self._send({"type": "estimates", "estimates": estimates})
-                self._publish_parameters(estimates)
+                estimates, diagnosis = self._estimators.results(), self._estimators.diagnosis()
+                self._send({"type": "estimates", "estimates": estimates, "diagnosis": diagnosis})
+                self._publish(estimates, diagnosis)
 
     async def _run_mqtt(self, mqtt: MqttPublisher) -> None:
         """A recording must not end because of MQTT, whatever happens there."""
@@ -282,9 +295,16 @@ class Observer:
             self._mqtt = None
             self._complain("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
 
-    def _publish_parameters(self, estimates: Mapping[str, Any]) -> None:
-        if self._mqtt is not None and estimates:
+    def _publish(self, estimates: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> None:
+        if self._mqtt is None:
+            return
+        if estimates:
             self._mqtt.retain("parameters", parameters(estimates))
+        if diagnosis is not None and diagnosis != self._published:
+            self._published = diagnosis
+            self._mqtt.retain("diagnosis", diagnosis)
+            for text in self._news.of(diagnosis):
+                self._mqtt.tell("event", {"severity": "warning", "code": "missing_effect", "text": text})
 
     def _complain(self, code: str, text: str) -> None:
         """To the log, the broker and, with the next report, to control."""

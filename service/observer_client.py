@@ -36,6 +36,8 @@ class ObserverClient:
     def __init__(self, hello: dict[str, Any], *, lossless: bool = False) -> None:
         self.estimates: dict[str, Any] = {}
         """Latest results of the running or last recording: method to `Estimate.to_json`."""
+        self.diagnosis: dict[str, Any] | None = None
+        """What the running or last recording's live diagnosis says, as `diagnose --json`."""
         self.on_exit: Callable[[int], None] = lambda status: None
         """Called with the exit status when the observer ended without being told to."""
         self._hello = hello
@@ -141,7 +143,7 @@ class ObserverClient:
         raw_log = Path(f"{stem}.log")
         self._recording = {"recording": f"{stem}.arrow", "raw_log": str(raw_log)}
         self._finished = asyncio.get_running_loop().create_future()
-        self.estimates = {}
+        self.estimates, self.diagnosis = {}, None
         self._dropped_before = self._counts.frames_dropped
         if self._raw_log is not None:
             self._raw_log.open(raw_log, start_ns)
@@ -161,7 +163,8 @@ class ObserverClient:
         self._tell("stop_recording", reason=reason, end_ns=end_ns, raw_end_ns=raw_end_ns, dropped_frames=dropped)
 
     async def finished_recording(self, timeout: float = 15.0) -> dict[str, Any]:
-        """The running or last recording, once it is on the disk: recording, raw_log (paths), rows, failure, estimates.
+        """The running or last recording, once it is on the disk: recording, raw_log (paths), rows, failure, estimates,
+        diagnosis.
 
         Where it is not finished within `timeout` s, `failure` says so; empty where nothing was ever recorded.
         """
@@ -199,14 +202,14 @@ class ObserverClient:
     def _handle(self, message: dict[str, Any]) -> None:
         match message.pop("type"):
             case "estimates":
-                self.estimates = message["estimates"]
+                self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
             case "report":
                 self._report = message
             case "finished" if message["recording"] == self._recording.get("recording"):
-                self.estimates = message["estimates"]
+                self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
                 if self._finished is not None and not self._finished.done():
                     self._finished.set_result({**self._recording, **message})
                 self._recording = {}
 
     def _unfinished(self, failure: str) -> dict[str, Any]:
-        return {**self._recording, "failure": failure, "estimates": self.estimates}
+        return {**self._recording, "failure": failure, "estimates": self.estimates, "diagnosis": self.diagnosis}

@@ -1,19 +1,22 @@
-"""Which estimators run along with a vehicle of a kind, live in the observer and in a replay.
+"""Which estimators run along with a vehicle of a kind, live in the observer and in a replay, and the live diagnosis.
 
-The recursion on a compiled model is made late: on the first start on a computer its model is compiled for some seconds,
-and neither the recording nor the other estimators wait for that. Its cycles do: they are kept until it joins, so that
-it gives the same numbers as if it had been there from the beginning.
+The recursion on a compiled model, and the diagnosis that looks over its shoulder, are made late: on the first start on
+a computer their models are compiled for some seconds, and neither the recording nor the other estimators wait for that.
+Their cycles do: they are kept until both join, so that they give the same as if they had been there from the beginning.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimators import torque_balance
 from estimators.contract import Estimator
 from telemetry.samples import Frame
+
+if TYPE_CHECKING:
+    from diagnosis.live import LiveDiagnosis
 
 STARTING = {
     "parameters": {},
@@ -42,24 +45,25 @@ def online_estimators(
 
 def _prediction_error(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
-) -> Estimator:
+) -> LiveDiagnosis:
+    from diagnosis.live import LiveDiagnosis
     from estimators.identify import nominal_model
-    from estimators.recursive_prediction_error import RecursivePredictionError
 
-    return RecursivePredictionError(nominal_model(kind), parameters=parameters, deviations=deviations, support=support)
+    return LiveDiagnosis(nominal_model(kind), parameters=parameters, deviations=deviations, support=support)
 
 
 class EstimatorBank:
     """Several estimators over the same cycles. One that fails is left out from there on, its failure its result.
 
-    `late` ones, method to what makes it, take no part until `join`.
+    `late` ones, method to what makes it with the diagnosis around it, take no part until `join`.
     """
 
     def __init__(
-        self, estimators: Sequence[Estimator], late: Mapping[str, Callable[[], Estimator]] | None = None
+        self, estimators: Sequence[Estimator], late: Mapping[str, Callable[[], LiveDiagnosis]] | None = None
     ) -> None:
         self._estimators = list(estimators)
         self._late = dict(late or {})
+        self._live: LiveDiagnosis | None = None
         self._waiting: list[Frame] = []
         self._failed: dict[str, dict[str, Any]] = {}
 
@@ -74,12 +78,12 @@ class EstimatorBank:
         waiting, self._waiting = self._waiting, []
         for method, make in late.items():
             try:
-                estimator = make()
+                self._live = make()
             except Exception as error:  # Whatever it is, the recording and the others go on without it.
                 self._fail(method, error)
             else:
-                self._estimators.append(estimator)
-                self._feed(estimator, waiting)
+                self._estimators.append(self._live.estimator)
+                self._feed(self._live.estimator, waiting)
 
     def update(self, frames: Iterable[Frame]) -> None:
         """Take control cycles."""
@@ -101,6 +105,16 @@ class EstimatorBank:
                     self._fail(estimator.method, error)
             results[estimator.method] = self._failed[estimator.method]
         return {**results, **dict.fromkeys(self._late, STARTING), **self._failed}
+
+    def diagnosis(self) -> dict[str, Any] | None:
+        """Which effect is missing, as far as it shows, JSON-ready as in `upright diagnose --json`; None for a kind that
+        has no model."""
+        if self._live is not None:
+            return self._live.result().to_json()
+        if self._late or self._failed:
+            reason = STARTING["reason"] if self._late else "; ".join(str(e["reason"]) for e in self._failed.values())
+            return {"adequate": False, "verdict": "insufficient_data", "reason": reason, "findings": []}
+        return None
 
     def _feed(self, estimator: Estimator, frames: Iterable[Frame]) -> None:
         if estimator.method in self._failed:

@@ -1,7 +1,8 @@
 """The recorder: one experiment into files that can be read whatever happens.
 
 `STEM.arrow` gets all control cycles from the agreed start to the agreed end, a batch a second, each on the disk before
-the next; `STEM.log` the raw frames, where no process of its own logs them; `STEM.estimates.json` the final results.
+the next; `STEM.log` the raw frames, where no process of its own logs them; `STEM.estimates.json` the final results and
+the live diagnosis.
 Nothing here awaits: `write` may take long (disks do) and is called in a thread, while the loop goes on adding.
 """
 
@@ -113,7 +114,9 @@ class Recorder:
             self._broken = True
             raise
 
-    def finish(self, metadata: Mapping[str, str], estimates: Mapping[str, Any]) -> None:
+    def finish(
+        self, metadata: Mapping[str, str], estimates: Mapping[str, Any], diagnosis: Mapping[str, Any] | None = None
+    ) -> None:
         """Write the rest, what became known at the end, and the final results. Raises OSError."""
         try:
             self.write(self.take())
@@ -121,5 +124,5 @@ class Recorder:
             if self._raw_log is not None:
                 self._raw_log.close()
             self._stream.close(metadata)
-        document = {"recording": self.path.name, "methods": estimates}
+        document = {"recording": self.path.name, "methods": estimates, "diagnosis": diagnosis}
         Path(f"{self.stem}.estimates.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -54,7 +54,10 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         angular_rate_unit=imu.angular_rate_unit,
         position=imu.position,
     )
-    return SimulationConfig(drives=drives, imu=node, rate=vehicle.control.rate, seed=seed, hidden=parse_hidden(hide))
+    hidden, onsets = parse_hidden(hide)
+    return SimulationConfig(
+        drives=drives, imu=node, rate=vehicle.control.rate, seed=seed, hidden=hidden, onsets=onsets
+    )
 
 
 def run(

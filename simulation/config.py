@@ -135,8 +135,8 @@ class SimulationConfig:
     """Hz of the IMU's stream: the control cycle."""
     seed: int = 1
     hidden: Mapping[str, float | None] = field(default_factory=dict)
-    event_time: float = 10.0
-    """s after the first SYNC at which the hidden torque step arrives."""
+    onsets: Mapping[str, float] = field(default_factory=dict)
+    """s after the first SYNC at which a hidden effect sets in; those that are not named are there from the start."""
 
     @property
     def period_ns(self) -> int:

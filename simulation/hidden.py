@@ -55,7 +55,13 @@ HIDDEN: dict[str, HiddenEffect] = {
         HiddenEffect(
             "periodic_disturbance", "N m", 40.0, "sinusoidal roll torque at 1.3 Hz: machinery on board", signed=True
         ),
-        HiddenEffect("torque_step", "N m", 550.0, "a person sits down at `event_time`, a ramp of 0.3 s", signed=True),
+        HiddenEffect(
+            "torque_step",
+            "N m",
+            550.0,
+            "a person sits down 10 s after the drives started, a ramp of 0.3 s",
+            signed=True,
+        ),
         HiddenEffect(
             "torque_drift", "N m", 150.0, "roll torque that creeps up with a time constant of 45 s", signed=True
         ),
@@ -102,20 +108,69 @@ UNLISTED: dict[str, HiddenEffect] = {
 
 _ALL = HIDDEN | UNLISTED
 
+LATE = frozenset(
+    {
+        "static_torque",
+        "viscous_friction",
+        "coulomb_friction",
+        "stribeck_friction",
+        "asymmetric_friction",
+        "load_dependent_friction",
+        "quadratic_drag",
+        "cubic_stiffness",
+        "end_stop",
+        "hysteresis",
+        "position_cogging",
+        "periodic_disturbance",
+        "torque_step",
+        *UNLISTED,
+    }
+)
+"""Effects that can set in during a run: torques on the roll axis."""
 
-def parse_hidden(arguments: Iterable[str]) -> dict[str, float | None]:
-    """`["coulomb_friction", "input_delay=2"]` as a `SimulationConfig.hidden`. Raises UnknownEffectError."""
+
+def parse_hidden(arguments: Iterable[str]) -> tuple[dict[str, float | None], dict[str, float]]:
+    """`["coulomb_friction", "torque_step=2@30"]` as `hidden` and `onsets` of a SimulationConfig.
+
+    Raises UnknownEffectError.
+    """
     hidden: dict[str, float | None] = {}
+    onsets: dict[str, float] = {}
     for argument in arguments:
-        name, separator, level = argument.partition("=")
-        try:
-            hidden[name] = float(level) if separator else None
-        except ValueError:
-            raise UnknownEffectError(
-                name, f"the level of {name} is {level!r}.", remedy=f"Give a number, as in {name}=2."
-            ) from None
+        text, late, second = argument.partition("@")
+        name, separator, level = text.partition("=")
+        hidden[name] = _number(name, "level", level) if separator else None
+        if late:
+            onsets[name] = _number(name, "time", second)
     sizes_of(hidden)
-    return hidden
+    check_onsets(onsets)
+    return hidden, onsets
+
+
+def check_onsets(onsets: Mapping[str, float]) -> None:
+    """Raises UnknownEffectError for an effect that cannot set in during a run, or not then."""
+    for name, second in onsets.items():
+        if name not in LATE:
+            raise UnknownEffectError(
+                name,
+                f"{name} is there from the beginning.",
+                remedy=f"These can set in later: {', '.join(sorted(LATE))}.",
+            )
+        if not (math.isfinite(second) and second >= 0.0):
+            raise UnknownEffectError(
+                name,
+                f"{name} cannot set in at {second:g} s.",
+                remedy="Give seconds after the drives started, 0 or more.",
+            )
+
+
+def _number(name: str, what: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise UnknownEffectError(
+            name, f"the {what} of {name} is {text!r}.", remedy=f"Give numbers, as in {name}=2 or {name}=2@30."
+        ) from None
 
 
 def sizes_of(hidden: Mapping[str, float | None]) -> dict[str, float]:

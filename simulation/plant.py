@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from simulation.config import DriveNode, SimulationConfig
 from simulation.contact import Supports
 from simulation.gimbal import Gimbal
-from simulation.hidden import sizes_of
+from simulation.hidden import check_onsets, sizes_of
 from simulation.input_effects import input_effects
 from simulation.roll_effects import roll_effects
 from simulation.servo_axis import AxisMode, ServoAxis
@@ -33,6 +33,7 @@ class Plant:
         truth = config.plant
         step = config.step
         sizes = sizes_of(config.hidden)
+        check_onsets(config.onsets)
         self.step_size = step
         self.steps = 0
         self.event_origin: float | None = None
@@ -68,7 +69,7 @@ class Plant:
         self.roll_rate = 0.0
         self.roll_acceleration = 0.0
         self.gyroscopic_torque = 0.0
-        self._effects = roll_effects(sizes, inertia=truth.inertia, event_time=config.event_time)
+        self._effects = roll_effects(sizes, inertia=truth.inertia, onsets=config.onsets)
         self._inertia = truth.inertia * (1.0 - sizes.get("flexible_mode", 0.0))
         self._gravity_stiffness = truth.gravity_stiffness
         self._rail_friction = truth.rail_friction

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from simulation.plant import Plant
 
 
+EVENT_TIME = 10.0
+"""s after the first SYNC at which a person sits down, unless something else is asked for."""
+
+
 class RollEffect(Protocol):
     """A torque on the roll axis."""
 
@@ -147,12 +151,23 @@ _MAKERS: dict[str, Callable[[float], RollEffect]] = {
 }
 
 
-def roll_effects(sizes: Mapping[str, float], *, inertia: float, event_time: float) -> tuple[RollEffect, ...]:
-    """The roll torques among the hidden effects `sizes` (name to size in its unit)."""
-    effects = [maker(sizes[name]) for name, maker in _MAKERS.items() if name in sizes]
+class _Late:
+    """An effect that sets in `onset` s after the first SYNC."""
+
+    def __init__(self, effect: RollEffect, onset: float) -> None:
+        self._effect, self._onset = effect, onset
+
+    def torque(self, plant: Plant) -> float:
+        return self._effect.torque(plant) if plant.event_clock >= self._onset else 0.0
+
+
+def roll_effects(sizes: Mapping[str, float], *, inertia: float, onsets: Mapping[str, float]) -> tuple[RollEffect, ...]:
+    """The roll torques among the hidden effects `sizes` (name to size in its unit), late ones at their `onsets` (s)."""
+    effects = {name: maker(sizes[name]) for name, maker in _MAKERS.items() if name in sizes}
+    effects |= {name: _Late(effect, onsets[name]) for name, effect in effects.items() if name in onsets}
     if "torque_step" in sizes:
-        step = sizes["torque_step"]
-        effects.append(_Formula(lambda plant: step * min(1.0, max(0.0, (plant.event_clock - event_time) / 0.3))))
+        step, event = sizes["torque_step"], onsets.get("torque_step", EVENT_TIME)
+        effects["torque_step"] = _Formula(lambda plant: step * min(1.0, max(0.0, (plant.event_clock - event) / 0.3)))
     if "flexible_mode" in sizes:
-        effects.append(FlexibleMode(sizes["flexible_mode"], inertia))
-    return tuple(effects)
+        effects["flexible_mode"] = FlexibleMode(sizes["flexible_mode"], inertia)
+    return tuple(effects.values())

@@ -251,7 +251,7 @@ def test_the_effect_explains_the_torque_that_the_virtual_vehicle_hides_under_its
     effect, size = CATALOGUE[name], HIDDEN[name].size
     time, roll, rate, precession = _record()
     precession_rate = np.gradient(precession, time)
-    (hidden,) = roll_effects({name: size}, inertia=1600.0, event_time=8.0)
+    (hidden,) = roll_effects({name: size}, inertia=1600.0, onsets={"torque_step": 8.0})
     plant = SimpleNamespace(step_size=STEP)
     torque = np.empty_like(time)
     for k in range(len(time)):

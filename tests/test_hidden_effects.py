@@ -148,7 +148,7 @@ def test_plant_and_model_have_the_same_torque(name: str) -> None:
     validate(effect)
     assert get("monocab_reduced").add(effect).effects[0].parameters[0].unit == UNLISTED[name].unit
     source = np.random.default_rng(5)
-    (torque,) = roll_effects(sizes_of({name: 1.0}), inertia=1650.0, event_time=10.0)
+    (torque,) = roll_effects(sizes_of({name: 1.0}), inertia=1650.0, onsets={})
     for roll, rate, at in source.uniform(-0.05, 0.05, (20, 3)):
         plant = SimpleNamespace(roll=float(roll), roll_rate=float(rate), time=float(at))
         amplitudes = dict.fromkeys(effect.amplitudes, 0.0) | {"coefficient": UNLISTED[name].size}

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
+from diagnosis.live import LiveDiagnosis
 from estimators.identify import nominal_model
-from estimators.recursive_prediction_error import RecursivePredictionError
 from estimators.torque_balance import make as make_plain
 from service import link, replay
 from service.observer import Observer
@@ -70,8 +70,10 @@ async def test_recording_live_results_and_replay_are_one(client: ObserverClient)
     assert results == summary["estimates"] == client.estimates
     assert results["recursive_least_squares"]["samples"] > 100
     assert results["recursive_prediction_error"]["samples"] > 100
-    beside = Path(summary["recording"].replace(".arrow", ".estimates.json"))
-    assert json.loads(beside.read_text())["methods"] == results
+    beside = json.loads(Path(summary["recording"].replace(".arrow", ".estimates.json")).read_text())
+    assert beside["methods"] == results
+    assert beside["diagnosis"] == summary["diagnosis"] == client.diagnosis
+    assert beside["diagnosis"]["verdict"] in ("adequate", "missing_effect", "insufficient_data")
 
 
 async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing(
@@ -81,11 +83,9 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
     compiled = threading.Event()
 
     def slowly(*given: Any) -> EstimatorBank:
-        def make() -> RecursivePredictionError:
+        def make() -> LiveDiagnosis:
             compiled.wait(20.0)
-            return RecursivePredictionError(
-                nominal_model("monocab"), parameters=given[1], deviations=given[2], support=given[3]
-            )
+            return LiveDiagnosis(nominal_model("monocab"), parameters=given[1], deviations=given[2], support=given[3])
 
         return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
 

@@ -191,7 +191,7 @@ def test_the_trim_mass_to_the_right_gives_a_positive_roll_torque_and_its_push_th
 
 def test_a_person_on_the_side_needs_a_precession_of_torque_over_momentum() -> None:
     """Held upright, 550 N m cost 550 / 3300 rad/s of precession rate: the truth obeys the torque balance."""
-    config = SimulationConfig(hidden={"torque_step": None}, event_time=1.0)
+    config = SimulationConfig(hidden={"torque_step": None}, onsets={"torque_step": 1.0})
     run = simulate_closed_loop(config, Balancer(amplitude=0.0), 6.0, roll=0.0)
     tail = run.precession_rate[-250:]
     lean = run.true_roll[-250:].mean()
@@ -200,7 +200,7 @@ def test_a_person_on_the_side_needs_a_precession_of_torque_over_momentum() -> No
 
 
 def balanced(hidden: dict[str, float | None], seed: int = 1) -> ClosedLoopRun:
-    config = SimulationConfig(hidden=hidden, seed=seed, event_time=1.0)
+    config = SimulationConfig(hidden=hidden, seed=seed, onsets={"torque_step": 1.0})
     return simulate_closed_loop(config, Balancer(), 3.0, roll=0.0)
 
 
@@ -257,8 +257,11 @@ def test_an_unknown_effect_names_those_there_are() -> None:
 
 
 def test_levels_scale_the_default_size() -> None:
-    assert sizes_of(parse_hidden(["static_torque=2", "input_delay"])) == {"static_torque": 240.0, "input_delay": 0.012}
-    with pytest.raises(UnknownEffectError, match="Give a number"):
+    assert sizes_of(parse_hidden(["static_torque=2", "input_delay"])[0]) == {
+        "static_torque": 240.0,
+        "input_delay": 0.012,
+    }
+    with pytest.raises(UnknownEffectError, match="Give numbers"):
         parse_hidden(["static_torque=big"])
 
 
@@ -269,6 +272,26 @@ def test_a_level_that_cannot_be_is_refused_with_the_range(argument: str) -> None
     with pytest.raises(UnknownEffectError, match="Use a level from"):
         parse_hidden([argument])
     assert sizes_of({"static_torque": -1.0}) == {"static_torque": -120.0}
+
+
+def test_an_effect_that_sets_in_later_changes_nothing_before() -> None:
+    """Bit for bit the same until then; friction shows within a second of it."""
+    hidden, onsets = parse_hidden(["viscous_friction=2@1.5"])
+    late = simulate_closed_loop(SimulationConfig(hidden=hidden, onsets=onsets), Balancer(), 3.0, roll=0.0)
+    never = simulate_closed_loop(SimulationConfig(), Balancer(), 3.0, roll=0.0)
+    changed = np.flatnonzero(late.true_roll != never.true_roll)
+    begin = changed[0] * 3.0 / len(late.true_roll)
+    assert 1.4 < begin < 1.6
+    assert np.abs(late.true_roll - never.true_roll)[-1] > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("argument", "match"),
+    [("sensor_lag=1@5", "from the beginning"), ("viscous_friction@-1", "0 or more"), ("viscous_friction@x", "numbers")],
+)
+def test_an_onset_that_cannot_be_is_refused(argument: str, match: str) -> None:
+    with pytest.raises(UnknownEffectError, match=match):
+        parse_hidden([argument])
 
 
 def resting_samples(imu: ImuNode, rate: int = 250, count: int = 20_000) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,11 @@ BusOption = Annotated[
 ]
 HideOption = Annotated[
     list[str] | None,
-    typer.Option("--hide", help="EFFECT or EFFECT=LEVEL: a physical effect that the model lacks.", show_default=False),
+    typer.Option(
+        "--hide",
+        help="EFFECT, EFFECT=LEVEL or EFFECT=LEVEL@SECONDS (when it sets in): a physical effect that the model lacks.",
+        show_default=False,
+    ),
 ]
 DataOption = Annotated[Path | None, typer.Option("--data", help="Folder of the recordings.", show_default="recordings")]
 

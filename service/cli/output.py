@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 people = Console(stderr=True, highlight=False)
@@ -15,6 +18,12 @@ people = Console(stderr=True, highlight=False)
 
 page = Console(highlight=False)
 """Where the answer of a command goes, when it is for people."""
+
+
+def check_folder(target: Path | None) -> None:
+    """Raises BadParameter where there is no folder to write `target` to: before the work is done, not after."""
+    if target is not None and not target.absolute().parent.is_dir():
+        raise typer.BadParameter(f"there is no folder {target.parent} to write {target.name} to")
 
 
 def print_json(document: Any) -> None:
@@ -56,3 +65,24 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Table:
         if estimate.get("reason"):
             table.add_row(shown, "", "", "", "", "", estimate["reason"])
     return table
+
+
+def missing_effects(diagnosis: Mapping[str, Any] | None) -> str:
+    """What a live diagnosis says, a line for each effect."""
+    if diagnosis is None:
+        return ""
+    if diagnosis["verdict"] == "insufficient_data":
+        return f"[dim]missing effect: not known yet, {escape(diagnosis['reason'])}[/dim]"
+    if not diagnosis["findings"]:
+        return f"missing effect: none shows in {diagnosis['seconds']} s"
+    return "\n".join(f"[bold]missing effect[/bold] {_one_effect(each)}" for each in diagnosis["findings"])
+
+
+def _one_effect(finding: Mapping[str, Any]) -> str:
+    sizes = ", ".join(
+        f"{name.split('.')[-1]} {each['value']:.4g} ± {each['std']:.2g} {each['unit']}".removesuffix(" 1")
+        for name, each in finding["parameters"].items()
+    )
+    when = f" since {finding['since']:.0f} s" if finding["since"] else ""
+    tied = f", or {', '.join(finding['tied_with'])}" if finding["tied_with"] else ""
+    return f"{finding['effect']}{when}: {sizes}{tied}"

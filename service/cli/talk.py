@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli.output import page, parameter_table, people, print_json
+from service.cli.output import missing_effects, page, parameter_table, people, print_json
 
 VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Id of the vehicle whose daemon to talk to.")]
 SocketOption = Annotated[Path | None, typer.Option("--socket", help="The daemon's control socket.", show_default=False)]
@@ -68,6 +68,7 @@ def experiment(
     if not json and answer.get("estimates"):
         page.print(parameter_table(answer["estimates"]))
     if not json and answer.get("recording"):
+        page.print(missing_effects(answer.get("diagnosis")))
         page.print(f"Recording: {answer['recording']}")
     _finish(answer, json=json)
 
@@ -104,6 +105,7 @@ def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json
         page.print(f"  {drive['name']}: {drive['state']}{'  ' + drive['fault'] if drive['fault'] else ''}")
     if answer["estimates"]:
         page.print(parameter_table(answer["estimates"]))
+        page.print(missing_effects(answer["diagnosis"]))
 
 
 def _call(request: dict[str, Any], vehicle: str, socket: Path | None) -> Iterator[dict[str, Any]]:
@@ -131,7 +133,8 @@ def follow(messages: Iterator[dict[str, Any]]) -> dict[str, Any]:
             elif message["type"] == "progress":
                 bar.update(task, completed=message["fraction"])
                 if message["estimates"]:
-                    live.update(Group(bar, parameter_table(message["estimates"])))
+                    shown = missing_effects(message["diagnosis"])
+                    live.update(Group(bar, parameter_table(message["estimates"]), shown))
     return last
 
 

@@ -18,6 +18,7 @@ from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, leve
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.vehicle_file import load
 from simulation.config import SimulationConfig
+from simulation.roll_effects import EVENT_TIME
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
@@ -232,4 +233,4 @@ def _event(recording: Recording) -> float:
     from simulation.vehicle import START_NS
 
     begin = (int(recording.metadata.get("start_ns", START_NS)) - START_NS) * 1e-9
-    return BOOT_TIME + SimulationConfig().event_time - begin
+    return BOOT_TIME + EVENT_TIME - begin

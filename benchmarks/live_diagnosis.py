@@ -1,0 +1,136 @@
+"""What the live diagnosis costs, how soon it names an effect, and how often one that is not there.
+
+`python benchmarks/live_diagnosis.py` prints, on recordings of the virtual vehicle that are fed cycle by cycle:
+
+- cost: processor time a sample of the diagnosis beside that of the recursion that it looks over, in one run;
+- false alarms: recordings with nothing missing in which any effect is named at any time, 95 % interval (Wilson);
+- seconds: an effect of some multiple of the size that 30 s of the same excitation would just show sets in during the
+  run; told are the seconds until a name is given, and whether it is the right one, first or tied.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import binomtest
+
+from diagnosis.live import LiveDiagnosis
+from diagnosis.live_naming import LiveFinding
+from estimators.identify import nominal_model
+from estimators.recursive_predictor import Seen
+from service.vehicle_file import load
+from service.virtual_run import BOOT_TIME, record
+from simulation.hidden import HIDDEN, LATE, UNLISTED
+from simulation.vehicle import START_NS
+from telemetry.channels import MONOCAB
+from telemetry.recording import Recording
+
+VEHICLE = load("monocab")
+ONSET = 30.0
+"""s after the drives started at which an effect sets in."""
+
+
+def live() -> LiveDiagnosis:
+    given = VEHICLE.parameters
+    return LiveDiagnosis(
+        nominal_model("monocab"), parameters=given.values, deviations=given.deviations, support=VEHICLE.support
+    )
+
+
+def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[tuple[float, tuple[LiveFinding, ...]]]:
+    """What is named, and when, s from the first row on: whenever that changes."""
+    named: tuple[LiveFinding, ...] = ()
+    for frame in recording.frames(MONOCAB):
+        diagnosis.update(frame)
+        found = diagnosis.result().findings
+        if [each.effect for each in found] != [each.effect for each in named]:
+            yield (frame.timestamp_ns - recording.timestamp_ns[0]) * 1e-9, found
+        named = found
+
+
+def cost(recording: Recording) -> tuple[float, float]:
+    """us a sample: of the diagnosis, of the recursion."""
+    diagnosis, spent = live(), 0.0
+    watch = diagnosis.estimator.watch
+    assert watch is not None
+
+    def timed(seen: Seen) -> None:
+        nonlocal spent
+        begin = time.thread_time()
+        watch(seen)
+        spent += time.thread_time() - begin
+
+    diagnosis.estimator.watch = timed
+    frames = list(recording.frames(MONOCAB))
+    begin = time.thread_time()
+    for frame in frames:
+        diagnosis.update(frame)
+    total = time.thread_time() - begin
+    return 1e6 * spent / len(frames), 1e6 * (total - spent) / len(frames)
+
+
+def onset_of(recording: Recording) -> float:
+    """s from the first row on."""
+    begin = (int(recording.metadata.get("start_ns", START_NS)) - START_NS) * 1e-9
+    return BOOT_TIME + ONSET - begin
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--excitation", action="append", help="may be given several times; multisine by default")
+    parser.add_argument("--clean", type=int, default=20, help="recordings with nothing missing, of each excitation")
+    parser.add_argument("--size", type=float, default=3.0, help="of the effects, in detectable sizes")
+    parser.add_argument("--seeds", type=int, default=1, help="recordings of each effect")
+    arguments = parser.parse_args()
+    for excitation in arguments.excitation or ["multisine"]:
+        clean = record("monocab", excitation, seed=1000, duration=60.0)
+        own, recursion = cost(clean)
+        print(f"{excitation}, 60 s: {own:.1f} us a sample, {own / recursion:.2f} of the recursion's {recursion:.1f} us")
+        alarms = []
+        for seed in range(arguments.clean):
+            names = {
+                each.effect for _, found in course(record("monocab", excitation, seed=seed), live()) for each in found
+            }
+            alarms.append(bool(names))
+            if names:
+                print(f"  seed {seed}: {', '.join(sorted(names))}")
+        interval = binomtest(sum(alarms), len(alarms)).proportion_ci(0.95, method="wilson")
+        print(
+            f"  false alarms: {sum(alarms)} of {len(alarms)} ({100 * interval.low:.0f} to {100 * interval.high:.0f} %)"
+        )
+        reference = live()
+        for _ in course(record("monocab", excitation, seed=1000, duration=30.0), reference):
+            pass
+        detectable = reference.result().detectable
+        waits, right = [], 0
+        for name in sorted(LATE - set(UNLISTED)):
+            asked = "static_torque" if name == "torque_step" else name
+            if name == "static_torque" or asked not in detectable:
+                continue
+            level = arguments.size * detectable[asked] / abs(HIDDEN[name].size)
+            for seed in range(arguments.seeds):
+                recording = record(
+                    "monocab", excitation, hide=[f"{name}={level:.4g}@{ONSET:g}"], seed=2000 + seed, duration=50.0
+                )
+                begin = onset_of(recording)
+                first, told = float("inf"), "nothing"
+                correct = float("inf")
+                for second, found in course(recording, live()):
+                    names = [each.effect for each in found[:1]] + [
+                        tied for each in found[:1] for tied in each.tied_with
+                    ]
+                    if second > begin and names and first == float("inf"):
+                        first, told = second - begin, " = ".join(names)
+                    if second > begin and name in names:
+                        correct = min(correct, second - begin)
+                waits.append(correct)
+                right += name in told.split(" = ")
+                print(f"  {name} {level:.3g}: first named after {first:.1f} s: {told}; rightly after {correct:.1f} s")
+        print(f"  right at first {right} of {len(waits)}, median {np.median(waits):.1f} s")
+
+
+if __name__ == "__main__":
+    main()

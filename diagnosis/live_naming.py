@@ -1,0 +1,266 @@
+"""From the products of a live diagnosis to names: which effects stand out, since when, and what they are tied with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from diagnosis.candidates import Candidate
+from diagnosis.diagnose import FURTHER, FURTHER_ALIKE, SIMPLER, TIED, alike
+from diagnosis.onset import BEGINNING, Amplitudes, Onset, Products, onsets
+from estimators.problem import Problem
+from estimators.recursive_predictor import Seen
+from estimators.report import significant
+from models.effect import AttachedEffect, Effect
+from models.effects import CATALOGUE, find
+from models.model import Parameter
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.01
+"""Probability of naming an effect in a minute in which nothing is missing."""
+DETECTABLE = float(2.0 * norm.isf(0.01))
+"""Standard errors of a size that is found with 99 % probability at 1 % false alarms."""
+ALIKE = 0.9
+"""Share of the best statistic from which on an effect is tied with it: their directions correlate by 0.95."""
+SHORTEST = 2
+"""s that an effect must have acted to be named."""
+KEPT = 32
+"""s back within which an onset is looked for, one that was found excepted."""
+MOST = 3
+"""Effects that are named at once."""
+SUDDEN = {"static_torque": "torque_step"}
+"""What an effect is called that was not there from the beginning."""
+ALWAYS = (
+    "gravity_nonlinearity",
+    "gimbal_angle_coupling",
+    "gimbal_imbalance",
+    "torque_drift",
+    "sensor_offset",
+    "sensor_scale",
+)
+"""Effects that do not set in during a run: how the vehicle is built, and what tells its own time."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveFinding:
+    """An effect that shows. `since` s from the first cycle, 0 where it was there from the beginning."""
+
+    effect: str
+    family: str
+    sizes: Mapping[str, tuple[float, float, str]]
+    """Parameter to value, standard deviation and unit."""
+    since: float
+    probability: float
+    p_value: float
+    tied_with: tuple[str, ...]
+    explanation: str
+
+    def to_json(self) -> dict[str, Any]:
+        """One of `findings` as in `diagnose --json`, with `since`."""
+        return {
+            "effect": self.effect,
+            "family": self.family,
+            "parameters": {
+                name: {"value": value, "std": std, "unit": unit, "identifiable": True}
+                for name, (value, std, unit) in self.sizes.items()
+            },
+            "probability": self.probability,
+            "p_value": self.p_value,
+            "held_out_error_closed_percent": None,
+            "tied_with": list(self.tied_with),
+            "explanation": self.explanation,
+            "since": self.since,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class LiveResult:
+    """What is known now. `seconds` of free motion that it rests on, `detectable` by effect, in its first amplitude."""
+
+    findings: tuple[LiveFinding, ...]
+    detectable: Mapping[str, float]
+    seconds: int
+    reason: str = ""
+
+    @property
+    def verdict(self) -> str:
+        if self.reason:
+            return "insufficient_data"
+        return "missing_effect" if self.findings else "adequate"
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnose --json`; nothing is refitted or held out while the vehicle runs, so these are null."""
+        return {
+            "adequate": self.verdict == "adequate",
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "findings": [each.to_json() for each in self.findings],
+            "minimum_detectable": dict(self.detectable),
+            "suggested_experiment": None,
+            "innovation_ratio_before": None,
+            "innovation_ratio_after": None,
+            "seconds": self.seconds,
+        }
+
+
+TOO_LITTLE = LiveResult((), {}, 0, "too little free motion yet to tell")
+
+
+class Gathered:
+    """What has come in so far, and what it tells, renewed every second."""
+
+    def __init__(self, entries: Sequence[Entry], order: NDArray[np.int64], products: Products, about: Array) -> None:
+        self._entries = {each.amplitudes.name: each for each in entries}
+        self.about = about
+        """What the unknowns of the recursion count from."""
+        self._order = order
+        self.products = products
+        self._began: list[float] = []
+        self._filled = 0.0
+        self._onsets: list[int] = []
+
+    @classmethod
+    def of(cls, base: Problem, candidates: Sequence[Candidate], seen: Seen) -> Gathered:
+        """Columns in the order that `Products` wants: nuisances, effects that the model has, candidates."""
+        free = [base.model.parameters[place].name for place in base.free]
+        there = [each for each in base.model.effects if set(each.amplitudes) <= set(free)]
+        theirs = [free.index(name) for each in there for name in each.amplitudes]
+        nuisances = [place for place in range(len(seen.prior)) if place not in theirs]
+        entries, place = [], len(nuisances)
+        for effect, scales in (
+            *((each, tuple(base.scale[[free.index(name) for name in each.amplitudes]])) for each in there),
+            *((each.attached, (1.0,) * len(each.amplitudes)) for each in candidates),
+        ):
+            entries.append(Entry.of(effect, tuple(range(place, place + len(scales))), tuple(map(float, scales))))
+            place += len(scales)
+        order = np.array([*nuisances, *theirs, *range(len(seen.prior), place + 1)])
+        # Nuisances count from where they are now, as they are linear near by only; the model's own effects from none.
+        about = np.zeros(len(seen.prior))
+        about[: len(seen.z)] = seen.z
+        about[theirs] = 0.0
+        products = Products(seen.prior[nuisances], -about[nuisances], place + 1, KEPT)
+        return cls(entries, order, products, about[: len(seen.z)])
+
+    def add(self, columns: Array, begin: float, span: float) -> bool:
+        """A chunk that began at `begin` s and lasts `span` s; whether it completes a second."""
+        if self._filled == 0.0:
+            self._began.append(begin)
+        self.products.add(columns[:, self._order])
+        self._filled += span
+        if self._filled < 1.0 - 0.5 * span:
+            return False
+        self._filled = 0.0
+        self.products.end_second(self._onsets)
+        return True
+
+    def look(self) -> LiveResult:
+        """Name what stands out, the strongest first, each with those before it taken for granted."""
+        if self.products.seconds <= SHORTEST:
+            return TOO_LITTLE
+        amplitudes = [entry.amplitudes for entry in self._entries.values()]
+        # Each second is one more chance to be wrong, for every effect.
+        threshold = LEVEL / (len(amplitudes) * max(60, self.products.seconds))
+        named: list[Onset] = []
+        findings: list[LiveFinding] = []
+        detectable: dict[str, float] = {}
+        while len(named) < MOST:
+            found, errors = onsets(self.products, amplitudes, named, SHORTEST)
+            if not named:
+                detectable = {name: DETECTABLE * error * self._entries[name].scale[0] for name, error in errors.items()}
+            best = simplest(found)
+            if best is None or _p_value(best) > threshold:
+                break
+            if best.statistic < self._asked(best, named):
+                break
+            findings.append(self._finding(best, found, len(amplitudes)))
+            named.append(best)
+        self._onsets = [each.second for each in named if each.second != BEGINNING]
+        return LiveResult(tuple(findings), detectable, self.products.seconds)
+
+    def _asked(self, onset: Onset, named: Sequence[Onset]) -> float:
+        """The statistic that a further effect has to have: no formula and no onset is exact."""
+        effect = self._entries[onset.effect.name].effect
+        others = [self._entries[each.effect.name].effect for each in named]
+        share = FURTHER_ALIKE if any(alike(effect, other) for other in others) else FURTHER
+        return share * sum(each.statistic for each in named)
+
+    def _finding(self, best: Onset, found: Sequence[Onset], looked_at: int) -> LiveFinding:
+        entry = self._entries[best.effect.name]
+        odds = {self._called(each): math.exp(max(0.5 * (each.statistic - best.statistic), -700.0)) for each in found}
+        none = math.exp(max(-0.5 * best.statistic + 0.5 * math.log(max(self.products.rows, 1)), -700.0))
+        tied = tuple(
+            self._called(each)
+            for each in found
+            if each is not best and (odds[self._called(each)] > TIED or each.statistic > ALIKE * found[0].statistic)
+        )
+        sizes = {
+            parameter.name: (float(size) * scale, float(std) * scale, parameter.unit)
+            for parameter, size, std, scale in zip(
+                entry.parameters, best.sizes, best.standard_errors, entry.scale, strict=True
+            )
+        }
+        since = 0.0 if best.second == BEGINNING else self._began[best.second]
+        effect = find(self._called(best)) if self._called(best) in CATALOGUE else entry.effect
+        return LiveFinding(
+            effect=self._called(best),
+            family=effect.family.value,
+            sizes=sizes,
+            since=since,
+            probability=1.0 / (sum(odds.values()) + none),
+            p_value=min(1.0, looked_at * max(60, self.products.seconds) * _p_value(best)),
+            tied_with=tied,
+            explanation=_explain(effect, sizes, since, tied),
+        )
+
+    def _called(self, onset: Onset) -> str:
+        name = self._entries[onset.effect.name].effect.name
+        return name if onset.second == BEGINNING else SUDDEN.get(name, name)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An effect and its columns. `scale` (k,) is the size of a unit of each column."""
+
+    effect: Effect
+    amplitudes: Amplitudes
+    parameters: tuple[Parameter, ...]
+    scale: tuple[float, ...]
+
+    @classmethod
+    def of(cls, attached_effect: AttachedEffect, columns: tuple[int, ...], scale: tuple[float, ...]) -> Entry:
+        parameters = tuple(p for p in attached_effect.parameters if p.name in attached_effect.amplitudes)
+        lower = tuple(p.lower / each for p, each in zip(parameters, scale, strict=True))
+        upper = tuple(p.upper / each for p, each in zip(parameters, scale, strict=True))
+        anytime = attached_effect.effect.name not in ALWAYS
+        amplitudes = Amplitudes(attached_effect.name, columns, lower, upper, anytime)
+        return cls(attached_effect.effect, amplitudes, parameters, scale)
+
+
+def simplest(found: Sequence[Onset]) -> Onset | None:
+    """The effect of fewest amplitudes among those that gain nearly the most."""
+    near = [each for each in found if each.statistic >= SIMPLER * found[0].statistic]
+    return min(near, key=lambda each: len(each.effect.columns), default=None)
+
+
+def _p_value(onset: Onset) -> float:
+    return float(chi2.sf(onset.statistic, len(onset.effect.columns)))
+
+
+def _explain(effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]) -> str:
+    told = ", ".join(
+        f"{name.split('.')[-1]} = {value:.{significant(std)}f} +-{std:.{significant(std)}f}"
+        + ("" if unit == "1" else f" {unit}")
+        for name, (value, std, unit) in sizes.items()
+    )
+    when = f", since {since:.0f} s" if since else ""
+    text = f"{effect.name}: {effect.title} ({effect.equation}); {told}{when}."
+    if tied:
+        text += f" Tied with {', '.join(tied)}. {effect.separated_by}"
+    return text + " A first answer, in one linear step: upright diagnose RECORDING refits it."

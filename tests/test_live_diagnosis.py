@@ -1,0 +1,194 @@
+"""The live diagnosis on the virtual vehicle: what it names, since when, that it is quiet, and that it harms nothing."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from observer_harness import VEHICLE
+
+from diagnosis.live import LiveDiagnosis
+from diagnosis.live_naming import LiveFinding, LiveResult
+from estimators.identify import nominal_model
+from estimators.recursive_prediction_error import RecursivePredictionError
+from estimators.recursive_predictor import Seen
+from service.cli.output import missing_effects
+from service.news import News
+from service.online_estimators import online_estimators
+from service.virtual_run import BOOT_TIME, record
+from simulation.vehicle import START_NS
+from telemetry.channels import MONOCAB
+from telemetry.recording import Recording
+
+GIVEN: dict[str, Any] = {
+    "parameters": VEHICLE.parameters.values,
+    "deviations": VEHICLE.parameters.deviations,
+    "support": VEHICLE.support,
+}
+
+
+@cache
+def recorded(*hide: str, excitation: str = "multisine", seed: int = 1, duration: float = 30.0) -> Recording:
+    return record("monocab", excitation, hide=list(hide), seed=seed, duration=duration)
+
+
+def course(recording: Recording, diagnosis: LiveDiagnosis | None = None) -> list[tuple[float, LiveResult]]:
+    """The result after every second, with the time, s from the first row on."""
+    diagnosis = diagnosis or LiveDiagnosis(nominal_model("monocab"), **GIVEN)
+    told, begin = [], recording.timestamp_ns[0]
+    for number, frame in enumerate(recording.frames(MONOCAB)):
+        diagnosis.update(frame)
+        if number % VEHICLE.control.rate == 0:
+            told.append(((frame.timestamp_ns - begin) * 1e-9, diagnosis.result()))
+    return told
+
+
+def onset(recording: Recording, second: float) -> float:
+    """s from the first row on, of an effect that sets in `second` s after the drives started."""
+    return BOOT_TIME + second - (int(recording.metadata["start_ns"]) - START_NS) * 1e-9
+
+
+def size(finding: LiveFinding) -> tuple[float, float]:
+    ((value, std, _),) = finding.sizes.values()
+    return value, std
+
+
+@pytest.mark.parametrize("excitation", ["multisine", "sweep", "hold"])
+def test_where_nothing_is_missing_nothing_is_named_at_any_time(excitation: str) -> None:
+    """By its level, once in a hundred minutes of such data; the seed is fixed."""
+    told = course(recorded(excitation=excitation))
+    assert [result.findings for _, result in told] == [()] * len(told)
+    assert told[0][1].verdict == "insufficient_data"
+    assert told[-1][1].verdict == "adequate"
+    assert told[-1][1].detectable["viscous_friction"] > 0.0
+
+
+def test_friction_that_sets_in_during_the_run_is_named_within_five_seconds_with_its_time_and_size() -> None:
+    recording = recorded("viscous_friction=0.5@25")
+    begin, told = onset(recording, 25.0), course(recording)
+    named = [(time, result.findings[0]) for time, result in told if result.findings]
+    assert named[0][0] > begin
+    assert named[0][0] - begin < 5.0 + 1.0  # results are looked at once a second
+    # In its first seconds friction is told from its neighbours by little: it may be one of those that are tied.
+    right = [time for time, each in named if "viscous_friction" in (each.effect, *each.tied_with)]
+    assert right[0] - begin < 5.0 + 1.0
+    last = told[-1][1].findings[0]
+    assert last.effect == "viscous_friction"
+    assert abs(last.since - begin) < 1.5
+    value, std = size(last)
+    # 200 N m s/rad. One linear step from a model without friction, whose noise has taken its place: no more than a size.
+    assert 100.0 < value < 400.0
+    assert 0.0 < std < 0.2 * value
+
+
+def test_dry_friction_from_the_beginning_has_no_onset_and_is_told_with_what_it_is_tied_with() -> None:
+    finding = course(recorded("coulomb_friction=0.5"))[-1][1].findings[0]
+    assert finding.effect in ("coulomb_friction", "asymmetric_friction")
+    assert "coulomb_friction" in (finding.effect, *finding.tied_with)
+    assert finding.since == 0.0
+    assert finding.p_value < 1e-6
+
+
+def test_a_person_who_sits_down_is_a_torque_step() -> None:
+    recording = recorded("torque_step=0.2@25")
+    finding = course(recording)[-1][1].findings[0]
+    assert finding.effect == "torque_step"
+    assert abs(finding.since - onset(recording, 25.0)) < 1.5
+    assert finding.family == "bias"
+
+
+def test_the_recursion_gives_the_same_numbers_with_and_without_it() -> None:
+    diagnosis, alone = (
+        LiveDiagnosis(nominal_model("monocab"), **GIVEN),
+        RecursivePredictionError(nominal_model("monocab"), **GIVEN),
+    )
+    for frame in recorded().frames(MONOCAB):
+        diagnosis.update(frame)
+        alone.update(frame)
+    assert diagnosis.estimator.result().to_json() == alone.result().to_json()
+
+
+def test_the_same_cycles_give_the_same_diagnosis_after_a_reset() -> None:
+    diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
+    first = course(recorded("coulomb_friction=0.5"), diagnosis)[-1][1]
+    diagnosis.reset()
+    assert diagnosis.result().verdict == "insufficient_data"
+    assert course(recorded("coulomb_friction=0.5"), diagnosis)[-1][1] == first
+
+
+def test_a_failure_ends_the_diagnosis_and_not_the_recursion(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
+
+    def fails(*_: object) -> None:
+        raise np.linalg.LinAlgError("made up")
+
+    monkeypatch.setattr(diagnosis, "_effects", fails)
+    result = course(recorded(), diagnosis)[-1][1]
+    assert (result.verdict, result.findings) == ("insufficient_data", ())
+    assert "made up" in result.reason
+    assert diagnosis.estimator.result().status == "ok"
+
+
+def test_steps_are_made_finer_where_an_effect_moves_too_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A play that is crossed within a cycle: in one step a row its derivative runs away, in finer ones it does not."""
+    monkeypatch.setattr("diagnosis.live.UNSEEN", ())
+    diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
+    result = course(recorded(), diagnosis)[-1][1]
+    assert "backlash" in result.detectable
+    assert not result.reason
+
+
+def test_a_gap_begins_anew_and_is_no_effect() -> None:
+    recording = recorded()
+    frames = list(recording.frames(MONOCAB))
+    diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
+    seen: list[Seen] = []
+    watch = diagnosis.estimator.watch
+    assert watch is not None
+    diagnosis.estimator.watch = lambda each: (seen.append(each), watch(each))[1]
+    for frame in [*frames[:5000], *frames[5400:]]:
+        diagnosis.update(frame)
+    assert sum(each.chunk.begins and each.count == 0 for each in seen) == 2
+    result = diagnosis.result()
+    assert (result.verdict, result.findings) == ("adequate", ())
+    assert result.seconds < 0.8 * len(frames) / VEHICLE.control.rate
+
+
+def test_bank_and_news_tell_it_as_json_once() -> None:
+    bank = online_estimators("monocab", GIVEN["parameters"], GIVEN["deviations"], GIVEN["support"])
+    waiting = bank.diagnosis()
+    assert waiting is not None
+    assert (waiting["verdict"], waiting["findings"]) == ("insufficient_data", [])
+    assert "compiled" in waiting["reason"]
+    bank.join()
+    bank.update(recorded("coulomb_friction=0.5").frames(MONOCAB))
+    told = json.loads(json.dumps(bank.diagnosis()))
+    assert told["verdict"] == "missing_effect"
+    assert {"effect", "family", "parameters", "probability", "p_value", "tied_with", "explanation", "since"} <= set(
+        told["findings"][0]
+    )
+    news = News()
+    (text,) = news.of({**told, "findings": told["findings"][:1]})
+    assert "friction" in text
+    assert "N m" in text
+    assert news.of({**told, "findings": told["findings"][:1]}) == []
+    assert online_estimators("other", {}, {}, 0.1).diagnosis() is None
+
+
+def test_the_terminal_says_what_it_is_since_when_and_what_else_it_may_be() -> None:
+    finding = {
+        "effect": "coulomb_friction",
+        "parameters": {"coulomb_friction.torque": {"value": 31.25, "std": 2.2, "unit": "N m", "identifiable": True}},
+        "tied_with": ["asymmetric_friction"],
+        "since": 26.4,
+    }
+    told = missing_effects({"verdict": "missing_effect", "findings": [finding], "reason": "", "seconds": 30})
+    assert "coulomb_friction since 26 s: torque 31.25 ± 2.2 N m, or asymmetric_friction" in told
+    nothing = missing_effects({"verdict": "adequate", "findings": [], "reason": "", "seconds": 30})
+    assert nothing == "missing effect: none shows in 30 s"
+    early = missing_effects({"verdict": "insufficient_data", "findings": [], "reason": "no [free] motion"})
+    assert r"no \[free] motion" in early
+    assert missing_effects(None) == ""
