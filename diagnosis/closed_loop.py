@@ -7,14 +7,15 @@ its row on; an input that is a measurement (the gimbals' motion, say) is given f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.problem import problem
+from estimators.problem import Problem, problem
+from models.kernel import Memory
 from models.model import Hold, Model
 from models.segment import Segment
 
@@ -77,24 +78,50 @@ def simulate(model: Model, experiment: Experiment) -> Course:
     knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
     rows = Segment(time, knots, np.zeros((count, inputs)), np.zeros((count, outputs)), experiment.name)
     task = problem(model, (), rows=[rows])
-    kernel, values = task.kernel, task.kernel.vector()
-    memory, nothing = kernel.memory(np.zeros(len(kernel.states))), np.empty((count, outputs, 0))
-    controller = experiment.controller()
-    place = {name: number for number, name in enumerate(kernel.inputs)}
-    later = {each.name: int(each.hold is Hold.FIRST_ORDER) for each in model.inputs}
-    move = kernel.ready(rows, values, memory, None, (), rows.measured, nothing, substeps=task.substeps)
-    move(0, 0, False)
-    for row in range(count - 1):
-        seen = dict(zip(kernel.outputs, rows.measured[row].tolist(), strict=True))
-        given = controller(float(time[row]), seen)
+    start = task.kernel.memory(np.zeros(len(task.kernel.states)))
+    for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller()):
         for limit in experiment.limits:
             value = abs(given[limit.channel] if limit.channel in given else seen[limit.channel])
             if not value <= ROOM * limit.largest:
                 return Course(rows, _broken(limit, value, float(time[row])))
-        for name, number in place.items():
-            rows.inputs[row + later[name], number] = given[name]
-        move(row, row + 1, True)
     return Course(rows, "")
+
+
+def steps(
+    task: Problem,
+    values: Array,
+    rows: Segment,
+    memory: Memory,
+    controller: Controller,
+    *,
+    first: int = 0,
+    shocks: tuple[Array, Array] | None = None,
+) -> Iterator[tuple[int, Mapping[str, float], Mapping[str, float]]]:
+    """Close the loop from row `first` on: each row with what the controller saw there and what it gave.
+
+    Outputs are written to `rows.measured`, and to `rows.inputs` what the controller gives; other inputs stay. `memory`
+    is the model's at row `first`, whose outputs are in `rows` unless it is the first of all. `shocks` (m, ny) and
+    (m, nx), a row each from `first` on, are added to what is measured and to the state: noise.
+    """
+    kernel = task.kernel
+    move = kernel.ready(
+        rows, values, memory, None, (), rows.measured, np.empty((*rows.measured.shape, 0)), substeps=task.substeps
+    )
+    places = [(number, name) for number, name in enumerate(kernel.inputs)]
+    later = {each.name: int(each.hold is Hold.FIRST_ORDER) for each in task.model.inputs}
+    if first == 0:
+        move(0, 0, False)
+    for row in range(first, len(rows) - 1):
+        if shocks is not None:
+            rows.measured[row] += shocks[0][row - first]
+            memory.x += shocks[1][row - first]
+        seen = dict(zip(kernel.outputs, rows.measured[row].tolist(), strict=True))
+        given = controller(float(rows.time[row]), seen)
+        yield row, seen, given
+        for number, name in places:
+            if name in given:
+                rows.inputs[row + later[name], number] = given[name]
+        move(row, row + 1, True)
 
 
 def _broken(limit: Limit, value: float, time: float) -> str:

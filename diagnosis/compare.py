@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.floor import Innovations, with_nuisances
 from diagnosis.horizons import Prediction, predictions
 from diagnosis.where_it_fails import Entry, Views, summary, views
@@ -48,6 +49,7 @@ class Comparison:
     predictions: Sequence[Prediction] = field(repr=False)
     views: Views = field(repr=False)
     innovations: Innovations = field(repr=False)
+    closed_loop: ClosedLoop = field(default_factory=ClosedLoop, repr=False)
 
     @property
     def summary(self) -> list[str]:
@@ -89,6 +91,7 @@ class Comparison:
                 {"horizon": p.horizon, "rmse": {c: p.rmse(c) for c in p.measured}, "noise_floor": dict(p.floor)}
                 for p in self.predictions
             ],
+            "closed_loop": self.closed_loop.to_json(),
         }
 
 
@@ -97,22 +100,30 @@ def compare(
     recordings: Sequence[Recording],
     *,
     support: float | None = None,
+    loops: Sequence[Loop | str] = (),
     progress: Progress | None = None,
 ) -> list[Comparison]:
     """Every model, by name, against all of `recordings` together; `support` as in estimators.segments.
 
+    `loops` tell what closed the loop on each recording, or why that is not known, for `Comparison.closed_loop`.
+
     Raises DataError where the data are not fit for a model, ModelError where a model is wrong, EstimationError where
     it has no stable predictor or runs away from the record.
     """
-    return [_compare(name, _task(model, recordings, support, progress), progress) for name, model in models.items()]
+    return [
+        _compare(name, *_task(model, recordings, support, progress), loops, progress) for name, model in models.items()
+    ]
 
 
-def _task(model: Model, recordings: Sequence[Recording], support: float | None, progress: Progress | None) -> Problem:
-    """The data for `model`, of which no parameter is sought: one that is out of its bounds is no obstacle here."""
+def _task(
+    model: Model, recordings: Sequence[Recording], support: float | None, progress: Progress | None
+) -> tuple[Problem, list[int]]:
+    """The data for `model`, of which no parameter is sought: one that is out of its bounds is no obstacle here. And of
+    which recording each stretch is."""
     inside = [p.name for p in model.parameters if p.lower <= p.value <= p.upper and p.lower < p.upper]
-    rows = [row for recording in recordings for row in _stretches(model, recording, support)]
-    task = problem(model, recordings, estimate=inside[:1], rows=rows, progress=progress)
-    return replace(task, model=model, free=())
+    told = [(row, place) for place, recording in enumerate(recordings) for row in _stretches(model, recording, support)]
+    task = problem(model, recordings, estimate=inside[:1], rows=[row for row, _ in told], progress=progress)
+    return replace(task, model=model, free=()), [place for _, place in told]
 
 
 def _stretches(model: Model, recording: Recording, support: float | None) -> Iterator[Segment]:
@@ -127,7 +138,9 @@ def _stretches(model: Model, recording: Recording, support: float | None) -> Ite
         yield replace(segment, inputs=inputs)
 
 
-def _compare(name: str, task: Problem, progress: Progress | None) -> Comparison:
+def _compare(
+    name: str, task: Problem, owners: Sequence[int], loops: Sequence[Loop | str], progress: Progress | None
+) -> Comparison:
     found = with_nuisances(task, task.kernel.vector())
     seen = views(found, progress=progress)
     ahead = predictions(found)
@@ -148,4 +161,5 @@ def _compare(name: str, task: Problem, progress: Progress | None) -> Comparison:
         predictions=ahead,
         views=seen,
         innovations=found,
+        closed_loop=closed_loop(found, owners, loops),
     )

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from diagnosis.closed_loop_error import ClosedLoop
 from diagnosis.compare import SHOWN_HORIZON, Comparison
 from diagnosis.force_bins import Binned
 from diagnosis.missing_force import MissingForce
@@ -35,20 +36,25 @@ def save_comparison(comparisons: Sequence[Comparison], path: Path) -> None:
 
 
 def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
-    """Overlay and errors by horizon; missing force by time; energies by time and frequency; missing force by every
-    coordinate."""
+    """Overlay and errors by horizon; the closed loop where there is one; missing force by time; energies by time and
+    frequency; missing force by every coordinate."""
     joints = [force.joint for force in comparisons[0].views.forces]
     places = _places(comparisons)
-    rows = 2 + len(joints) + -(-len(places) // COLUMNS)
+    loop = next((each.closed_loop for each in comparisons if each.closed_loop.measured), None)
+    above = 1 if loop is None else 2
+    rows = above + 1 + len(joints) + -(-len(places) // COLUMNS)
     figure = Figure(figsize=(12.5, 2.9 * rows), layout="constrained")
     grid = figure.add_gridspec(rows, 2 * COLUMNS)
     colours = mpl.color_sequences["tab10"]
     _overlay(figure.add_subplot(grid[0, :4]), comparisons, colours)
     _horizons(figure.add_subplot(grid[0, 4:]), comparisons, colours)
+    if loop is not None:
+        _closed_loop(figure.add_subplot(grid[1, :]), loop, comparisons, colours)
     for row, _ in enumerate(joints):
         forces = [comparison.views.forces[row] for comparison in comparisons]
-        _force_by_time(figure.add_subplot(grid[1 + row, :]), forces, colours)
-    by_time, by_frequency = figure.add_subplot(grid[1 + len(joints), :4]), figure.add_subplot(grid[1 + len(joints), 4:])
+        _force_by_time(figure.add_subplot(grid[above + row, :]), forces, colours)
+    below = above + len(joints)
+    by_time, by_frequency = figure.add_subplot(grid[below, :4]), figure.add_subplot(grid[below, 4:])
     for comparison, colour in zip(comparisons, colours, strict=False):
         _steps(by_time, comparison.views.by_time, colour, comparison.fails["time"], ("from", "to"))
         _steps(by_frequency, comparison.views.by_frequency, colour, comparison.fails["frequency"], ("from_hz", "to_hz"))
@@ -56,7 +62,7 @@ def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
     by_frequency.set(xlabel="Hz", title="by frequency", xscale="log", yscale="log")
     for place, (joint, coordinate) in enumerate(places):
         row, column = divmod(place, COLUMNS)
-        axes = figure.add_subplot(grid[2 + len(joints) + row, 2 * column : 2 * column + 2])
+        axes = figure.add_subplot(grid[below + 1 + row, 2 * column : 2 * column + 2])
         for comparison, colour in zip(comparisons, colours, strict=False):
             _by_coordinate(axes, comparison, joint, coordinate, colour)
         axes.axhline(0.0, color=FLOOR, linewidth=0.8)
@@ -114,6 +120,31 @@ def _horizons(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[o
     axes.axhline(1.0, color=FLOOR, linewidth=0.8)
     axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel="error over floor")
     axes.legend(fontsize=8)
+
+
+def _closed_loop(axes: Axes, loop: ClosedLoop, comparisons: Sequence[Comparison], colours: Sequence[object]) -> None:
+    """The first channel of the loop, recorded, and as each model goes on in it from the start of the excitation."""
+    channel = next(iter(loop.measured))
+    outputs = {output.name: output.unit for each in comparisons for output in each.innovations.problem.model.outputs}
+    factor, unit = _shown(outputs.get(channel, ""))
+    measured = factor * loop.measured[channel]
+    gaps = np.where(np.diff(loop.stretch, prepend=loop.stretch[0]) != 0, np.nan, 0.0)
+    axes.plot(loop.time, measured + gaps, color="0.75", lw=2.5, label="measured")
+    for comparison, colour in zip(comparisons, colours, strict=False):
+        each = comparison.closed_loop
+        if channel in each.simulated:
+            label = (
+                f"{comparison.name}: {each.fit_percent(channel):.1f} %, {each.over_floor(channel):.3g} times the floor"
+            )
+            gaps = np.where(np.diff(each.stretch, prepend=each.stretch[0]) != 0, np.nan, 0.0)
+            axes.plot(each.time, factor * each.simulated[channel] + gaps, color=colour, lw=0.9, label=label)
+        else:
+            axes.plot([], [], color=colour, label=f"{comparison.name}: {each.reason}")
+    low, high = float(np.min(measured)), float(np.max(measured))
+    reach = max(high - low, 1e-12)
+    axes.set_ylim(low - 0.25 * reach, high + (0.25 + LEGEND_ROOM) * reach)
+    axes.set(xlabel="s", ylabel=f"{channel}, {unit}", title="simulated in the closed loop")
+    axes.legend(loc="upper right", fontsize=8, ncols=2)
 
 
 def _force_by_time(axes: Axes, forces: Sequence[MissingForce], colours: Sequence[object]) -> None:

@@ -1,7 +1,10 @@
-"""A diagnosis as one self-contained HTML page: `write_report`."""
+"""Readings as self-contained HTML pages: of a diagnosis, of a comparison, of an identification."""
 
 from __future__ import annotations
 
-from diagnosis.report.report import Provenance, write_report
+from diagnosis.report.comparison_report import write_comparison
+from diagnosis.report.identification_report import write_identification
+from diagnosis.report.page import Provenance
+from diagnosis.report.report import write_report
 
-__all__ = ["Provenance", "write_report"]
+__all__ = ["Provenance", "write_comparison", "write_identification", "write_report"]

@@ -7,15 +7,20 @@ people who see no red or green and for paper without colour. Drawn without pyplo
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import wraps
 from io import StringIO
+from itertools import cycle, islice
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+from models.model import Model
 
 Array = NDArray[np.float64]
 
@@ -69,11 +74,28 @@ class Look:
 
 BEFORE = Look("#D55E00", (0, (2.5, 0.8)), "o", False, 1.5)
 AFTER = Look("#0072B2", "-", "s", True, 0.9)
+OTHERS = (
+    Look("#009E73", (0, (5.0, 1.0, 1.0, 1.0)), "^", True, 1.1),
+    Look("#CC79A7", (0, (1.0, 1.0)), "D", False, 1.3),
+    Look("#56B4E9", (0, (6.0, 1.5)), "v", True, 1.1),
+    Look("#000000", (0, (3.0, 1.0, 1.0, 1.0, 1.0, 1.0)), "P", False, 1.0),
+)
 
 
 def looks(count: int) -> tuple[Look, ...]:
-    """Of a model alone, which is as it stays, or of one before and after."""
-    return (AFTER,) if count == 1 else (BEFORE, AFTER)
+    """Of a model alone, which is as it stays, or of one before and after; of more, each its own as far as they go."""
+    return (AFTER,) if count == 1 else tuple(islice(cycle((BEFORE, AFTER, *OTHERS)), count))
+
+
+def styled(draw: Callable[..., str]) -> Callable[..., str]:
+    """`draw` in the style of the reports."""
+
+    @wraps(draw)
+    def drawn(*arguments: object) -> str:
+        with mpl.rc_context(STYLE):
+            return draw(*arguments)
+
+    return drawn
 
 
 def svg(figure: Figure, name: str, label: str) -> str:
@@ -106,6 +128,11 @@ def shown(unit: str) -> tuple[float, str]:
     if unit.startswith("rad"):
         return float(np.degrees(1.0)), unit.replace("rad", "deg", 1)
     return 1.0, unit
+
+
+def units(model: Model) -> dict[str, str]:
+    """Of what a model takes and gives, by name."""
+    return {each.name: each.unit for each in model.inputs} | {each.name: each.unit for each in model.outputs}
 
 
 def in_a_row(begins: Sequence[float], ends: Sequence[float]) -> Array:

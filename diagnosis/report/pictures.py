@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import wraps
+from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,7 +19,6 @@ from diagnosis.horizons import Prediction
 from diagnosis.report.drawing import (
     FLOOR,
     MEASURED,
-    STYLE,
     WIDTH,
     Look,
     file_name,
@@ -29,6 +26,7 @@ from diagnosis.report.drawing import (
     looks,
     separate,
     shown,
+    styled,
     svg,
     thinned,
 )
@@ -48,17 +46,8 @@ HIGHEST = 99.5
 """Percentile of the errors that the figure shows: a model that runs away leaves the others in view."""
 
 
-def _styled(draw: Callable[..., str]) -> Callable[..., str]:
-    @wraps(draw)
-    def styled(*arguments: object) -> str:
-        with mpl.rc_context(STYLE):
-            return draw(*arguments)
-
-    return styled
-
-
-@_styled
-def overlay(comparisons: Sequence[Comparison]) -> str:
+@styled
+def overlay(comparisons: Sequence[Comparison], name: str = "overlay") -> str:
     """Every channel: measured, predicted by each model, and below it the errors within the band that noise makes."""
     ahead = [_shown(each) for each in comparisons]
     task = comparisons[0].innovations.problem
@@ -88,7 +77,7 @@ def overlay(comparisons: Sequence[Comparison]) -> str:
     handles.append(Patch(color="0.88"))
     labels.append(f"what noise alone makes (±{BAND:g} std)")
     figure.legend(handles, labels, loc="outside upper left", ncols=4)
-    return svg(figure, "overlay", "Measured and predicted, by channel, and the prediction errors")
+    return svg(figure, name, "Measured and predicted, by channel, and the prediction errors")
 
 
 def _shown(comparison: Comparison) -> Prediction | None:
@@ -127,8 +116,8 @@ def _limits(upper: Axes, lower: Axes, ahead: Sequence[Prediction], channel: str,
     lower.set_ylim(-1.1 * most, 1.1 * most)
 
 
-@_styled
-def energies(comparisons: Sequence[Comparison]) -> str:
+@styled
+def energies(comparisons: Sequence[Comparison], name: str = "energies") -> str:
     """Innovation energy over the floor, by time and by frequency; what noise does not explain has a marker."""
     figure = Figure(figsize=(WIDTH, 2.5), layout="constrained")
     by_time, by_frequency = figure.subplots(1, 2, width_ratios=(1.7, 1.0), sharey=True)
@@ -155,7 +144,7 @@ def energies(comparisons: Sequence[Comparison]) -> str:
     labels += ["more than noise explains", "noise alone"]
     both = {tuple: HandlerTuple(ndivide=None)}
     figure.legend(handles, labels, loc="outside upper left", ncols=4, handler_map=both)
-    return svg(figure, "energies", "Innovation energy over that of noise, by time and by frequency")
+    return svg(figure, name, "Innovation energy over that of noise, by time and by frequency")
 
 
 Level = tuple[float, float, float, bool]
@@ -204,8 +193,8 @@ def _levels(axes: Axes, levels: Sequence[Level], look: Look, name: str) -> None:
     axes.plot([at for at, _ in marked], [ratio for _, ratio in marked], **look.points, markersize=4)
 
 
-@_styled
-def forces(comparisons: Sequence[Comparison]) -> str:
+@styled
+def forces(comparisons: Sequence[Comparison], name: str = "forces") -> str:
     """The mean missing force by each coordinate, with bands; empty where the record tells it by none."""
     ranked: dict[tuple[str, str], float] = {}
     for comparison in comparisons:
@@ -235,7 +224,7 @@ def forces(comparisons: Sequence[Comparison]) -> str:
         axes.remove()
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, [f"{label} (band: ±{BAND:g} std)" for label in labels], loc="outside upper left", ncols=2)
-    return svg(figure, "forces", "Mean missing force by coordinate")
+    return svg(figure, name, "Mean missing force by coordinate")
 
 
 def _by_coordinate(axes: Axes, binned: Binned, look: Look, name: str) -> None:
@@ -250,7 +239,7 @@ def _by_coordinate(axes: Axes, binned: Binned, look: Look, name: str) -> None:
     axes.plot(0.5 * (edges[1:] + edges[:-1]), means, **look.points, markersize=3.2, label=name)
 
 
-@_styled
+@styled
 def staircase(names: Sequence[str], ratios: Sequence[float]) -> str:
     """The error falling: innovation energy over the floor for each of `names`, one step after another."""
     figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")

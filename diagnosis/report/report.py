@@ -1,19 +1,19 @@
-"""A diagnosis as one HTML page that can be mailed and printed: no script, no other file, nothing to load.
+"""A diagnosis as a page.
 
-People look before they read: the verdict, then pictures, then the ranking in words and numbers. The caller says what a
-pure function cannot know: who, which files, when.
+People look before they read: the verdict, then pictures, then the ranking in words and numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from diagnosis.compare import Comparison, compare
 from diagnosis.diagnose import Diagnosis
 from diagnosis.floor import floor, innovation_ratio
 from diagnosis.report import tables
 from diagnosis.report.drawing import file_name
+from diagnosis.report.page import Figures, Provenance, compared_figures, render
 from diagnosis.report.words import headline
 from estimators.contract import EstimationError
 from models.model import Model
@@ -22,27 +22,6 @@ from telemetry.recording import Recording
 Progress = Callable[[str], None]
 
 ALONE, BEFORE, AFTER = "fitted model", "before", "after"
-
-
-@dataclass(frozen=True, slots=True)
-class Provenance:
-    """Where a report is from. `hashes`: SHA-256 of each recording by its name. `date` is shown as it is given."""
-
-    vehicle: str = ""
-    version: str = ""
-    date: str = ""
-    hashes: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """Inline SVG, empty where there is none; `missing` says in words why."""
-
-    overlay: str = ""
-    energies: str = ""
-    forces: str = ""
-    staircase: str = ""
-    missing: str = ""
 
 
 def write_report(
@@ -58,19 +37,13 @@ def write_report(
 
     `progress` is told in words what is being done.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     tell = progress or (lambda text: None)
     comparisons, why = _comparisons(diagnosis, recordings, support, tell)
     tell("drawing")
-    environment = Environment(
-        loader=PackageLoader("diagnosis.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html").render(
+    return render(
+        "report.html",
+        [model.name],
+        provenance,
         headline=headline(diagnosis),
         diagnosis=diagnosis,
         model=model,
@@ -86,7 +59,6 @@ def write_report(
         left_out=tables.left_out(diagnosis),
         used=tables.used(diagnosis, recordings),
         file_name=file_name,
-        provenance=provenance or Provenance(),
     )
 
 
@@ -112,12 +84,7 @@ def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) 
     falling = pictures.staircase(*_stairs(diagnosis)) if diagnosis.steps else ""
     if not comparisons:
         return Figures(staircase=falling, missing=why)
-    return Figures(
-        overlay=pictures.overlay(comparisons),
-        energies=pictures.energies(comparisons),
-        forces=pictures.forces(comparisons),
-        staircase=falling,
-    )
+    return replace(compared_figures(comparisons), staircase=falling)
 
 
 def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:

@@ -11,7 +11,7 @@ import typer
 
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
-from service.cli.output import page, parameter_table, people, print_json
+from service.cli.output import check_folder, page, parameter_table, people, print_json
 
 if TYPE_CHECKING:
     from models.model import Model
@@ -63,6 +63,10 @@ def identify(
         ),
     ] = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Estimate the vehicle's parameters from recordings, each with its standard deviation, by several methods.
@@ -80,6 +84,7 @@ def identify(
         from diagnosis.method_figure import check_suffix
 
         check_suffix(picture)
+    check_folder(report)
     loaded = [load_recording(path, vehicle) for path in recordings]
     with fitting() as progress:
         document = run(
@@ -97,6 +102,11 @@ def identify(
         from diagnosis.method_figure import save_methods
 
         save_methods(document, picture, truth=known)
+    if report is not None:
+        from service.cli.identify_report import save_report
+
+        with working() as step:
+            save_report(report, document, file, identified_model(model, file), recordings, loaded, known, step)
     if json:
         print_json(document)
     else:
@@ -105,6 +115,8 @@ def identify(
         print_methods(document, known)
         if picture is not None:
             page.print(f"\nPicture: {picture}")
+        if report is not None:
+            page.print(f"\nReport: {report}")
     if document["cancelled"]:
         raise typer.Exit(130)
     unusable = {"failed", "missing_channel", "bad_data", "not_suited"}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.output import page, people, print_json
+from service.cli.output import check_folder, page, people, print_json
 
 if TYPE_CHECKING:
     from models.model import Model
@@ -34,6 +34,10 @@ def compare(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="The overlay and where the models fail: .png, .svg or .pdf.")
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> None:
     """Hold models against recordings: how well they predict, what force they miss, and where.
@@ -43,12 +47,14 @@ def compare(
     from diagnosis.compare import compare as run
     from service.cli.batch import load_recording, working
     from service.cli.compare_page import print_comparisons
+    from service.recorded_loop import recorded_loop
     from service.vehicle_file import load
 
     if picture is not None:
         from diagnosis.method_figure import check_suffix
 
         check_suffix(picture)
+    check_folder(report)
     file = load(vehicle)
     models = read_models(model or [], file)
     answers = []
@@ -57,7 +63,8 @@ def compare(
         for path in recordings:
             step(f"comparing: {path.name}")
             recording = load_recording(path, vehicle)
-            found = run(models, [recording], support=file.support, progress=step)
+            loop = recorded_loop(file, recording)
+            found = run(models, [recording], support=file.support, loops=[loop], progress=step)
             answers.append((path, found))
             if picture is not None:
                 from diagnosis.figures import save_comparison
@@ -66,6 +73,13 @@ def compare(
                 target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")
                 save_comparison(found, target)
                 pictures.append(target)
+        if report is not None:
+            from diagnosis.report import write_comparison
+            from service.cli.diagnose import provenance
+
+            origin = provenance(file.vehicle.id, recordings)
+            told = [(str(path), found) for path, found in answers]
+            report.write_text(write_comparison(told, provenance=origin, progress=step), encoding="utf-8")
     if json:
         print_json(
             {"models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found]}
@@ -75,6 +89,8 @@ def compare(
         print_comparisons(found, title=path.name)
     for target in pictures:
         page.print(f"Picture: {target}")
+    if report is not None:
+        page.print(f"Report: {report}")
 
 
 def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:

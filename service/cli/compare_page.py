@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from rich.padding import Padding
@@ -18,11 +18,25 @@ if TYPE_CHECKING:
 def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:
     """The table of one recording, and below it where each model fails."""
     page.print(comparison_table(comparisons, title))
+    for line in closed_loop_lines(comparisons):
+        page.print(Padding(Text(line), (0, 0, 0, 2)))
     for each in comparisons:
         if each.summary:
             page.print(Padding(Text(f"{each.name}:", style="bold"), (0, 0, 0, 2)))
         for sentence in each.summary:
             page.print(Padding(Text(sentence), (0, 0, 0, 4)))
+
+
+def closed_loop_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """A line a model: how far it goes with the record, simulated in the loop with the vehicle's controller."""
+    reasons = {each.closed_loop.reason for each in comparisons}
+    if len(reasons) == 1 and "" not in reasons:
+        yield f"closed loop: not available, {reasons.pop()}"
+        return
+    for each in comparisons:
+        loop = each.closed_loop
+        told = [f"{name} {loop.fit_percent(name):.1f} %, {loop.over_floor(name):.3g} x floor" for name in loop.measured]
+        yield f"closed loop, {each.name}: {'; '.join(told) or f'not available, {loop.reason}'}"
 
 
 def comparison_table(comparisons: Sequence[Comparison], title: str = "") -> Table:

@@ -1,0 +1,124 @@
+"""An identification as a page: what to rely on, the methods side by side, and what the estimates predict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from diagnosis.compare import Comparison
+from diagnosis.report.comparison_report import Compared
+from diagnosis.report.drawing import file_name
+from diagnosis.report.page import Provenance, compared_figures, render
+from estimators.contract import EstimationError
+from estimators.method_document import CANCELLED
+from estimators.method_rows import Columns, joint_columns, mean_columns, remarks, shown_parameters, value_text
+from estimators.method_table import Domain
+
+WIDE, LOW = 10.0, 0.75
+"""in, and of its own height: the least width of the figure, and how high it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodTable:
+    """A table of the page: headings with units, rows of text; a row that is one text names a group."""
+
+    title: str
+    headings: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[str]]
+
+
+def write_identification(
+    document: Mapping[str, Any],
+    model: str,
+    *,
+    truth: Mapping[str, float] | None = None,
+    comparisons: Sequence[Comparison] = (),
+    why: str = "",
+    provenance: Provenance | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> str:
+    """The page as text, of a `document` of `estimators.identify` for the model of this name.
+
+    `truth` has true values by name. `comparisons` are of the model before and with the estimates to rely on, against
+    the recordings; where there are none, `why` says so.
+    """
+    if progress is not None:
+        progress("drawing")
+    begun = {name: entry for name, entry in document["methods"].items() if entry["status"] != CANCELLED}
+    recordings = [each["recording"] for each in document["recordings"]]
+    part = Compared("", comparisons, compared_figures(comparisons)) if comparisons else None
+    return render(
+        "identify.html",
+        [model],
+        provenance,
+        model=model,
+        recordings=recordings,
+        best=document["best"],
+        estimates=list(_estimates(document)),
+        figure=_figure(document, truth or {}),
+        tables=list(_tables(document, begun, truth or {})),
+        drives=[
+            (name, value_text(told), told["unit"])
+            for entry in begun.values()
+            if entry["domain"] == Domain.DRIVES
+            for name, told in entry["parameters"].items()
+        ],
+        remarks=list(remarks(document["methods"])),
+        part=part,
+        why=why,
+        file_name=file_name,
+    )
+
+
+def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Name, value, unit and the value before of each parameter, by the method to rely on."""
+    if not document["best"]:
+        return []
+    found = document["methods"][document["best"]]["parameters"]
+    return [
+        (name, value_text(found[name]), "" if unit == "1" else unit, value_text(document["before"].get(name)))
+        for name, unit in shown_parameters({"": {"parameters": found}}).items()
+    ]
+
+
+def _figure(document: Mapping[str, Any], truth: Mapping[str, float]) -> str:
+    """The methods side by side, "" where no method was asked for what is known from before."""
+    from diagnosis.method_figure import method_figure
+    from diagnosis.report.drawing import styled, svg
+
+    @styled
+    def drawn() -> str:
+        figure = method_figure(document, truth=truth)
+        # Wider than high, also for few methods: on paper it is to stand below the estimates.
+        figure.set_size_inches(max(WIDE, figure.get_figwidth()), LOW * figure.get_figheight())
+        return svg(figure, "methods", "Parameters by method, each run and their mean")
+
+    try:
+        return drawn()
+    except EstimationError:
+        return ""
+
+
+def _tables(
+    document: Mapping[str, Any], begun: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]
+) -> list[MethodTable]:
+    methods = {name: entry for name, entry in begun.items() if entry["domain"] != Domain.DRIVES}
+    if not methods:
+        return []
+    several = len(document["recordings"]) > 1
+    title = "All recordings together" if several else "The recording"
+    tables = [_table(title, joint_columns(methods, document, truth))]
+    if any(mean["runs"] > 1 for entry in methods.values() for mean in entry["mean"].values()):
+        tables.append(_table("Mean of the single recordings, ± their scatter", mean_columns(methods, document)))
+    return tables
+
+
+def _table(title: str, groups: Sequence[Columns]) -> MethodTable:
+    columns = [column for group in groups for column in group]
+    rows = list(zip(*(column[2:] for column in columns), strict=True))
+    return MethodTable(
+        title,
+        [(column[0], column[1]) for column in columns],
+        [[row[0].strip("[]")] if row[0].startswith("[") else row for row in rows],
+    )

@@ -1,0 +1,63 @@
+"""What the reports have in common: where they are from, and the page that is filled in.
+
+Each is one HTML file that can be mailed and printed: no script, no other file, nothing to load. The caller says what a
+pure function cannot know: who, which files, when.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnosis.compare import Comparison
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a report is from. `hashes`: SHA-256 of each recording by its name. `date` is shown as it is given."""
+
+    vehicle: str = ""
+    version: str = ""
+    date: str = ""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Inline SVG, empty where there is none; `missing` says in words why."""
+
+    overlay: str = ""
+    loop: str = ""
+    energies: str = ""
+    forces: str = ""
+    staircase: str = ""
+    missing: str = ""
+
+
+def render(template: str, models: Sequence[str], provenance: Provenance | None, **values: Any) -> str:
+    """The page as text. `models` names what it is about."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("diagnosis.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template(template)
+    return page.render(models=models, provenance=provenance or Provenance(), **values)
+
+
+def compared_figures(comparisons: Sequence[Comparison], name: str = "") -> Figures:
+    """The figures of models beside each other on the same recordings; `name` keeps those of several sets apart."""
+    from diagnosis.report import pictures
+    from diagnosis.report.loop_picture import closed_loop
+
+    return Figures(
+        overlay=pictures.overlay(comparisons, f"overlay{name}"),
+        loop=closed_loop(comparisons, f"loop{name}"),
+        energies=pictures.energies(comparisons, f"energies{name}"),
+        forces=pictures.forces(comparisons, f"forces{name}"),
+    )

@@ -1,0 +1,113 @@
+"""What the methods found, as columns of finished text: for a terminal and for a page alike.
+
+Methods are rows, each group of them under its name in square brackets; parameters are columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from estimators.method_table import Domain
+from estimators.report import significant
+
+NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
+"""Fitted along so that they do not bias the rest; no property of the vehicle. In the JSON they are."""
+
+Columns = list[list[str]]
+"""Column by column, each with heading and unit first."""
+
+
+def shown_parameters(methods: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Name to unit of the parameters that any of `methods` is asked for, nuisances apart."""
+    return {
+        name: entry["unit"]
+        for method in methods.values()
+        for name, entry in method["parameters"].items()
+        if name not in NUISANCES
+    }
+
+
+def joint_columns(methods: Mapping[str, Any], document: Mapping[str, Any], truth: Mapping[str, float]) -> list[Columns]:
+    """The estimates from all recordings, after what was known before; groups of columns that belong together."""
+    before = document["before"]
+    rows: list[tuple[str, Mapping[str, Any] | None]] = [("CAD", {"parameters": before})]
+    if truth:
+        rows.append(("truth", {"parameters": {name: {"value": value} for name, value in truth.items()}}))
+    rows += list(_grouped(methods))
+    groups: list[Columns] = [[["method", "", *(name for name, _ in rows)]]]
+    for name, unit in shown_parameters(methods).items():
+        entries = [(row or {}).get("parameters", {}).get(name) for _, row in rows]
+        groups.append(_value_columns(name, unit, entries, before.get(name)))
+    heading = "fit" if document["fit_measured_alike"] else "own fit"
+    fits = [min(entry.get("fit_percent", {}).values(), default=None) if entry else None for _, entry in rows]
+    seconds = [entry.get("seconds") or None if entry else None for _, entry in rows]
+    groups.append([[heading, "%", *(_number(fit, 1) for fit in fits)]])
+    groups.append([["took", "s", *(_number(each, 1) for each in seconds)]])
+    return groups
+
+
+def mean_columns(methods: Mapping[str, Any], document: Mapping[str, Any]) -> list[Columns]:
+    """The mean of the single recordings by method, with their scatter."""
+    rows = list(_grouped({name: entry for name, entry in methods.items() if entry["mean"]}))
+    groups: list[Columns] = [[["method", "", *(name for name, _ in rows)]]]
+    for name, unit in shown_parameters(methods).items():
+        entries = [entry["mean"].get(name) if entry else None for _, entry in rows]
+        groups.append(_value_columns(name, unit, entries, document["before"].get(name)))
+    counts = [max((mean["runs"] for mean in entry["mean"].values()), default=0) if entry else None for _, entry in rows]
+    groups.append([["runs", "", *("" if count is None else str(count) for count in counts)]])
+    return groups
+
+
+def _grouped(methods: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any] | None]]:
+    """The methods, each group of them under its name."""
+    for domain in Domain:
+        inside = {name: entry for name, entry in methods.items() if entry["domain"] == domain}
+        if inside:
+            yield f"[{domain.value}]", None
+            yield from inside.items()
+
+
+def _value_columns(
+    name: str, unit: str, entries: Sequence[Mapping[str, Any] | None], before: Mapping[str, Any] | None
+) -> Columns:
+    """Value and standard deviation, and, where it is known from before, the deviation from that in percent."""
+    words = name.replace(".", "_").split("_")
+    columns = [[" ".join(dict.fromkeys(words)), unit, *map(value_text, entries)]]
+    if before is not None:
+        values = [entry.get("value") if entry else None for entry in entries]
+        changes = ["" if v in (None, before["value"]) else f"{100 * (v / before['value'] - 1):+.1f}" for v in values]
+        columns.append(["vs CAD", "%", *changes])
+    return columns
+
+
+def value_text(entry: Mapping[str, Any] | None) -> str:
+    """Value and standard deviation, "-" where it is not known."""
+    if entry is None:
+        return ""
+    value, std = entry.get("value"), entry.get("std")
+    if value is None:
+        return "-"
+    if std is None:
+        return f"{value:.6g}"
+    digits = significant(std)
+    return f"{value:.{digits}f} ±{std:.{digits}f}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def remarks(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """What is to be said of single methods; those of which the same is to be said, together."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for name, entry in methods.items():
+        whole = entry["reason"]
+        if whole or entry["status"] != "ok":
+            state = "" if entry["status"] == "ok" else f"{entry['status'].replace('_', ' ')}: "
+            said.setdefault(("", f"{state}{whole}"), []).append(name)
+        for parameter, told in entry["parameters"].items():
+            if parameter not in NUISANCES and told.get("reason") not in (None, "", whole):
+                said.setdefault((parameter, told["reason"]), []).append(name)
+    for (parameter, reason), names in said.items():
+        yield f"{', '.join(names)}: {f'{parameter}: ' if parameter else ''}{reason}"

@@ -1,0 +1,52 @@
+"""The speed loop of estimators.speed_loop one row at a time, for a loop that is closed around it.
+
+Each mode of its step responses is a state that decays; a setpoint that jumps, or a roll acceleration that changes, adds
+its jump. Setpoints are held; the roll rate goes on as a straight line through its last rows, since the next one is not
+known yet. SI units.
+"""
+
+from __future__ import annotations
+
+from cmath import exp
+
+from estimators.speed_loop import MODES, Loop
+
+
+class SpeedLoopSteps:
+    """A speed loop at rest at `setpoint`; `step` gives the rate a `period` (s) on.
+
+    `lag`, `offset` (how much later than its row a setpoint begins to act, 0 to `period`) and `reaction` in s.
+    """
+
+    __slots__ = ("_decay", "_load", "_load_share", "_rates", "_reaction", "_rest", "_setpoint", "_share", "_state")
+
+    def __init__(self, lag: float, offset: float, reaction: float, period: float, setpoint: float) -> None:
+        modes = MODES[Loop.SYMMETRIC_OPTIMUM]
+        speeds = [complex(modes.pace / lag * speed) for speed in modes.speed]
+        self._decay = [exp(-speed * period) for speed in speeds]
+        self._rest = [exp(-speed * (period - offset)) for speed in speeds]
+        self._share = [complex(each) for each in modes.setpoint]
+        self._load_share = [complex(each) for each in modes.load]
+        self._reaction = reaction / period
+        self._setpoint = setpoint
+        self._state = [0j] * len(speeds)
+        self._load = [0j] * len(speeds)
+        self._rates: tuple[float, ...] = ()
+
+    def step(self, setpoint: float, roll_rate: float) -> float:
+        """The rate a row later, rad/s, where `setpoint` (rad/s) was sent at this row and the vehicle rolls so fast."""
+        jump, self._setpoint = setpoint - self._setpoint, setpoint
+        before = self._rates or (roll_rate,) * 4
+        # By how much the roll rate changes until the next row, and until this one, if it goes on as it did before.
+        one, two, three, four = roll_rate, *before[:3]
+        change = 2.0 * one - 3.0 * two + three
+        last = 2.0 * two - 3.0 * three + four
+        self._rates = (one, two, three, four)
+        rate = setpoint
+        load = change
+        for place, decay in enumerate(self._decay):
+            self._state[place] = self._state[place] * decay + jump * self._rest[place]
+            self._load[place] = (self._load[place] + change - last) * decay
+            rate += (self._share[place] * self._state[place]).real
+            load += (self._load_share[place] * self._load[place]).real
+        return rate - self._reaction * load

@@ -1,0 +1,63 @@
+"""`upright identify --report`: its document as a page, with what the estimates predict beside the CAD values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from diagnosis.compare import Comparison, compare
+from diagnosis.report import write_identification
+from models.model import Model
+from service.cli.diagnose import provenance
+from service.recorded_loop import recorded_loop
+from service.vehicle_file import VehicleFile
+from telemetry.errors import UprightError
+from telemetry.recording import Recording
+
+
+def save_report(
+    target: Path,
+    document: Mapping[str, Any],
+    vehicle: VehicleFile,
+    model: Model,
+    paths: Sequence[Path],
+    recordings: Sequence[Recording],
+    truth: Mapping[str, float],
+    step: Callable[[str], None],
+) -> None:
+    """Write the page of `document` to `target`; `recordings` and their `paths` are what it is of, `model` before."""
+    step("comparing the estimates with the CAD values")
+    comparisons, why = _compared(document, vehicle, model, recordings, step)
+    text = write_identification(
+        document,
+        model.name,
+        truth=truth,
+        comparisons=comparisons,
+        why=why,
+        provenance=provenance(vehicle.vehicle.id, list(paths)),
+        progress=step,
+    )
+    target.write_text(text, encoding="utf-8")
+
+
+def _compared(
+    document: Mapping[str, Any],
+    vehicle: VehicleFile,
+    model: Model,
+    recordings: Sequence[Recording],
+    step: Callable[[str], None],
+) -> tuple[list[Comparison], str]:
+    """The model before and with the estimates to rely on, against all recordings; or why that cannot be."""
+    best = document["best"]
+    if not best:
+        return [], "No method gives a model to hold against the recordings."
+    known = {parameter.name for parameter in model.parameters}
+    found = document["methods"][best]["parameters"]
+    values = {name: each["value"] for name, each in found.items() if name in known and each["value"] is not None}
+    models = {"CAD": model, best: model.change(values)}
+    try:
+        loops = [recorded_loop(vehicle, recording) for recording in recordings]
+        return compare(models, recordings, support=vehicle.support, loops=loops, progress=step), ""
+    except UprightError as error:
+        return [], f"The models could not be run over the recordings: {error}"
