@@ -8,7 +8,7 @@ Nothing here is forced: a record that cannot tell gets `insufficient_data`, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -21,6 +21,8 @@ from diagnosis.adequacy import Adequacy, adequacy
 from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.gate import check
+from diagnosis.masked import fits as fits_of_masked
+from diagnosis.masked import surprise
 from diagnosis.refit import FullFit, QuickFit, full, quick, with_effect
 from diagnosis.screen import Screen, screen
 from diagnosis.unseen import Fold, Unseen, folds, judge
@@ -118,7 +120,8 @@ class Finding:
 class Diagnosis:
     """The verdict with its `reason`, what was found, and `repaired`, the model with it; `screens` of each step.
 
-    `steps`: the fit of the model alone, then that after each of `findings`.
+    `steps`: the fit of the model alone, then that after each of `findings`. `parts`: those of a vehicle and of its
+    actuators that this one is made of (diagnosis.parts), none where it is of one model.
     """
 
     verdict: Verdict
@@ -133,6 +136,7 @@ class Diagnosis:
     screens: tuple[Screen, ...] = ()
     steps: tuple[FullFit, ...] = ()
     unexplained: Adequacy | None = None
+    parts: tuple[Diagnosis, ...] = ()
 
     @property
     def adequate(self) -> bool:
@@ -160,12 +164,16 @@ def diagnose(
     support: float | None = None,
     candidates: Iterable[str | Effect] | None = None,
     most: int = 3,
+    masked: Collection[str] = (),
+    unasked: Collection[str] = (),
     progress: Progress | None = None,
 ) -> Diagnosis:
     """What `model` lacks to explain `recordings`.
 
     `support` rad: the vehicle is free where its roll is less. `candidates`: effects to look for, the whole catalogue by
-    default. `most`: effects that are added at most, one after the other. `progress` is told what is being done and
+    default. `most`: effects that are added at most, one after the other. `masked`: effects that parameters of
+    the model can take the place of, so that the screen alone does not decide about them (diagnosis.masked). `unasked`:
+    parameters that the recordings need not tell. `progress` is told what is being done and
     the share of it that is over, 0 to 1.
     Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
     """
@@ -178,7 +186,7 @@ def diagnose(
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
     tell("fitting the model as it is", 0.05)
     base = full(model, workspace)
-    lacking = unidentified(base)
+    lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
     steps = [base]
@@ -188,9 +196,11 @@ def diagnose(
         share = 0.1 + 0.85 * step / (most + 1.0)
         tell("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), share)
         screens.append(_screen(base, workspace))
-        if step == most or not any(score.p_value < LEVEL for score in screens[-1].scores):
+        surprising = any(score.p_value < LEVEL for score in screens[-1].scores)
+        if step == most or not (surprising or (masked and not findings)):
             break
-        found = _step(base, screens[-1], workspace, partial(_part, tell, share, 0.85 / (most + 1.0)))
+        hidden = fits_of_masked(base.model, workspace, masked)
+        found = _step(base, screens[-1], workspace, hidden, partial(_part, tell, share, 0.85 / (most + 1.0)))
         if found is None:
             break
         if findings and found[0].log_likelihood_gain < _asked(found[0], findings):
@@ -215,22 +225,29 @@ def _part(tell: Progress, begin: float, width: float, text: str, share: float) -
     tell(text, begin + width * share)
 
 
-def unidentified(base: FullFit) -> str:
+def unidentified(base: FullFit, unasked: Collection[str] = ()) -> str:
     """Why the record does not even tell the model's own parameters; empty where it does."""
     told = result(base.fit, 0.0)
-    nuisances = {name for each in base.model.inputs for name in each.delays}
+    nuisances = {name for each in base.model.inputs for name in each.delays}.union(unasked)
     for name, each in told.parameters.items():
         if name not in nuisances and not each.identifiable:
             return f"{name}: {each.reason}"
     return ""
 
 
-def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress) -> tuple[Finding, FullFit] | None:
-    """The effect that explains most, in the model; None where none stands up to a full fit and to unseen data."""
-    fits = _contenders(base, screened, workspace, tell)
+def _step(
+    base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Progress
+) -> tuple[Finding, FullFit] | None:
+    """The effect that explains most, in the model; None where none stands up to a full fit and to unseen data.
+
+    `hidden`: fits with effects that the screen does not see.
+    """
+    fits = _contenders(base, screened, workspace, hidden, tell)
     # What the screen saw in a neighbour is this effect's, too: the strongest is tested, the best fitting is named.
     names = {each.candidate.name for each in fits if each.candidate}
     p_value = min((each.p_value for each in screened.scores if each.candidate.name in names), default=1.0)
+    tries = len(screened.scores)
+    p_value = min([p_value, *(tries * surprise(base, each) for each in hidden if each.name in names)])
     if p_value >= LEVEL:
         return None
     for attempt in range(CHECKED):
@@ -245,7 +262,9 @@ def _step(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress)
     return None
 
 
-def _contenders(base: FullFit, screened: Screen, workspace: Workspace, tell: Progress) -> list[FullFit]:
+def _contenders(
+    base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Progress
+) -> list[FullFit]:
     """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
     quicks: list[QuickFit] = []
@@ -255,7 +274,8 @@ def _contenders(base: FullFit, screened: Screen, workspace: Workspace, tell: Pro
     quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
     quicks.sort(key=lambda each: -each.gain)
     chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
-    fits: list[FullFit] = []
+    fits = list(hidden)
+    chosen = [each for each in chosen if each.candidate.name not in {fit.name for fit in hidden}]
     for number, each in enumerate(chosen):
         tell(f"fitting {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
         try:

@@ -6,7 +6,9 @@ Rows are chosen with every candidate attached, so that each model is judged on t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from diagnosis.candidates import Candidate, candidates_for
 from estimators.problem import Problem, problem
@@ -16,6 +18,9 @@ from models.kernel import Progress
 from models.model import Model
 from models.segment import Segment
 from telemetry.recording import Recording
+
+SETTLING = 0.2
+"""s after which an actuator has forgotten what it was told before the first row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +44,8 @@ class Workspace:
         """Raises DataError where the recordings cannot be used."""
         found, left_out = candidates_for(model, recordings, effects)
         rows = segments(attached(model, found), recordings, support=support)
+        if model.actuators and not model.joints:
+            rows = [_settled(each) for each in rows]
         return cls(tuple(recordings), support, tuple(rows), tuple(found), left_out)
 
     def problem(self, model: Model, progress: Progress | None = None) -> Problem:
@@ -49,6 +56,13 @@ class Workspace:
         """The candidates that `model` does not have yet."""
         there = {each.effect.name for each in model.effects}
         return [each for each in self.candidates if each.effect.name not in there]
+
+
+def _settled(segment: Segment) -> Segment:
+    """Without what an actuator did in its first moments: a command that acts later was given before them."""
+    measured = segment.measured.copy()
+    measured[1:][segment.time[1:] - segment.time[0] < SETTLING] = np.nan
+    return replace(segment, measured=measured)
 
 
 def attached(model: Model, candidates: Sequence[Candidate]) -> Model:

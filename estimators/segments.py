@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from math import copysign, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ def channels_of(model: Model) -> tuple[str, ...]:
     """The channels the model's equations really use, and the ages with them."""
     used = _used_names(model)
     inputs = [each for each in model.inputs if each.name in used or f"{each.name}_slope" in used]
-    names = [each.name for each in inputs] + [each.name for each in model.outputs]
+    names = [each.channel for each in inputs] + [each.name for each in model.outputs]
     ages = [each.age for each in inputs] + [each.age for each in model.outputs]
     return (*names, *dict.fromkeys(age for age in ages if age))
 
@@ -213,8 +214,8 @@ def _segment(model: Model, recording: Recording, part: slice) -> Segment:
     def sampled(age: str) -> Array:
         return time - recording[age] if age else time
 
-    inputs = [_input(recording, each, part) if each.name in used else zeros for each in model.inputs]
-    knots = [sampled(each.age if each.name in used else "") for each in model.inputs]
+    inputs = [_input(recording, each, part) if each.channel in used else zeros for each in model.inputs]
+    knots = [sampled(each.age if each.channel in used else "") for each in model.inputs]
     measured = [
         np.interp(time, sampled(each.age), recording[each.name]) if each.age else recording[each.name]
         for each in model.outputs
@@ -235,12 +236,38 @@ def _input(recording: Recording, each: Input, part: slice) -> Array:
     every h comes out smaller by (w h)^2 / 12. Raised by a twelfth of their second difference, the samples give lines
     with the curve's integral.
     """
-    values = recording[each.name]
+    values = recording[each.channel]
+    if each.ramp_of:
+        return ramp_shortfall(values, recording.time, each.ramp)
     if each.hold is Hold.ZERO_ORDER or part.stop - part.start < 3:
         return values
     raised = values.copy()
     raised[part.start + 1 : part.stop - 1] -= np.diff(values[part], 2) / 12.0
     return raised
+
+
+def ramp_shortfall(values: Array, time: Array, ramp: float) -> Array:
+    """What a limiter that follows held `values` (n,) by no more than `ramp` a second is short of them, a row's mean.
+
+    Rows at which the value is not known say nothing; the limiter begins anew after them.
+    """
+    short = np.zeros(len(values))
+    spacing = np.append(np.diff(time), np.median(np.diff(time)))
+    demand = values[0]
+    for row, (target, span) in enumerate(zip(values.tolist(), spacing.tolist(), strict=True)):
+        change = target - demand
+        if not isfinite(change):
+            demand = target
+            continue
+        needed = abs(change) / ramp
+        if needed <= span:
+            short[row] = -change * needed / (2.0 * span)
+            demand = target
+        else:
+            moved = copysign(ramp * span, change)
+            short[row] = 0.5 * moved - change
+            demand += moved
+    return short
 
 
 def _columns(columns: Sequence[Array], part: slice) -> Array:

@@ -105,7 +105,7 @@ def compose(model: Model) -> Equations:
         _read(model, sensor, outputs, symbols, moving, derivatives, nominal)
     delays, lags = [], []
     for each in model.inputs:
-        shifting = [effect for effect in model.effects if _acts_on(model, effect, each.name)]
+        shifting = [effect for effect in model.effects if _acts_on(model, effect, each.channel)]
         extra = tuple(effect.qualified(effect.effect.delay) for effect in shifting if effect.effect.delay)
         delays.append(each.delays + extra)
         lag = [effect.qualified(effect.effect.lag) for effect in shifting if effect.effect.lag]

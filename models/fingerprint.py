@@ -14,7 +14,7 @@ def fingerprint(model: Model) -> str:
     """What tells apart models that need code of their own: names, equations, holds, delays, and what makes the code."""
     parts: list[Any] = [SOURCES, machine_code.processor(), model.name]
     parts += [(state.name, state.derivative) for state in model.base_states]
-    parts += [(each.name, each.hold.value, each.delays, each.lag) for each in model.inputs]
+    parts += [(each.name, each.hold.value, each.delays, each.lag, each.ramp_of) for each in model.inputs]
     parts += [(each.name, each.expression) for each in model.outputs]
     parts += [parameter.name for parameter in model.base_parameters]
     parts += [sorted(model.definitions.items())]

@@ -92,6 +92,8 @@ class Input:
     """A channel that drives the model. `age`: the channel that says how much older, s, its samples are than the row.
 
     `delays` name the parameters (s) by which it acts later, `lag` the one (s) of a first-order lag it goes through.
+    With `ramp_of` it is no channel itself, but what a limiter that follows channel `ramp_of` by no more than `ramp`
+    unit/s is short of it, as a mean over each row.
     """
 
     name: str
@@ -100,7 +102,14 @@ class Input:
     age: str = ""
     delays: tuple[str, ...] = ()
     lag: str = ""
+    ramp_of: str = ""
+    ramp: float = 0.0
     meaning: str = ""
+
+    @property
+    def channel(self) -> str:
+        """What is read from a recording for it."""
+        return self.ramp_of or self.name
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,8 @@ class InputSection(Section):
     age: str = ""
     delays: list[str] = []
     lag: str = ""
+    ramp_of: str = ""
+    ramp: NotNegative = 0.0
     meaning: str = ""
 
 

@@ -147,7 +147,8 @@ def _check_references(tables: ModelSection, file: str) -> None:
         references += [(f"inputs.{name}.lag", each.lag, "parameters")]
     for name, actuator in tables.actuators.items():
         references += [(f"actuators.{name}.command", actuator.command or "''", "inputs")]
-        references += [(f"actuators.{name}.joint", actuator.joint or "''", "joints")]
+        # An actuator alone moves nothing else that the model knows.
+        references += [(f"actuators.{name}.joint", actuator.joint or ("''" if tables.joints else ""), "joints")]
     for name, sensor in tables.sensors.items():
         references += [(f"sensors.{name}.angle", sensor.angle, "outputs")]
         references += [(f"sensors.{name}.rate", sensor.rate, "outputs")]

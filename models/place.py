@@ -70,17 +70,22 @@ def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
     """What `place`, one of `model`'s, has."""
     if isinstance(place, Sensor):
         return _sensor(place)
+    joint: Joint | None
     if isinstance(place, Actuator):
-        joint = next(joint for joint in model.joints if joint.name == place.joint)
+        joint = next((joint for joint in model.joints if joint.name == place.joint), None)
         actuator: Actuator | None = place
         names = {*_ANYWHERE, "command"}
     else:
         joint = place
         actuator = next((each for each in model.actuators if each.joint == joint.name), None)
         names = {*_ANYWHERE, *_JOINT}
-    scales = {name: float(getattr(joint, name)) for name in _JOINT_SCALES}
-    units = {"force": joint.force_unit, "coordinate": joint.coordinate_unit}
-    measured_in = {"coordinate": joint.coordinate_unit}
+    scales: dict[str, float] = {}
+    units: dict[str, str] = {}
+    measured_in: dict[str, str] = {}
+    if joint is not None:
+        scales |= {name: float(getattr(joint, name)) for name in _JOINT_SCALES}
+        units |= {"force": joint.force_unit, "coordinate": joint.coordinate_unit}
+        measured_in["coordinate"] = joint.coordinate_unit
     if actuator is not None:
         moved = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle}
         if isinstance(place, Joint):

@@ -20,10 +20,16 @@ def write_trail(
 ) -> None:
     """The repaired model to `target`, with its history, and every step to `target` with the suffix .trail.json.
 
+    What is missing in the vehicle's actuators goes to a model of theirs beside it, NAME-actuators.toml.
+
     `own`: the files of effects of the user's own, by the effect's name. Raises OSError and ModelError where that cannot
     be written.
     """
     assert found.repaired is not None
+    for part in found.parts[1:]:
+        if part.findings and part.steps:
+            write_trail(target.with_name(f"{target.stem}-actuators.toml"), part, part.steps[0].model, recordings, own)
+    in_it = {each.name for each in found.repaired.effects}
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     hashes = {path.name: sha256(path.read_bytes()).hexdigest() for path in recordings}
     history = tuple(
@@ -37,6 +43,7 @@ def write_trail(
             "probability": float(f"{finding.probability:.4g}"),
         }
         for finding in found.findings
+        if finding.effect in in_it
     )
     model = replace(found.repaired, name=target.stem)
     there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -60,11 +61,16 @@ def diagnose(
 ) -> None:
     """Find the physical effect that a model lacks, or say that the recordings cannot tell.
 
-    Of several recordings the last is held out to check on; of a single one each third in turn. Ctrl-C ends it.
+    Of several recordings the last is held out to check on; of a single one each third in turn. A vehicle whose
+    actuators have a model of their own is diagnosed in two parts, from command to motion and from there on; a report is
+    on the second. Ctrl-C ends it.
     """
     from diagnosis.diagnose import Verdict
     from diagnosis.diagnose import diagnose as run
+    from diagnosis.parts import diagnose_parts
+    from estimators.identify import with_values
     from models.effects import CATALOGUE
+    from models.library import ACTUATORS
     from service.cli.batch import identified_model, load_recording
     from service.next_experiment import suggest_for
     from service.vehicle_file import load
@@ -77,23 +83,28 @@ def diagnose(
     if model is None:  # what identification assumes beside the vehicle's own equations is to be found here
         for attached in nominal.effects:
             nominal = nominal.remove(attached.name)
+    cad = file.parameters
+    actuators = [
+        with_values(each, cad.values, cad.deviations)
+        for each in (ACTUATORS.get(file.vehicle.kind, ()) if model is None else ())
+    ]
     candidates: list[str | Effect] | None = [chosen(name) for name in effect] if effect else None
     if own:
         candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen, own)]
     from_files = {chosen(name).name: Path(name) for name in (*(effect or ()), *(own or ())) if name.endswith(SUFFIXES)}
     loaded = [load_recording(path, vehicle) for path in recordings]
     with share_done() as progress:
-        found = run(
-            nominal, loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress
-        )
+        way = partial(diagnose_parts, nominal, actuators) if actuators else partial(run, nominal)
+        found = way(loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress)
+        own_part = found.parts[0] if found.parts else found
         progress("choosing the next experiment", 1.0)
-        found = replace(found, suggested_experiment=suggest_for(file, found, nominal, loaded))
+        found = replace(found, suggested_experiment=suggest_for(file, own_part, nominal, loaded))
         if report is not None:
             from diagnosis.report import write_report
 
             origin = provenance(file.vehicle.id, recordings)
             text = write_report(
-                found,
+                replace(own_part, suggested_experiment=found.suggested_experiment),
                 nominal,
                 loaded,
                 support=file.support,

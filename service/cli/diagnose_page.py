@@ -68,10 +68,13 @@ def _detectable(found: Diagnosis) -> Table:
     table.add_column("effect")
     table.add_column("parameter")
     table.add_column("size", justify="right")
-    scores = found.screens[0].scores if found.screens else ()
+    sizes = found.minimum_detectable or {}
+    scores = [score for part in found.parts or (found,) if part.screens for score in part.screens[0].scores]
     for score in sorted(scores, key=lambda each: each.candidate.name):
+        if score.candidate.name not in sizes:
+            continue
         first = score.candidate.amplitudes[0]
         unit = next(p.unit for p in score.candidate.attached.parameters if p.name == first)
-        size = f"{score.detectable:.3g}" + ("" if unit == "1" else f" {unit}")
+        size = f"{sizes[score.candidate.name]:.3g}" + ("" if unit == "1" else f" {unit}")
         table.add_row(score.candidate.name, first.rsplit(".", 1)[-1], size)
     return table

@@ -1,0 +1,91 @@
+"""Effects that a model's own parameters take the place of, so that the screen does not see them.
+
+A further lag makes the lag of a speed loop grow, until what is left of it no longer looks like a lag: the derivative
+there points elsewhere. So these are fitted from the model's own values on, whatever the screen says. How surprising
+their gain is, is told by blocks of half a second: innovations of a model without them are not white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from diagnosis.candidates import Candidate
+from diagnosis.refit import FullFit, full, with_effect
+from diagnosis.whitened import BLOCK
+from diagnosis.workspace import Workspace, attached
+from models.effect import starts
+from models.model import Model
+
+Array = NDArray[np.float64]
+
+START = 2
+"""Of the starts of an effect: between the smallest and the largest that are usual."""
+
+
+def fits(model: Model, workspace: Workspace, names: Collection[str]) -> list[FullFit]:
+    """Full fits of `model` with each of the candidates `names`."""
+    found = []
+    for candidate in workspace.others(model):
+        if candidate.effect.name not in names:
+            continue
+        own = candidate.attached
+        values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
+        try:
+            found.append(full(_with(model, candidate, values), workspace, candidate))
+        except ArithmeticError:
+            continue
+    return found
+
+
+def together(model: Model, workspace: Workspace, names: Collection[str]) -> list[FullFit]:
+    """One full fit with all of the candidates `names` in the model, none where there are none or none is possible."""
+    chosen = [each for each in workspace.others(model) if each.effect.name in names]
+    if not chosen:
+        return []
+    wider = attached(model, chosen)
+    try:
+        fitted = full(wider, workspace, chosen[-1])
+    except ArithmeticError:
+        return []
+    return [replace(fitted, cost=len(chosen) * fitted.cost)]
+
+
+def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
+    """`model` with the effect; an offset of the input that it delays is held, since the two are one and the same."""
+    wider = with_effect(model, candidate, values)
+    if not candidate.effect.delay:
+        return wider
+    command = next(each.command for each in model.actuators if each.name == candidate.attached.at)
+    same = next(each.delays for each in model.inputs if each.name == command)
+    return wider.change(estimated=[p.name for p in wider.parameters if p.estimated and p.name not in same])
+
+
+def surprise(base: FullFit, other: FullFit) -> float:
+    """p-value of what `other` gains over `base`, were its gain a walk of independent blocks."""
+    gained = []
+    for one, more in zip(_densities(base), _densities(other), strict=True):
+        rows = len(one) // max(1, len(one) // max(1, round(BLOCK / _spacing(base))))
+        gained.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
+    blocks = np.concatenate(gained)
+    spread = float(np.sqrt(len(blocks)) * np.std(blocks, ddof=1))
+    return float(norm.sf(np.sum(blocks) / spread)) if spread > 0.0 else 1.0
+
+
+def _spacing(fitted: FullFit) -> float:
+    return float(np.median(np.diff(fitted.fit.problem.segments[0].time)))
+
+
+def _densities(fitted: FullFit) -> list[Array]:
+    """By stretch, the log density of each row (n,) but for a constant; 0 where nothing was measured."""
+    covariance = fitted.fit.covariance
+    _, logarithm = np.linalg.slogdet(covariance)
+    found = []
+    for innovations in fitted.fit.innovations():
+        density = -0.5 * np.sum(innovations * np.linalg.solve(covariance, innovations.T).T, axis=1) - 0.5 * logarithm
+        found.append(np.where(np.isfinite(density), density, 0.0))
+    return found
