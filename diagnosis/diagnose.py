@@ -18,17 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.adequacy import Adequacy, adequacy
+from diagnosis.as_recorded import as_recorded
 from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.gate import check
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
-from diagnosis.refit import FullFit, QuickFit, full, quick, with_effect
+from diagnosis.refit import FullFit, QuickFit, full, quick, surety, with_effect
 from diagnosis.screen import Screen, screen
 from diagnosis.unseen import Fold, Unseen, folds, judge
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
-from estimators.contract import EstimationError, ParameterEstimate
+from estimators.contract import EstimationError, ParameterEstimate, Status
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem
 from estimators.segments import DataError
@@ -65,6 +66,7 @@ CONTENDING = 0.5
 
 SURE = 2.0
 """Standard deviations from zero of an amplitude that a part of the data tells. One that does not tell cannot judge."""
+NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 CHECKED = 3
 """Effects, the likeliest first, that are tried on unseen data before none is named."""
 
@@ -179,6 +181,7 @@ def diagnose(
     """
     tell = progress or (lambda text, share: None)
     tell("reading the data", 0.0)
+    model = as_recorded(model, recordings)
     try:
         check(model, recordings, support)
         workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))
@@ -256,7 +259,7 @@ def _step(
         best = _simplest(fits, base)
         tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
         unseen = _on_unseen(base, best, workspace)
-        if unseen is None or (unseen.gain >= unseen.std and (unseen.closed_percent or 1.0) > 0.0):
+        if unseen is None or unseen.stands:
             return _finding(base, best, fits, screened, p_value, unseen), best
         fits = [each for each in fits if each is not best]
     return None
@@ -282,7 +285,11 @@ def _contenders(
             fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
         except ArithmeticError:
             continue
-    fits = [each for each in fits if each.fit.minimum.converged and each.evidence > base.evidence + WORTH]
+    fits = [
+        each
+        for each in fits
+        if each.fit.minimum.converged and each.evidence > base.evidence + WORTH and surety(each) > SURE
+    ]
     return sorted(fits, key=lambda each: -each.evidence)
 
 
@@ -341,6 +348,8 @@ def _on_unseen(base: FullFit, best: FullFit, workspace: Workspace) -> Unseen | N
     """What fits of a part of the data say of the rest; None where no part tells the effects that `best` has more."""
     there = {each.name for each in base.model.effects}
     amplitudes = [name for each in best.model.effects if each.name not in there for name in each.amplitudes]
+    instants = [p.name for each in best.model.effects if each.name not in there for p in each.parameters
+                if p.unit == "s" and p.name not in each.amplitudes]  # fmt: skip
     others = [each.effect for each in workspace.others(base.model)]
 
     def fits(part: Fold) -> tuple[Fit, Fit] | None:
@@ -352,7 +361,9 @@ def _on_unseen(base: FullFit, best: FullFit, workspace: Workspace) -> Unseen | N
             for each in told.values()
         )
         known = dict(zip(told, sure, strict=True))
-        return (full(base.model, few).fit, with_it) if any(known[name] for name in amplitudes) else None
+        # What happens once, at an instant outside the part, is nothing that the part could foretell.
+        happened = all(told[name].status not in NOT_TOLD for name in instants)
+        return (full(base.model, few).fit, with_it) if happened and any(known[name] for name in amplitudes) else None
 
     try:
         return judge(folds(base.model, workspace.recordings, workspace.support), fits, workspace.support)

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 SHORTEST = 15.0
 """s of free motion in all recordings together, at least."""
 MOVING = 5.0
-"""Times the noise of the joint's rate, RMS over a window, above which the vehicle counts as moving."""
+"""Times the noise of the joint's rate, both averaged over AVERAGE, above which the vehicle counts as moving."""
+AVERAGE = 0.1
+"""s in which a vehicle's rate is much the same, whatever the sampling rate."""
 WINDOW = 2.0
 """s of such a window."""
 ONE_LINE = 0.97
@@ -75,12 +77,13 @@ def moving_time(signal: Array, time: Array) -> float:
     variance."""
     known = np.where(np.isfinite(signal), signal, 0.0)
     spacing = float(np.median(np.diff(time)))
-    size = max(1, round(WINDOW / spacing))
-    if len(known) < max(size, 20):
+    rows = max(1, round(AVERAGE / spacing))
+    size = max(1, round(WINDOW / AVERAGE))
+    if len(known) < max(size * rows, 20):
         return 0.0
-    noise = 1.4826 * float(np.median(np.abs(np.diff(known, 4)))) / np.sqrt(70.0)
-    whole = known[: len(known) // size * size].reshape(-1, size)
-    return float(np.sum(np.std(whole, axis=1) > MOVING * noise) * size * spacing)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(known, 4)))) / np.sqrt(70.0 * rows)
+    means = known[: len(known) // (size * rows) * size * rows].reshape(-1, size, rows).mean(axis=2)
+    return float(np.sum(np.std(means, axis=1) > MOVING * noise) * size * rows * spacing)
 
 
 def line_share(signal: Array, time: Array) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from diagnosis.candidates import Candidate
 from diagnosis.screen import Score
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
+from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, minimise
 from estimators.methods.prediction_error import Fit, fit
 from models.model import Model
@@ -131,7 +132,28 @@ def full(model: Model, workspace: Workspace, candidate: Candidate | None = None)
     if candidate is not None:
         count = sum(p.estimated for p in model.parameters if p.name in (*candidate.amplitudes, *candidate.shapes))
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
-    return FullFit(candidate, model, fitted, log_likelihood(fitted), 0.5 * count * float(np.log(rows)))
+    return FullFit(
+        candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), 0.5 * count * float(np.log(rows))
+    )
+
+
+def surety(fitted: FullFit) -> float:
+    """By how many standard deviations the surest amplitude of the effect that was added last is away from zero.
+
+    One that is not leaves all that was gained to the others, which another start would have brought there, too.
+    """
+    assert fitted.candidate is not None
+    names = [p.name for p in fitted.fit.problem.parameters]
+    deviations = np.sqrt(np.diag(inverse(fitted.fit.minimum.information)))
+    places = [names.index(name) for name in fitted.candidate.amplitudes if name in names]
+    return max((abs(float(fitted.fit.minimum.common[place] / deviations[place])) for place in places), default=0.0)
+
+
+def off_prior(fitted: Fit) -> float:
+    """What the parameters, which are known to their standard deviations before, cost where they are off."""
+    size = len(fitted.problem.free)
+    off = fitted.minimum.common[:size] - fitted.problem.start
+    return 0.5 * float(np.sum(fitted.prior[:size] * off**2))
 
 
 def log_likelihood(fitted: Fit) -> float:

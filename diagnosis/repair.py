@@ -31,7 +31,7 @@ from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
-from estimators.segments import channels_of
+from estimators.segments import ages_of, channels_of
 from models.effect import Effect
 from models.effects import find
 from models.expressions import names_in
@@ -158,7 +158,9 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
             with_it = model.add(effect, at)
         except ModelError:
             continue
-        if all(channel in each.values for each in recordings for channel in channels_of(with_it)):
+        if all(
+            channel in each.values for each in recordings for channel in set(channels_of(with_it)) - ages_of(with_it)
+        ):
             found.append(candidate_of(model, with_it.effects[-1]))
     return found
 

@@ -136,6 +136,9 @@ class _Entry:
 
 def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, columns: Array) -> Screen:
     residual, blocks = innovations.residual, innovations.blocks
+    # Priors scatter as much as they say: only innovations have to show how much they do.
+    known = columns.copy()
+    known[: len(columns) - innovations.nuisance.shape[1]] = 0.0
     original = np.concatenate([np.sum(part**2, axis=0) for _, _, part in parts])
     information = columns.T @ columns
     left = np.diag(information) > LEAST * np.maximum(original, 1e-300)
@@ -152,9 +155,10 @@ def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, 
             continue
         inside, square = columns[:, where], information[np.ix_(where, where)]
         sizes = _signed_sizes(candidate, square, score[where])
-        rest = inside * (residual - inside @ sizes)[:, None]
+        rest = (inside - known[:, where]) * (residual - inside @ sizes)[:, None]
         sums = np.add.reduceat(rest[order], edges, axis=0)
-        inflation = max(1.0, float(np.trace(_inverse(square) @ sums.T @ sums)) / len(where))
+        scatter = sums.T @ sums + known[:, where].T @ known[:, where]
+        inflation = max(1.0, float(np.trace(_inverse(square) @ scatter)) / len(where))
         statistic = float(sizes @ square @ sizes) / inflation
         drawn = _statistics(candidate, square, normal[:, where])
         entry = _Entry(candidate, number, where, sizes, square, inflation, statistic, drawn)
@@ -254,8 +258,11 @@ def _p_single(entries: Sequence[_Entry], largest: Array) -> float:
         of_kind = [each for each in entries if each.picked is picked]
         if of_kind:
             best = max(of_kind, key=lambda each: each.statistic)
-            tries = best.candidate.among if picked else 1
-            found.append(min(1.0, tries * _tail(largest, best.statistic, len(best.where))))
+            # What was picked among many has the price of these; the others' tries are in their own distribution.
+            told = (
+                chi2.sf(best.statistic, len(best.where)) if picked else _tail(largest, best.statistic, len(best.where))
+            )
+            found.append(min(1.0, (best.candidate.among if picked else 1) * float(told)))
     return min(1.0, min(found) * len(found))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis import ahead
+from diagnosis.refit import off_prior
 from diagnosis.whitened import whitening
 from estimators.gauss_newton import Block, eliminate
 from estimators.methods.prediction_error import Fit
@@ -45,12 +46,21 @@ class Fold:
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """`gain`: rise of the log likelihood; `std` of it; `closed_percent`: of the error energy HORIZON ahead that exceeds
-    the sensors', what is gone, None where there was none."""
+    """`gain`: rise of the log likelihood; `std` of it; `known`: by how much parameters are nearer to what was known of
+    them before, as a logarithm; `closed_percent`: of the error energy HORIZON ahead that exceeds
+    the sensors', what is gone, and the standard deviation of that, None where there was none."""
 
     gain: float
     std: float
     closed_percent: float | None
+    closed_std: float | None = None
+    known: float = 0.0
+
+    @property
+    def stands(self) -> bool:
+        """Whether the likelihood rises beyond its own noise, and no error grows beyond its."""
+        closes = self.closed_percent is None or self.closed_std is None or self.closed_percent > -self.closed_std
+        return closes and self.gain + self.known >= self.std
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
@@ -76,32 +86,39 @@ def judge(
     Raises ArithmeticError, EstimationError.
     """
     gains: list[Array] = []
-    energies: list[tuple[float, float]] = []
+    energies: list[Array] = []
+    known: list[float] = []
     for part in parts:
         found = fits(part)
         if found is None:
             continue
         without, with_it = found
         gains.append(_log_density(with_it, part, support) - _log_density(without, part, support))
+        known.append(off_prior(without) - off_prior(with_it))
         energies.append(_energies(without, with_it, part.tried, support))
     if not gains:
         return None
     differences = np.concatenate(gains)
-    before, after = np.mean(energies, axis=0)
+    squares = np.concatenate(energies)
+    before, after = np.mean(squares, axis=0)
+    spread = float(np.std(squares[:, 0] - squares[:, 1], ddof=1) / np.sqrt(len(squares)))
     return Unseen(
         gain=float(np.sum(differences)),
         std=float(np.sqrt(len(differences)) * np.std(differences, ddof=1)),
         closed_percent=float(100.0 * (before - after) / (before - 1.0)) if before > 1.0 else None,
+        closed_std=100.0 * spread / float(before - 1.0) if before > 1.0 else None,
+        known=float(np.mean(known)),
     )
 
 
-def _energies(one: Fit, other: Fit, recording: Recording, support: float | None) -> tuple[float, float]:
-    """Error energy HORIZON ahead over that of the sensors' noise, under `one` and under `other`."""
+def _energies(one: Fit, other: Fit, recording: Recording, support: float | None) -> Array:
+    """Error energies HORIZON ahead over that of the sensors' noise, under `one` and under `other`, (m, 2)."""
     there = ahead.on(other, problem(other.problem.model, [recording], support=support))
     floor = ahead.sensor_floors(there, (HORIZON,))[0]
     before = ahead.on(one, problem(one.problem.model, [recording], support=support))
-    first, second = (float(np.nanmean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2)) for each in (before, there))
-    return first, second
+    squares = [np.mean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2, axis=1) for each in (before, there)]
+    both = np.stack(squares, axis=1)
+    return np.asarray(both[np.isfinite(both).all(axis=1)])
 
 
 def _log_density(fitted: Fit, part: Fold, support: float | None) -> Array:

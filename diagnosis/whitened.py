@@ -30,8 +30,9 @@ FINEST = 32
 class Whitened:
     """The whitened innovations of a fit, and what its nuisances would do to them.
 
-    `residual` (n,), all nuisances projected out; `blocks` (n,) numbers the half-seconds; `starts`, by stretch, an
-    orthonormal basis of what its initial state does; `nuisance` (n + k, p), the last k rows of it the priors.
+    `residual` (n + k,), all nuisances projected out, the last k rows of it how far these are off their priors;
+    `blocks` (n + k,) numbers the half-seconds, and each of the last rows; `starts`, by stretch, an orthonormal basis of
+    what its initial state does; `nuisance` (n + k, p).
     """
 
     fit: Fit
@@ -65,8 +66,14 @@ class Whitened:
         prior[:size], prior[known:] = np.sqrt(fitted.prior[:size]), np.sqrt(fitted.prior[size:])
         prior[size:known] = 1.0 / deviations
         nuisance = np.concatenate((columns, np.diag(prior)))
-        residual = project(residual[:, None], nuisance)[:, 0]
-        return cls(fitted, residual, _blocks(task, blocks), tuple(bases), nuisance)
+        off = np.zeros(columns.shape[1])
+        off[:size] = fitted.minimum.common[:size] - task.start
+        off[known:] = fitted.minimum.common[size:]
+        # What the data pull off its prior pulls back: an effect that does the same has that to gain.
+        residual = project(np.concatenate((residual, prior * off))[:, None], nuisance)[:, 0]
+        numbers = _blocks(task, blocks)
+        numbers = np.concatenate((numbers, numbers[-1] + 1 + np.arange(len(prior))))
+        return cls(fitted, residual, numbers, tuple(bases), nuisance)
 
     def directions(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> Array:
         """What a unit of each of `amplitudes` in the vehicle does to the innovations, (n, m), nuisances still in it.
@@ -131,10 +138,11 @@ def whitening(fitted: Fit) -> Array:
 
 
 def project(columns: Array, nuisance: Array) -> Array:
-    """`columns` (n, m) less what the nuisances (n + k, p), k rows of priors last, explain of them."""
+    """`columns` (n or n + k, m) less what the nuisances (n + k, p), k rows of priors last, explain of them,
+    (n + k, m)."""
     scaled = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
-    data = scaled[: len(columns)]
-    return np.asarray(columns - data @ np.linalg.lstsq(scaled.T @ scaled, data.T @ columns, rcond=1e-13)[0])
+    whole = np.concatenate((columns, np.zeros((len(nuisance) - len(columns), columns.shape[1]))))
+    return np.asarray(whole - scaled @ np.linalg.lstsq(scaled.T @ scaled, scaled.T @ whole, rcond=1e-13)[0])
 
 
 def _less(columns: Array, basis: Array) -> Array:

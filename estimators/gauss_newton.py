@@ -23,6 +23,9 @@ LONGEST_STEP = 2.0
 """Typical sizes by which a parameter moves at most in the first step; twice as far after each that went as foreseen."""
 LEAST_DAMPING, FIRST_DAMPING, STIFFER = 1e-7, 1e-3, 10.0
 """Share of the diagonal that is added to it: at least, after a step too far, and the factor from step to step."""
+PATIENCE = 12
+"""Steps, taken or refused, over which the cost has to fall by what is enough for each: at a kink, where a delay meets a
+sample, none does what is foreseen."""
 LAST_DAMPING = 1e-4
 """The same for the last step, which is not tried: where the data tell nothing it must not go far."""
 
@@ -141,12 +144,16 @@ def descend(
     if here is None:
         return None
     missing = np.zeros((len(common), len(common)))
+    costs = [here.cost]
     damping, reach = LEAST_DAMPING, LONGEST_STEP
     done = False
     taken = 0
     information, gradient, _, _ = _reduce(here, scale, 0.0)
     while taken < iterations and not done:
         taken += 1
+        if len(costs) > PATIENCE and costs[-1 - PATIENCE] - costs[-1] <= PATIENCE * enough:
+            done = True
+            break
         free = ~(((common <= lower) & (gradient > 0.0)) | ((common >= upper) & (gradient < 0.0)))
         if not free.any() and not any(len(part) for part in own):
             done = True
@@ -175,6 +182,7 @@ def descend(
             reach = 0.5 * float(np.max(np.abs(step), initial=0.0))
             if damping > 1e14:
                 break
+            costs.append(here.cost)
             continue
         ratio = (here.cost - there.cost) / max(foreseen, 1e-300)
         if ratio > 0.75:
@@ -182,6 +190,7 @@ def descend(
         elif ratio < 0.25:
             damping = max(STIFFER * damping, FIRST_DAMPING)
         here, common, own = there, trial, trial_own
+        costs.append(here.cost)
         before = gradient
         information, gradient, _, _ = _reduce(here, scale, 0.0)
         if watched is not None:

@@ -28,6 +28,10 @@ FLOOR = 10.0
 """Times the known noise of a sensor below which its innovations are no information about the vehicle."""
 
 
+RUNAWAY = 1e15
+"""Condition of the innovations' covariance beyond which a predictor has left the record, if not yet for infinity."""
+
+
 @dataclass(frozen=True, slots=True)
 class Seen(Expansion):
     """What is seen from a point, with the filter gain (nx, ny) and the innovations' covariance S (ny, ny) there."""
@@ -95,6 +99,8 @@ class Likelihood:
             moments.append((columns.T @ columns, columns.T @ error))
             ends.append((part - initial[list(task.own)]) / spread)
         covariance = squares / task.rows + np.diag(self._floor)
+        if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance) > RUNAWAY:
+            return None
         weights = np.linalg.inv(covariance).astype(np.float64)
         normals = tuple(_weighted(*moment, weights, end, spread) for moment, end in zip(moments, ends, strict=True))
         cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(float(end @ end) for end in ends)

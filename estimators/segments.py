@@ -82,12 +82,19 @@ def _recorded_support(recording: Recording) -> float | None:
 
 
 def channels_of(model: Model) -> tuple[str, ...]:
-    """The channels the model's equations really use, and the ages with them."""
+    """The channels the model's equations really use, and the ages with them, which a recording may lack: it then counts
+    as sampled all at once, and what is not so is for the model's time offsets."""
     used = _used_names(model)
     inputs = [each for each in model.inputs if each.name in used or f"{each.name}_slope" in used]
     names = [each.channel for each in inputs] + [each.name for each in model.outputs]
     ages = [each.age for each in inputs] + [each.age for each in model.outputs]
     return (*names, *dict.fromkeys(age for age in ages if age))
+
+
+def ages_of(model: Model) -> frozenset[str]:
+    """The channels that say how old others are."""
+    ages = [each.age for each in model.inputs] + [each.age for each in model.outputs]
+    return frozenset(age for age in ages if age)
 
 
 def _used_names(model: Model) -> frozenset[str]:
@@ -101,8 +108,9 @@ def _used_names(model: Model) -> frozenset[str]:
 
 
 def _check(model: Model, recording: Recording) -> None:
+    ages = ages_of(model)
     for name in channels_of(model):
-        if name not in recording.values:
+        if name not in recording.values and name not in ages:
             raise DataError(
                 Status.MISSING_CHANNEL,
                 f"channel {name}",
@@ -112,7 +120,7 @@ def _check(model: Model, recording: Recording) -> None:
 
 
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:
-    known = np.all([np.isfinite(recording[name]) for name in channels_of(model)], axis=0)
+    known = np.all([np.isfinite(recording[name]) for name in channels_of(model) if name in recording.values], axis=0)
     coordinate = model.joints[0].coordinate if model.joints else ""
     if support is not None and coordinate in recording.values:
         known &= np.abs(np.where(known, recording[coordinate], np.inf)) < support - SUPPORT_MARGIN
@@ -212,12 +220,14 @@ def _segment(model: Model, recording: Recording, part: slice) -> Segment:
     zeros = np.zeros(len(time))
 
     def sampled(age: str) -> Array:
-        return time - recording[age] if age else time
+        return time - recording[age] if age in recording.values else time
 
     inputs = [_input(recording, each, part) if each.channel in used else zeros for each in model.inputs]
     knots = [sampled(each.age if each.channel in used else "") for each in model.inputs]
     measured = [
-        np.interp(time, sampled(each.age), recording[each.name]) if each.age else recording[each.name]
+        np.interp(time, sampled(each.age), recording[each.name])
+        if each.age in recording.values
+        else recording[each.name]
         for each in model.outputs
     ]
     return Segment(

@@ -79,7 +79,7 @@ def test_friction_that_sets_in_during_the_run_is_named_within_five_seconds_with_
     assert last.effect == "viscous_friction"
     assert abs(last.since - begin) < 1.5
     value, std = size(last)
-    # 200 N m s/rad. One linear step from a model without friction, whose noise has taken its place: no more than a size.
+    # 200 N m s/rad. One linear step from a model without friction, whose noise stood in for it: a size, no more.
     assert 100.0 < value < 400.0
     assert 0.0 < std < 0.2 * value
 

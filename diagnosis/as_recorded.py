@@ -1,0 +1,43 @@
+"""A model with the sensors that a record shows, where these are not those that the model knows.
+
+A model may say that a sensor's noise is known, and that a filter made one reading of another: then the angle is the
+integrated rate to a millionth. Where the record's angle has white noise of its own, many times that, it was measured
+otherwise: its noise is then estimated as that of any other sensor, and is not the integral of another one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.floor import white_variance
+from models.model import Model
+from telemetry.recording import Recording
+
+SHOWN = 3.0
+"""Times the noise that a model knows above which a record contradicts it."""
+
+
+def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
+    """`model` with the noise of known sensors freed where `recordings` have more, and starts as uncertain as these."""
+    noise = {each.name: _white_noise(each.name, recordings) for each in model.outputs}
+    freed = {each.name for each in model.outputs if each.noise_known and noise[each.name] > SHOWN * each.noise}
+    if not freed:
+        return model
+    outputs = tuple(
+        replace(each, noise=noise[each.name], noise_known=each.noise_known and each.name not in freed)
+        for each in model.outputs
+    )
+    states = tuple(
+        replace(each, noise_of="", initial_std=max(each.initial_std, noise.get(each.initial, 0.0)))
+        for each in model.base_states
+    )
+    return replace(model, base_states=states, outputs=outputs)
+
+
+def _white_noise(name: str, recordings: Sequence[Recording]) -> float:
+    """Standard deviation of the white noise on a channel; 0 where it is not recorded."""
+    parts = [each[name][:, None] for each in recordings if name in each.values and len(each[name]) > 10]
+    return float(np.sqrt(white_variance(parts)[0][0])) if parts else 0.0
