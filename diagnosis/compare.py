@@ -19,6 +19,7 @@ from diagnosis.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.floor import Innovations, with_nuisances
 from diagnosis.horizons import Prediction, predictions
 from diagnosis.where_it_fails import Entry, Views, summary, views
+from estimators.as_recorded import as_recorded
 from estimators.problem import Problem, problem
 from estimators.segments import channels_of, segments
 from models.kernel import Progress
@@ -111,7 +112,8 @@ def compare(
     it has no stable predictor or runs away from the record.
     """
     return [
-        _compare(name, *_task(model, recordings, support, progress), loops, progress) for name, model in models.items()
+        _compare(name, *_task(as_recorded(model, recordings), recordings, support, progress), loops, progress)
+        for name, model in models.items()
     ]
 
 

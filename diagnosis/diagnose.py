@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.adequacy import Adequacy, adequacy
-from diagnosis.as_recorded import as_recorded
 from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.gate import check
@@ -29,6 +28,7 @@ from diagnosis.screen import Screen, screen
 from diagnosis.unseen import Fold, Unseen, folds, judge
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
+from estimators.as_recorded import as_recorded
 from estimators.contract import EstimationError, ParameterEstimate, Status
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem

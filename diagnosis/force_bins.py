@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from scipy.stats import t as student
 
-from diagnosis.floor import Innovations, white_variance
+from diagnosis.floor import Innovations
 from diagnosis.force_probe import Coordinate, Probe
 from estimators.gauss_newton import Block, eliminate
+from estimators.white_noise import white_variance
 
 Array = NDArray[np.float64]
 

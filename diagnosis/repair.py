@@ -28,6 +28,7 @@ from diagnosis.held_out import split
 from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.whitened import Whitened
+from estimators.as_recorded import as_recorded
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
@@ -87,6 +88,7 @@ def repair(
         EstimationError: the fit fails, so there is nothing to tell.
     """
     told = progress or (lambda text, share: None)
+    model = as_recorded(model, recordings)
     candidate = candidate_of(model, model.add(effect, at).effects[-1])
     neighbours = _neighbours(model, candidate, recordings)
     training, tried = split(model, recordings, held_out, support)

@@ -19,10 +19,13 @@ from service.rows import rows_from_frames
 from service.vehicle_file import VehicleFile
 from telemetry import recording as recordings
 from telemetry.candump import CandumpReader
+from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
 NOT_ON_THE_BUS = ("roll_reference", "excitation", "phase")
+
+AGE = "drive_age"
 
 CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
 
@@ -33,7 +36,23 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
     Raises:
         RecordingError: the file cannot be read, or holds no frames of this vehicle.
     """
-    return from_raw_log(path, vehicle) if Path(path).suffix == ".log" else recordings.load(path)
+    if Path(path).suffix == ".log":
+        return from_raw_log(path, vehicle)
+    return with_age(recordings.load(path), vehicle)
+
+
+def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
+    """The recording with the drives sampled with the row where it does not say when: others record no such channel."""
+    table = assembly.channels(vehicle)
+    if AGE in recording.values or AGE not in table.names or recording.rate <= 0.0:
+        return recording
+    note = f"there is no channel {AGE}: the drives are taken as sampled with each row, give or take a time offset"
+    return replace(
+        recording,
+        channels=ChannelTable((*recording.channels, table[table.index_of(AGE)])),
+        values={**recording.values, AGE: np.zeros(len(recording))},
+        truncated="; ".join(filter(None, (recording.truncated, note))),
+    )
 
 
 def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:

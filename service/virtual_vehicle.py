@@ -55,9 +55,7 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         position=imu.position,
     )
     hidden, onsets = parse_hidden(hide)
-    return SimulationConfig(
-        drives=drives, imu=node, rate=vehicle.control.rate, seed=seed, hidden=hidden, onsets=onsets
-    )
+    return SimulationConfig(drives=drives, imu=node, rate=vehicle.control.rate, seed=seed, hidden=hidden, onsets=onsets)
 
 
 def run(

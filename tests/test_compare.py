@@ -151,9 +151,9 @@ def test_data_that_cannot_be_used_are_refused_with_the_reason(sweep: Recording) 
     resting = replace(sweep, values={**sweep.values, "roll": np.full(len(sweep), SUPPORT)})
     with pytest.raises(DataError, match="free of its supports"):
         compare({"truth": TRUTH}, [resting], support=SUPPORT)
-    names = [channel for channel in sweep.channels if channel.name != "drive_age"]
+    names = [channel for channel in sweep.channels if channel.name != "roll_rate"]
     fewer = replace(sweep, channels=ChannelTable(names), values={c.name: sweep.values[c.name] for c in names})
-    with pytest.raises(DataError, match=r"channel drive_age: is not in"):
+    with pytest.raises(DataError, match=r"channel roll_rate: is not in"):
         compare({"truth": TRUTH}, [fewer], support=SUPPORT)
     degrees = replace(sweep, values={**sweep.values, "roll_rate": np.degrees(sweep["roll_rate"])})
     with pytest.raises(DataError, match="in degrees"):

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import virtual_records
 
-from diagnosis.floor import floor, innovation_ratio, sensor_noise, white_variance, with_nuisances
+from diagnosis.floor import floor, innovation_ratio, sensor_noise, with_nuisances
 from diagnosis.horizons import HORIZONS, predictions
 from estimators.contract import EstimationError
 from estimators.problem import Problem, problem
+from estimators.white_noise import white_variance
 
 SUPPORT = float(np.radians(4.0))
 

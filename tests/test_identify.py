@@ -205,13 +205,13 @@ def test_a_method_that_fails_does_not_stop_the_others(
 
 def test_a_missing_channel_is_the_status_of_each_method_that_needs_it(recordings: list[Recording]) -> None:
     step = recordings[0]
-    channels = ChannelTable(channel for channel in step.channels if channel.name != "drive_age")
+    channels = ChannelTable(channel for channel in step.channels if channel.name != "precession_rate")
     without = replace(step, channels=channels, values={name: step.values[name] for name in channels.names})
     methods = run([without], *QUICK, "drive_lag", "recursive_prediction_error")["methods"]
     told = {name: entry["status"] for name, entry in methods.items()}
     assert told.pop("frequency_output_error") == "not_suited"
     assert set(told.values()) == {"missing_channel"}
-    assert all("drive_age" in methods[name]["reason"] for name in told)
+    assert all("precession_rate" in methods[name]["reason"] for name in told)
 
 
 def test_an_early_end_keeps_what_is_done(recordings: list[Recording]) -> None:

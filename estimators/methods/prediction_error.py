@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
 from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.gauss_newton import Minimum, common_information, descend
@@ -93,7 +94,7 @@ def prediction_error(
     EstimationError for a model or names that cannot be.
     """
     began = stopwatch()
-    model = library.get(model) if isinstance(model, str) else model
+    model = as_recorded(library.get(model) if isinstance(model, str) else model, recordings)
     try:
         task = problem(model, recordings, estimate=estimate, support=support, progress=progress)
     except DataError as error:

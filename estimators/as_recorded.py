@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.floor import white_variance
+from estimators.white_noise import white_variance
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -39,5 +39,6 @@ def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
 
 def _white_noise(name: str, recordings: Sequence[Recording]) -> float:
     """Standard deviation of the white noise on a channel; 0 where it is not recorded."""
-    parts = [each[name][:, None] for each in recordings if name in each.values and len(each[name]) > 10]
+    known = [each[name][np.isfinite(each[name])][:, None] for each in recordings if name in each.values]
+    parts = [each for each in known if len(each) > 10]
     return float(np.sqrt(white_variance(parts)[0][0])) if parts else 0.0
