@@ -70,10 +70,15 @@ def diagnosis(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """What `upright diagnose` says."""
-    from diagnosis.diagnose import diagnose
+    """What `upright diagnose` says, the gimbals as a part of their own."""
+    from diagnosis.parts import diagnose_parts
+    from estimators.identify import with_values
+    from models.library import ACTUATORS
+    from service.vehicle_file import load
 
-    return of_diagnosis(diagnose(model, recordings, support=support, candidates=candidates))
+    cad = load("monocab").parameters
+    actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]
+    return of_diagnosis(diagnose_parts(model, actuators, recordings, support=support, candidates=candidates))
 
 
 def of_diagnosis(found: Any) -> Answer:
