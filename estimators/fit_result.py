@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 ASKED_OF_PRIOR = 0.5
 ASKED_OF_SIZE = 0.3
+NOTHING = 1e-60
+"""Information that is none; the square of its inverse is still a number."""
 
 
 def asked_std(parameter: Parameter) -> float:
@@ -33,7 +35,7 @@ def asked_std(parameter: Parameter) -> float:
 
 def inverse(information: Array) -> Array:
     """The inverse of an information matrix (p, p), with what is not informed at all very large instead of nonsense."""
-    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(information), NOTHING))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     values = np.maximum(values, 1e-12)
     return np.asarray((vectors / values) @ vectors.T / np.outer(size, size))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from service import assembly, export
-from service.online_estimators import online_estimators
+from service.online_estimators import EstimatorBank, online_estimators
 from service.rows import rows_from_frames
 from service.vehicle_file import VehicleFile
 from telemetry import recording as recordings
@@ -94,12 +94,24 @@ def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
     Raises:
         RecordingError: a channel that the estimators take is missing.
     """
+    return _replayed(recording, vehicle).results()
+
+
+def live_diagnosis(recording: Recording, vehicle: VehicleFile) -> dict[str, Any] | None:
+    """Which effect a run of the recording would have shown, and since when; None where nothing diagnoses this kind.
+
+    Raises RecordingError as `replay` does.
+    """
+    return _replayed(recording, vehicle).diagnosis()
+
+
+def _replayed(recording: Recording, vehicle: VehicleFile) -> EstimatorBank:
     bank = online_estimators(
         vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
     )
     bank.join()
     bank.update(recording.frames(assembly.channels(vehicle)))
-    return bank.results()
+    return bank
 
 
 def convert(recording: Recording, path: Path) -> None:

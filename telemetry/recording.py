@@ -7,8 +7,9 @@ A raw `.log` needs the vehicle file to become a recording, see `service.replay`.
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +119,16 @@ class Recording:
                     f"has {len(unknown)} values that are not numbers, the first in row {unknown[0] + 1}",
                     remedy="Leave these rows out.",
                 )
+
+    def between(self, begin: float = 0.0, end: float = math.inf) -> Recording:
+        """The rows from `begin` to `end`, s from the first row on. Raises RecordingError where there are hardly any."""
+        chosen = (self.time - self.time[0] >= begin) & (self.time - self.time[0] <= end)
+        if np.count_nonzero(chosen) < 2:
+            span = float(self.time[-1] - self.time[0])
+            what = f"has no rows from {begin:g} to {end:g} s; it lasts {span:.1f} s"
+            raise RecordingError(self.source, "", what, remedy="Ask for a part that there is.")
+        values = {name: column[chosen] for name, column in self.values.items()}
+        return replace(self, timestamp_ns=self.timestamp_ns[chosen], values=values)
 
     def frames(self, channels: ChannelTable | None = None) -> Iterator[Frame]:
         """Row by row, as the estimators take it, in the order of `channels` (those of the recording by default).

@@ -6,14 +6,26 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from models.model_file import read
 from service.cli import app
+from service.virtual_run import record
 from tests.virtual_records import multisine
 
 EFFECTS = ("--effect", "viscous_friction", "--effect", "quadratic_drag")
+OTHERS = (
+    "roll",
+    "roll_rate",
+    "precession",
+    "precession_rate",
+    "precession_rate_setpoint",
+    "trim_position",
+    "trim_rate",
+    "trim_rate_setpoint",
+)
 OWN = """name = "wheel_drag"
 family = "speed_drag"
 title = "drag of a wheel"
@@ -107,3 +119,39 @@ def test_an_unknown_effect_is_refused_with_a_hint(recording: Path) -> None:
     done = CliRunner().invoke(app, ["diagnose", str(recording), "--effect", "viscos_friction"])
     assert done.exit_code != 0
     assert "viscous_friction" in str(done.exception)
+
+
+def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Path) -> None:
+    """The nine channels of the contract as CSV, roll measured apart from the gyro: 0.01 deg of white noise on it.
+
+    As a model of the own filter would have it, roll is the integrated gyro to a millionth of a radian.
+    """
+    known = multisine("viscous_friction")
+    rng = np.random.default_rng(5)
+    columns = {name: known[name].copy() for name in OTHERS}
+    columns["roll"] += rng.normal(0.0, np.radians(0.01), len(known))
+    path = tmp_path / "other.csv"
+    table = np.column_stack([known.time, *columns.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(("time", *OTHERS)), comments="", fmt="%.9g")
+    done = CliRunner().invoke(app, ["diagnose", str(path), *EFFECTS, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert "no channel drive_age" in done.stderr
+    document = json.loads(done.stdout)
+    assert document["verdict"] == "missing_effect"
+    assert [each["effect"] for each in document["findings"]] == ["viscous_friction"]
+    assert 0.9 < document["innovation_ratio_after"] < 1.1
+
+
+def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp_path: Path) -> None:
+    path = tmp_path / "late.arrow"
+    record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0).save(path)
+    first = json.loads(upright(path, "--json"))
+    assert first["verdict"] == "unknown"
+    assert "viscous_friction shows in late.arrow since" in first["reason"]
+    begin = first["reason"].rsplit("--from ", 1)[1].rstrip(".")
+    rest = json.loads(upright(path, *EFFECTS, "--from", begin, "--json"))
+    assert rest["verdict"] == "missing_effect"
+    assert rest["findings"][0]["effect"] == "viscous_friction"
+    told = CliRunner().invoke(app, ["diagnose", str(path), "--from", "99"])
+    assert told.exit_code != 0
+    assert "has no rows from 99" in str(told.exception)

@@ -212,3 +212,16 @@ def test_a_missing_channel_is_named_with_what_there_is() -> None:
 def test_columns_of_different_length() -> None:
     with pytest.raises(RecordingError, match="3 values for 2 instants"):
         Recording(ChannelTable(MONOCAB[:1]), np.array([1, 2]), {"roll": np.zeros(3)})
+
+
+def test_a_part_of_a_recording_keeps_its_rows_and_refuses_what_there_is_not() -> None:
+    recording = make(40)
+    span = float(recording.time[-1] - recording.time[0])
+    part = recording.between(0.25 * span, 0.5 * span)
+    first = int(np.flatnonzero(recording.timestamp_ns == part.timestamp_ns[0])[0])
+    assert 0 < first < 20
+    for name in recording.channels.names:
+        assert np.array_equal(part[name], recording[name][first : first + len(part)], equal_nan=True)
+    assert len(recording.between()) == 40
+    with pytest.raises(RecordingError, match="has no rows from"):
+        recording.between(2.0 * span)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -16,6 +17,8 @@ from service.cli.output import page, people, print_json
 if TYPE_CHECKING:
     from diagnosis.report import Provenance
     from models.effect import Effect
+    from service.vehicle_file import VehicleFile
+    from telemetry.recording import Recording
 
 
 SUFFIXES = (".toml", ".py")
@@ -45,6 +48,12 @@ def diagnose(
         list[str] | None,
         typer.Option("--also", help="An effect of your own (.toml, .py) beside the catalogue. May be repeated."),
     ] = None,
+    begin: Annotated[
+        float, typer.Option("--from", help="Look at the recordings from this second on.", show_default="the beginning")
+    ] = 0.0,
+    end: Annotated[
+        float, typer.Option("--to", help="Look at the recordings up to this second.", show_default="the end")
+    ] = math.inf,
     auto: Annotated[
         Path | None,
         typer.Option(
@@ -92,13 +101,16 @@ def diagnose(
     if own:
         candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen, own)]
     from_files = {chosen(name).name: Path(name) for name in (*(effect or ()), *(own or ())) if name.endswith(SUFFIXES)}
-    loaded = [load_recording(path, vehicle) for path in recordings]
+    loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
     with share_done() as progress:
         way = partial(diagnose_parts, nominal, actuators) if actuators else partial(run, nominal)
         found = way(loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress)
         own_part = found.parts[0] if found.parts else found
         progress("choosing the next experiment", 1.0)
         found = replace(found, suggested_experiment=suggest_for(file, own_part, nominal, loaded))
+        if found.verdict is Verdict.UNKNOWN and model is None:
+            progress("looking for what sets in during the run", 1.0)
+            found = replace(found, reason=f"{found.reason}{sets_in(loaded, recordings, file, begin)}")
         if report is not None:
             from diagnosis.report import write_report
 
@@ -128,6 +140,27 @@ def diagnose(
             page.print(f"\nModel: {auto}, and how it came about: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA:
         raise typer.Exit(1)
+
+
+def sets_in(loaded: Sequence[Recording], paths: Sequence[Path], file: VehicleFile, begin: float) -> str:
+    """What does not act in all of a recording: no effect of a model does that, so that it has no name there."""
+    from service.replay import live_diagnosis
+    from telemetry.errors import RecordingError
+
+    told = ""
+    for recording, path in zip(loaded, paths, strict=True):
+        try:
+            shown = live_diagnosis(recording, file) or {"findings": []}
+        except RecordingError:
+            continue
+        for each in shown["findings"][:1]:
+            if each["since"]:
+                since = math.ceil(begin + each["since"]) + 1
+                told += (
+                    f" {each['effect']} shows in {path.name} since {begin + each['since']:.0f} s: look at the rest"
+                    f" of it alone, upright diagnose {path} --from {since}."
+                )
+    return told
 
 
 def provenance(vehicle: str, recordings: list[Path]) -> Provenance:
