@@ -6,7 +6,8 @@ gain: it says what a little of each effect would do. `diagnosis.onset` looks for
 it acts, once a second. One that stands out from all that was looked at gets a name (`diagnosis.live_naming`); it is
 then taken for granted, and the next one is looked for.
 
-It sees each effect at one shape only (`upright diagnose` tries several and refits each), and a size is one linear step
+It sees each effect at one shape only (`upright diagnose` tries several and refits each), but for the frequency of a
+disturbance, which is followed. A size is one linear step
 from a model whose noise had to stand in for the effect: up to 70 % too large was seen. So what it says is a first
 answer, which the diagnosis of the recording confirms.
 """
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import candidates_for
+from diagnosis.line import LineFinder
 from diagnosis.live_naming import SUDDEN, TOO_LITTLE, Gathered, LiveResult
 from diagnosis.workspace import attached
 from estimators.frame_chunks import Chunk, join
@@ -37,6 +39,10 @@ JOINED = 4
 """Chunks that are gone through in one."""
 FINEST = 8
 """Steps a row, at most."""
+LINE = "periodic_disturbance"
+"""The effect whose frequency is followed."""
+NEAR = 0.25
+"""Of the width of a line, by which its frequency may be off."""
 UNSEEN = ("backlash",)
 """Effects whose own motion is too fast to be followed along with all others."""
 
@@ -85,8 +91,10 @@ class LiveDiagnosis:
         self._wide = at_rest(wide, 0.01, progress)
         self._candidates = tuple(found)
         kernel = self._wide.kernel
-        self._neutral = kernel.vector({name: 0.0 for each in found for name in each.amplitudes})
+        self._defaults = kernel.vector({name: 0.0 for each in found for name in each.amplitudes})
         self._shared = np.array([kernel.index(parameter.name) for parameter in model.parameters])
+        line = f"{LINE}.frequency"
+        self._line_place = kernel.index(line) if line in kernel.parameters else None
         self._active = tuple(kernel.index(name) for each in found for name in each.amplitudes)
         self.reset()
 
@@ -97,6 +105,9 @@ class LiveDiagnosis:
         self._gathered: Gathered | None = None
         self._waiting: list[Seen] = []
         self._substeps = self._wide.substeps
+        self._neutral = self._defaults.copy()
+        self._line: LineFinder | None = None
+        self._shapes: dict[str, tuple[float, float, str]] = {}
         self._failure = ""
         self._result = TOO_LITTLE
 
@@ -133,16 +144,35 @@ class LiveDiagnosis:
         effects = self._effects(chunk, last)
         if effects is None:
             return
+        outputs = len(self._base.kernel.outputs)
         if self._gathered is None:
             self._gathered = Gathered.of(self._base, self._candidates, last)
+            self._line = LineFinder(float(np.median(np.diff(chunk.segment.time))))
+        assert self._line is not None
+        for each in waiting:
+            self._line.add(each.residual.reshape(-1, outputs))
         # As seen from one place, so that it does not matter that the recursion moves on meanwhile.
         about = self._gathered.about
         target = [each.residual + each.columns[:, : len(about)] @ (each.z - about) for each in waiting]
         nuisances = np.concatenate([each.columns for each in waiting])
         columns = np.column_stack((nuisances, effects[len(effects) - len(nuisances) :], np.concatenate(target)))
-        for rows, begin, span in parts(chunk, len(self._base.kernel.outputs)):
+        for rows, begin, span in parts(chunk, outputs):
             if self._gathered.add(columns[rows], begin, span) and last.place + 1 >= last.count:
-                self._result = self._gathered.look()
+                self._result = self._gathered.look(self._shapes)
+                self._follow_line()
+
+    def _follow_line(self) -> None:
+        """The disturbance of one frequency is looked for where innovations have a line, in what comes from now on.
+
+        So it is not picked from the data that it is tested on.
+        """
+        if self._line_place is None or self._gathered is None or self._line is None:
+            return
+        found, width = self._line.frequency(), NEAR / max(self._line.span, 1.0)
+        if found is not None and abs(found - float(self._neutral[self._line_place])) > width:
+            self._neutral[self._line_place] = found
+            self._shapes[f"{LINE}.frequency"] = (found, width, "Hz")
+            self._gathered.forget(LINE)
 
     def _effects(self, chunk: Chunk, seen: Seen) -> Array | None:
         """What the candidates do to a chunk's innovations, (n, m), with what was `seen` last.

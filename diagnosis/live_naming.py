@@ -160,8 +160,14 @@ class Gathered:
         self.products.end_second(self._onsets)
         return True
 
-    def look(self) -> LiveResult:
-        """Name what stands out, the strongest first, each with those before it taken for granted."""
+    def forget(self, effect: str) -> None:
+        """What was gathered of this one, whose shape is another from now on."""
+        if effect in self._entries:
+            self.products.forget(self._entries[effect].amplitudes.columns)
+
+    def look(self, shapes: Mapping[str, tuple[float, float, str]]) -> LiveResult:
+        """Name what stands out, the strongest first, each with those before it taken for granted. `shapes`: values,
+        standard deviations and units of parameters that were followed."""
         if self.products.seconds <= SHORTEST:
             return TOO_LITTLE
         amplitudes = [entry.amplitudes for entry in self._entries.values()]
@@ -179,7 +185,7 @@ class Gathered:
                 break
             if best.statistic < self._asked(best, named):
                 break
-            findings.append(self._finding(best, found, len(amplitudes)))
+            findings.append(self._finding(best, found, len(amplitudes), shapes))
             named.append(best)
         self._onsets = [each.second for each in named if each.second != BEGINNING]
         return LiveResult(tuple(findings), detectable, self.products.seconds)
@@ -191,7 +197,13 @@ class Gathered:
         share = FURTHER_ALIKE if any(alike(effect, other) for other in others) else FURTHER
         return share * sum(each.statistic for each in named)
 
-    def _finding(self, best: Onset, found: Sequence[Onset], looked_at: int) -> LiveFinding:
+    def _finding(
+        self,
+        best: Onset,
+        found: Sequence[Onset],
+        looked_at: int,
+        shapes: Mapping[str, tuple[float, float, str]],
+    ) -> LiveFinding:
         entry = self._entries[best.effect.name]
         odds = {self._called(each): math.exp(max(0.5 * (each.statistic - best.statistic), -700.0)) for each in found}
         none = math.exp(max(-0.5 * best.statistic + 0.5 * math.log(max(self.products.rows, 1)), -700.0))
@@ -206,6 +218,7 @@ class Gathered:
                 entry.parameters, best.sizes, best.standard_errors, entry.scale, strict=True
             )
         }
+        sizes |= {name: told for name, told in shapes.items() if name.startswith(f"{best.effect.name}.")}
         since = 0.0 if best.second == BEGINNING else self._began[best.second]
         effect = find(self._called(best)) if self._called(best) in CATALOGUE else entry.effect
         return LiveFinding(

@@ -93,6 +93,12 @@ class Products:
             self._blocks[one:-1] = self._blocks[one + 1 :]
             del self._starts[one]
 
+    def forget(self, columns: Sequence[int]) -> None:
+        """These columns are others from now on."""
+        for block in (self._blocks, self._running[None]):
+            block[:, columns, :] = 0.0
+            block[:, :, columns] = 0.0
+
     def latest(self) -> tuple[Array, NDArray[np.int64]]:
         """Products of each part (n, width, width), and the second with which it begins (n,)."""
         return self._blocks[: len(self._starts)], np.array(self._starts)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE
 
+from diagnosis.line import LineFinder
 from diagnosis.live import LiveDiagnosis
 from diagnosis.live_naming import LiveFinding, LiveResult
 from estimators.identify import nominal_model
@@ -98,6 +99,32 @@ def test_a_person_who_sits_down_is_a_torque_step() -> None:
     assert finding.effect == "torque_step"
     assert abs(finding.since - onset(recording, 25.0)) < 1.5
     assert finding.family == "bias"
+
+
+def test_a_disturbance_is_named_with_its_frequency_wherever_that_is() -> None:
+    """Machinery on board at 1.3 Hz; the catalogue's own start is 1 Hz, which a record of 30 s tells from it."""
+    finding = course(recorded("periodic_disturbance=0.5"))[-1][1].findings[0]
+    assert finding.effect == "periodic_disturbance"
+    frequency, std, unit = finding.sizes["periodic_disturbance.frequency"]
+    assert unit == "Hz"
+    assert abs(frequency - 1.3) < min(0.05, 2.0 * std)
+    assert "1.3" in finding.explanation
+
+
+@pytest.mark.parametrize("frequency", [0.31, 1.337, 7.77])
+def test_a_line_is_found_between_the_bins(frequency: float) -> None:
+    """Beside noise of the same power; a tenth of a bin, which is 1/20 Hz wide. Only the last 32 s are looked at."""
+    rng = np.random.default_rng(3)
+    finder, time = LineFinder(0.004), 0.004 * np.arange(10_000)
+    signal = np.stack((np.sin(2.0 * np.pi * frequency * time), np.zeros(len(time))), axis=1)
+    assert finder.frequency() is None
+    finder.add(rng.standard_normal((5000, 2)) * 100.0)
+    for part in np.array_split(signal + 0.7 * rng.standard_normal(signal.shape), 40):
+        finder.add(part)
+    found = finder.frequency()
+    assert found is not None
+    assert abs(found - frequency) < 0.1 / 20.0
+    assert finder.span < 34.0
 
 
 def test_the_recursion_gives_the_same_numbers_with_and_without_it() -> None:
