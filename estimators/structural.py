@@ -35,6 +35,8 @@ DRAWS = 3
 """Further parameter values, within a fifth of those given, at which the rank is looked at."""
 SPREAD = 4.0
 """Generic motions start up to so many typical sizes away from zero, where sines and products show."""
+SMALL = 1e-6
+"""The same for motions in which nothing shows but what is linear: squares are less than rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +71,10 @@ class Tie:
 class Structure:
     """What the outputs can tell about `parameters`, whatever their noise.
 
-    `rank` is how many combinations they tell at the model's values, `generic_rank` at values nearby: where it is larger,
-    the values are special, as an effect's size of zero is. `null_space` (np, np - rank) are the directions that they do
-    not tell, in multiples of `sizes`. `hold` is what to hold so that all others can be told: those that the priors know
-    best. `gap` is the smallest singular value that counts over the largest that does not.
+    `rank` is how many combinations they tell at the model's values, `generic_rank` at values nearby: where it is
+    larger, the values are special, as an effect's size of zero is. `null_space` (np, np - rank) are the directions that
+    they do not tell, in multiples of `sizes`. `hold` is what to hold so that all others can be told: those that the
+    priors know best. `ties` say the same in words, one for each that is held.
     """
 
     parameters: tuple[str, ...]
@@ -87,7 +89,7 @@ class Structure:
 
     @property
     def gap(self) -> float:
-        """Infinite where everything can be told."""
+        """The smallest singular value that counts over the largest that does not; infinite where all or none count."""
         if self.rank in (0, len(self.parameters)):
             return np.inf
         return float(self.singular_values[self.rank - 1] / max(self.singular_values[self.rank], 1e-300))
@@ -156,7 +158,7 @@ def structure(
         sizes=sizes,
         values=model.values,
         rank=len(chosen) - null.shape[1],
-        generic_rank=len(chosen) - min(each.shape[1] for each in nearby),
+        generic_rank=len(chosen) - min(each.shape[1] for each in (null, *nearby)),
         singular_values=singular,
         null_space=null,
         hold=tuple(parameters[place] for place in sorted((*factors, *summands))),
@@ -168,32 +170,35 @@ def generic_motions(
     model: Model,
     *,
     same: Sequence[Sequence[str]] = (),
+    size: float = SPREAD,
     motions: int = 12,
     rows: int = 100,
     spacing: float = 5e-3,
 ) -> tuple[Motion, ...]:
     """Motions that hide nothing: random starting states, inputs of random sines, `rows` each, `spacing` s apart.
 
-    Sizes are those of the model's joints, sensors and actuators. `same` are groups of states or of inputs that have
-    one value, as both motors of a vehicle that drives straight.
+    `size` is in typical sizes of the model's joints, sensors and actuators; with SMALL it is the linearised model that
+    is looked at. `same` are groups of states or of inputs that have one value, as both motors of a vehicle that drives
+    straight.
     """
     source = np.random.default_rng(1)  # any motion does, see above
     sizes = _sizes(model)
     states, inputs = [state.name for state in model.states], [each.name for each in model.inputs]
-    time = spacing * np.arange(rows)
+    time: Array = spacing * np.arange(rows, dtype=np.float64)
     found = []
     for _ in range(motions):
-        initial = SPREAD * source.uniform(-1.0, 1.0, len(states)) * [sizes[name] for name in states]
+        initial = size * source.uniform(-1.0, 1.0, len(states)) * [sizes[name] for name in states]
         frequencies, phases = source.uniform(0.5, 10.0, (3, len(inputs))), source.uniform(0.0, 6.3, (3, len(inputs)))
         waves = np.sin(2.0 * np.pi * frequencies * time[:, None, None] + phases).sum(axis=1)
-        driven = waves * np.array([sizes[name] for name in inputs])
+        driven = size / SPREAD * waves * np.array([sizes[name] for name in inputs])
         for group in same:
             for names, values in ((states, initial), (inputs, driven)):
                 first, *others = [names.index(name) for name in group if name in names] or [0]
                 values[..., others] = values[..., [first]]
         knots = np.repeat(time[:, None], len(inputs), axis=1)
-        measured = np.full((rows, len(model.outputs)), np.nan)
-        found.append(Motion(Segment(time, knots, np.ascontiguousarray(driven), measured, "generic motion"), initial))
+        unknown = np.full((rows, len(model.outputs)), np.nan)
+        segment = Segment(time, knots, np.array(driven, dtype=np.float64), unknown, source="generic motion")
+        found.append(Motion(segment, initial))
     return tuple(found)
 
 

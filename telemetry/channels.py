@@ -2,7 +2,8 @@
 
 Axes are those of ISO 8855: x forward, y left, z up. Roll is positive when the right side goes down (a right-handed
 turn about x); precession is positive when its rate gives a positive roll torque, so the torque balance of the MONOCAB
-reads  inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession' + disturbances.
+reads  inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession' + disturbances. The tilt of the
+balancing robot is a turn about y: positive when it leans forward; its wheels and voltages are positive forward.
 """
 
 from __future__ import annotations
@@ -36,6 +37,14 @@ class ChannelTable(tuple[Channel, ...]):
         return tuple(channel.name for channel in self)
 
 
+_DRIVE_AGE = Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are")
+_EXCITATION = Channel(
+    "excitation",
+    "1",
+    "value of the excitation, as what it is added to: rad on the reference, rad/s or V on the controller output",
+)
+_PHASE = Channel("phase", "1", "phase of the experiment, see service.sequence.Phase")
+
 MONOCAB = ChannelTable(
     (
         Channel("roll", "rad", "roll angle of the cabin from the roll filter, 0 upright, positive right side down"),
@@ -54,17 +63,46 @@ MONOCAB = ChannelTable(
         ),
         Channel("trim_rate", "m/s", "trim mass rate as the drive measures it"),
         Channel("trim_rate_setpoint", "m/s", "rate sent to the trim drive in this cycle, as quantised in the PDO"),
-        Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are"),
+        _DRIVE_AGE,
         Channel(
             "roll_reference", "rad", "reference of the roll controller, with the excitation where it is injected there"
         ),
-        Channel(
-            "excitation", "1", "value of the excitation: rad on the roll reference, rad/s on the controller output"
-        ),
-        Channel("phase", "1", "phase of the experiment, see service.sequence.Phase"),
+        _EXCITATION,
+        _PHASE,
     )
 )
 """Channels of the gyro-stabilised monorail vehicle."""
 
-TABLES: dict[str, ChannelTable] = {"monocab": MONOCAB}
+TWSBR = ChannelTable(
+    (
+        Channel("tilt", "rad", "tilt of the body from the tilt filter, 0 upright, positive forward"),
+        Channel("tilt_rate", "rad/s", "tilt rate: gyro about y less its estimated bias"),
+        Channel("tilt_std", "rad", "standard deviation of tilt as the tilt filter sees it"),
+        Channel(
+            "left_wheel_angle",
+            "rad",
+            "angle of the left wheel against the body, as its encoder counts it, positive forward;"
+            " against the floor it has rolled by tilt more",
+        ),
+        Channel("right_wheel_angle", "rad", "angle of the right wheel against the body, likewise"),
+        Channel("left_wheel_rate", "rad/s", "rate of the left wheel against the body as its drive measures it"),
+        Channel("right_wheel_rate", "rad/s", "rate of the right wheel against the body as its drive measures it"),
+        Channel(
+            "left_voltage",
+            "V",
+            "voltage sent to the left motor's drive in this cycle, as quantised in the PDO; positive drives the wheel"
+            " forward",
+        ),
+        Channel("right_voltage", "V", "voltage sent to the right motor's drive in this cycle, likewise"),
+        _DRIVE_AGE,
+        Channel(
+            "tilt_reference", "rad", "reference of the tilt controller, with the excitation where it is injected there"
+        ),
+        _EXCITATION,
+        _PHASE,
+    )
+)
+"""Channels of the two-wheeled balancing robot. A turn to the left is (right - left wheel) radius / distance > 0."""
+
+TABLES: dict[str, ChannelTable] = {"monocab": MONOCAB, "twsbr": TWSBR}
 """Channel table by vehicle kind."""

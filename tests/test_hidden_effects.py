@@ -31,7 +31,7 @@ from service.hidden_effects.benchmark import benchmark
 from service.hidden_effects.cases import QUICK, Case, Grid, Kind
 from service.hidden_effects.confusion_picture import save_confusion
 from service.hidden_effects.repair import closed, fitted
-from service.hidden_effects.sizes import NotDetectableError, lackable, levels, plant_sizes, right_model
+from service.hidden_effects.sizes import NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.spread import SchedulerError, Spread, machines, processes
 from service.hidden_effects.summary import middle, share, summarise
 from service.hidden_effects.terms import measured, regression
@@ -120,14 +120,6 @@ def test_a_level_is_the_multiple_of_what_can_be_seen() -> None:
     for unseen in ({}, {"coulomb_friction": float("inf")}, {"coulomb_friction": float("nan")}):
         with pytest.raises(NotDetectableError, match="coulomb_friction cannot be seen with multisine"):
             levels(CASE, unseen)
-
-
-def test_a_model_lacks_only_what_its_inputs_do_not_tell() -> None:
-    reduced, roll = get("monocab_reduced"), get("monocab_roll")
-    assert all(lackable(reduced, name) for name in (*HIDDEN, *UNLISTED))
-    told = {name for name in (*HIDDEN, *UNLISTED) if not lackable(roll, name)}
-    assert told == {"input_deadband", "input_delay", "actuator_lag", "input_asymmetry", "input_gain"}
-    assert not lackable(reduced.add("static_torque"), "static_torque")
 
 
 # --- the effects that no catalogue has
@@ -561,7 +553,6 @@ def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
         (["--noise", "0"], "no positive numbers"),
         (["--excitations", "multisin"], "is none of hold"),
         (["--baseline", "sindy"], "is none of differentiate_sindy"),
-        (["--model", "monocab_roll", "--effects", "input_delay"], "does not lack input_delay"),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(arguments: list[str], what: str) -> None:

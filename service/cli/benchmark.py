@@ -150,22 +150,16 @@ def _grid(
 ) -> Grid:
     """The grid that the options ask for. Raises UnknownEffectError, and BadParameter for what cannot be."""
     from service.hidden_effects.cases import QUICK, Grid
-    from service.hidden_effects.sizes import lackable
     from service.vehicle_file import load
 
     base = QUICK if quick else Grid()
-    able = [name for name in base.effects if lackable(bench.nominal, name)]
-    for name in _words(effects or ""):
-        if not lackable(bench.nominal, name):
-            what = f"{bench.model} does not lack {name}: it has it, or measures what comes after it"
-            raise typer.BadParameter(what, param_hint="--effects")
     if excitations is not None:
         there = load("monocab").experiments
         for name in _words(excitations):
             if name not in there:
                 raise typer.BadParameter(f"{name!r} is none of {', '.join(there)}", param_hint="--excitations")
     return Grid(
-        effects=tuple(able) if effects is None else _words(effects),
+        effects=base.effects if effects is None else _words(effects),
         sizes=base.sizes if sizes is None else _numbers(sizes, "--sizes"),
         noises=base.noises if noise is None else _numbers(noise, "--noise"),
         excitations=base.excitations if excitations is None else _words(excitations),

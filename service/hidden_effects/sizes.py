@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from models.effect import Place
-from models.effects import CATALOGUE
 from models.model import Model
 from service.hidden_effects.cases import Case
 from simulation.hidden import HIDDEN, UNLISTED
@@ -66,18 +64,6 @@ def levels(case: Case, detectable: Mapping[str, float]) -> dict[str, float]:
         sign = -1.0 if effect.signed and case.seed(f"sign of {name}") % 2 else 1.0
         found[name] = sign * case.size * least / abs(effect.size)
     return found
-
-
-def lackable(model: Model, name: str) -> bool:
-    """Whether the plant's effect `name` is something that `model` lacks.
-
-    What acts between the setpoint and the gimbals is nothing to a model whose input is the gimbals' measured motion.
-    """
-    if any(attached.effect.name == name for attached in model.effects):
-        return False
-    if name not in CATALOGUE or CATALOGUE[name].place is not Place.ACTUATOR:
-        return True
-    return any(actuator.command.endswith("_setpoint") for actuator in model.actuators)
 
 
 def plant_sizes(given: Mapping[str, float]) -> dict[str, float]:

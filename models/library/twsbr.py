@@ -1,0 +1,292 @@
+"""The two-wheeled balancing robot as a grey-box model. Channels and signs as in telemetry.channels, SI units.
+
+    M rates' = motors - friction + gravity,  derived from the energies in models.twsbr_derivation
+
+A wheel's angle is that against the body, as its encoder counts it; against the floor the wheel rolls by tilt more,
+which is the paper's theta. With the mean rolling angle (`travel`) and the wheels' difference (`turn`) as coordinates
+the mass matrix falls into two rows and one, and its inverse can be written down. The armature current is settled, since
+its time constant L/R is about 5 microseconds; so L has no part in the equations.
+
+Effects act at four joints: `tilt` (the body alone: a centre of mass beside the axle's plumb line is its
+`static_torque`), the two wheels (between wheel and body: friction and play of the gears), and `travel` (between wheels
+and floor: a slope of angle a is a `static_torque` of -(body_mass + 2 wheel_mass) g wheel_radius sin(a)).
+A joint's inertia is what a torque there meets while all else is free to move.
+"""
+
+from __future__ import annotations
+
+import math
+
+from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+
+GRAVITY = 9.81
+COUNT = 2.0 * math.pi / 700.0
+"""rad of a wheel that its encoder counts as one."""
+
+
+def _number(name: str, unit: str, value: float, bounds: tuple[float, float], meaning: str, *, known: bool) -> Parameter:
+    """A parameter of the paper: value of Table 1, bounds of Table 2. The paper says no more of how well a value is
+    known, so the bounds are read as two standard deviations to either side of the middle."""
+    lower, upper = bounds
+    return Parameter(name, unit, value, (upper - lower) / 4.0, lower, upper, estimated=not known, meaning=meaning)
+
+
+_PARAMETERS = (
+    _number("wheel_radius", "m", 0.0325, (0.03, 0.04), "r", known=True),
+    _number("wheel_mass", "kg", 0.053, (0.04, 0.06), "m_w, of one; a solid disc", known=True),
+    _number("com_height", "m", 0.045, (0.0, 0.2), "l, of the body's centre of mass over the axle", known=False),
+    _number("body_mass", "kg", 0.8, (0.3, 1.5), "m_b, without the wheels", known=True),
+    _number("wheel_distance", "m", 0.165, (0.15, 0.17), "d, from wheel to wheel", known=True),
+    _number("yaw_inertia", "kg m^2", 5.518e-3, (5e-5, 0.02), "J_J, of the body about its upright axis", known=True),
+    _number("tilt_inertia", "kg m^2", 1.35e-3, (1e-5, 0.1), "J_K, of the body about its centre of mass", known=False),
+    Parameter("gear_ratio", "1", 43.8, lower=1.0, estimated=False, meaning="n, turns of the rotor a turn of the wheel"),
+    _number("rotor_inertia", "kg m^2", 2.74e-6, (2e-7, 3e-3), "J_r, of one motor before its gear", known=False),
+    _number("armature_resistance", "ohm", 4.019, (1.0, 20.0), "R", known=False),
+    _number("armature_inductance", "H", 2.22e-5, (2e-7, 2e-3), "L, in no equation: the current is settled", known=True),
+    _number("motor_constant", "N m/A", 5.443e-3, (5e-5, 0.5), "K_T = K_E, torque and back-EMF", known=False),
+    _number("motor_friction", "N m s/rad", 7.27e-6, (7e-7, 7e-3), "b, viscous, wheel against body", known=True),
+    _number("wheel_friction", "N m s/rad", 5.4e-4, (5e-6, 0.05), "f_v, viscous, wheel against floor", known=False),
+    Parameter(
+        "voltage_offset",
+        "s",
+        0.0,
+        std=0.002,
+        lower=-0.05,
+        upper=0.05,
+        meaning="how much later than its row a voltage begins to act",
+    ),
+    Parameter(
+        "filter_proportional_gain",
+        "1/s",
+        0.5,
+        lower=0.0,
+        upper=100.0,
+        estimated=False,
+        meaning="with which the tilt filter's tilt follows the accelerometer",
+    ),
+    Parameter(
+        "filter_integral_gain",
+        "1/s^2",
+        0.1,
+        lower=0.0,
+        upper=100.0,
+        estimated=False,
+        meaning="with which the tilt filter's gyro bias follows the accelerometer",
+    ),
+)
+
+_DEFINITIONS = {
+    "reflected_inertia": "gear_ratio ** 2 * rotor_inertia",
+    "back_emf": "motor_constant * gear_ratio",
+    "motor_gain": "back_emf / armature_resistance",
+    "heading_gain": "wheel_radius / wheel_distance",
+    "lean": "body_mass * com_height * sin(tilt)",
+    "travel_rate": "0.5 * (left_wheel_rate + right_wheel_rate) + tilt_rate",
+    "turn_rate": "right_wheel_rate - left_wheel_rate",
+    # Inertias against the mean rolling angle, the tilt, both together, and the wheels' difference.
+    "travel_mass": "(3 * wheel_mass + body_mass) * wheel_radius ** 2 + 2 * reflected_inertia",
+    "tilt_mass": "body_mass * com_height ** 2 + tilt_inertia + 2 * reflected_inertia",
+    "shared_mass": "body_mass * com_height * wheel_radius * cos(tilt) - 2 * reflected_inertia",
+    "turn_mass": "1.5 * wheel_mass * wheel_radius ** 2 + reflected_inertia"
+    " + 2 * heading_gain ** 2 * (yaw_inertia + lean * com_height * sin(tilt))",
+    "determinant": "travel_mass * tilt_mass - shared_mass ** 2",
+    # Torques of the motors less the gears' friction, then all that acts.
+    "left_torque": "motor_gain * (left_voltage - back_emf * left_wheel_rate) - motor_friction * left_wheel_rate",
+    "right_torque": "motor_gain * (right_voltage - back_emf * right_wheel_rate) - motor_friction * right_wheel_rate",
+    "travel_torque": "left_torque + right_torque - 2 * wheel_friction * travel_rate"
+    " + lean * wheel_radius * (tilt_rate ** 2 + (heading_gain * turn_rate) ** 2)",
+    "tilt_torque": f"lean * ({GRAVITY} + com_height * cos(tilt) * (heading_gain * turn_rate) ** 2)"
+    " - left_torque - right_torque",
+    "turn_torque": "right_torque - left_torque - wheel_friction * turn_rate - 2 * lean * heading_gain ** 2 * turn_rate"
+    " * (2 * com_height * cos(tilt) * tilt_rate + wheel_radius * travel_rate)",
+    "travel_acceleration": "(tilt_mass * travel_torque - shared_mass * tilt_torque) / determinant",
+    "tilt_acceleration": "(travel_mass * tilt_torque - shared_mass * travel_torque) / determinant",
+    "turn_acceleration": "turn_torque / turn_mass",
+    # What a torque of 1 N m does: between a wheel and the body to that wheel's angle and to the other's.
+    "mean_mobility": "(travel_mass + tilt_mass + 2 * shared_mass) / determinant",
+    "own_mobility": "mean_mobility + 1 / (2 * turn_mass)",
+    "other_mobility": "mean_mobility - 1 / (2 * turn_mass)",
+    "tilt_load": "tilt_acceleration * determinant / travel_mass",
+    "left_wheel_load": "(travel_acceleration - tilt_acceleration - 0.5 * turn_acceleration) / own_mobility",
+    "right_wheel_load": "(travel_acceleration - tilt_acceleration + 0.5 * turn_acceleration) / own_mobility",
+    "travel_load": "travel_acceleration * determinant / tilt_mass",
+}
+
+
+def _wheel(own: str, other: str, sign: str) -> str:
+    """A wheel's acceleration against the body; the differences are what effects add at the joints."""
+    return (
+        f"travel_acceleration - tilt_acceleration {sign} 0.5 * turn_acceleration"
+        f" + own_mobility * ({own}_force - {own}_load) + other_mobility * ({other}_force - {other}_load)"
+        " + ((tilt_mass + shared_mass) * (travel_force - travel_load)"
+        " - (travel_mass + shared_mass) * (tilt_force - tilt_load)) / determinant"
+    )
+
+
+_TILT = (
+    "tilt_acceleration + (travel_mass * (tilt_force - tilt_load) - shared_mass * (travel_force - travel_load)"
+    " - (travel_mass + shared_mass)"
+    " * (left_wheel_force - left_wheel_load + right_wheel_force - right_wheel_load)) / determinant"
+)
+
+
+def _wheel_joint(side: str) -> Joint:
+    return Joint(
+        name=f"{side}_wheel",
+        coordinate=f"{side}_wheel_angle",
+        rate=f"{side}_wheel_rate",
+        inertia="1 / own_mobility",
+        load=f"{side}_wheel_load",
+        force_unit="N m",
+        coordinate_unit="rad",
+        force_scale=0.05,
+        coordinate_scale=3.0,
+        rate_scale=10.0,
+        smooth_rate=0.1,
+    )
+
+
+def _motor(side: str) -> Actuator:
+    """The rate is how far the rotor is behind its speed without load, which times the gain is its torque: so play is
+    gone through, and load passed on, as the torque turns. The command's unit is V."""
+    return Actuator(
+        name=f"{side}_motor",
+        command=f"{side}_voltage",
+        joint=f"{side}_wheel",
+        rate=f"{side}_voltage / (motor_constant * gear_ratio) - {side}_wheel_rate",
+        gain="(motor_constant * gear_ratio) ** 2 / armature_resistance",
+        rate_unit="V",
+        command_scale=5.0,
+        angle_scale=1.0,
+    )
+
+
+def _encoder(side: str) -> Sensor:
+    return Sensor(
+        f"{side}_encoder",
+        angle=f"{side}_wheel_angle",
+        rate=f"{side}_wheel_rate",
+        angle_scale=3.0,
+        rate_scale=10.0,
+    )
+
+
+def _wheel_states(side: str, other: str, sign: str) -> tuple[State, State]:
+    angle, rate = f"{side}_wheel_angle", f"{side}_wheel_rate"
+    derivative = _wheel(f"{side}_wheel", f"{other}_wheel", sign)
+    return (
+        State(angle, "rad", rate, initial=angle, initial_std=COUNT, meaning="against the body, positive forward"),
+        State(rate, "rad/s", derivative, initial=rate, initial_std=1.0, process_noise=0.1),
+    )
+
+
+TWSBR = Model(
+    name="twsbr",
+    title="two-wheeled balancing robot: body, two wheels, two geared DC motors",
+    source="Hassan, Moustafa, Moness, equations (1) to (22); corrections in models.twsbr_derivation",
+    base_states=(
+        State(
+            "tilt", "rad", "tilt_rate", initial="tilt", initial_std=5e-3, meaning="of the body, 0 upright, forward +"
+        ),
+        State("tilt_rate", "rad/s", _TILT, initial="tilt_rate", initial_std=2e-2, process_noise=1e-2),
+        *_wheel_states("left", "right", "-"),
+        *_wheel_states("right", "left", "+"),
+        State(
+            "tilt_error",
+            "rad",
+            "rate_error - filter_proportional_gain * tilt_error",
+            initial_std=1e-3,
+            process_noise=1e-4,
+            noise_of="tilt_rate",
+            meaning="error of the tilt filter: the gyro's noise integrated, and slow corrections",
+        ),
+        State(
+            "rate_error",
+            "rad/s",
+            "-filter_integral_gain * tilt_error",
+            initial_std=2e-4,
+            process_noise=1.3e-5,
+            noise_known=True,
+            meaning="what the tilt filter has not learned of the gyro's bias",
+        ),
+    ),
+    inputs=tuple(
+        Input(f"{side}_voltage", "V", Hold.ZERO_ORDER, delays=("voltage_offset",)) for side in ("left", "right")
+    ),
+    outputs=(
+        Output("tilt", "rad", "tilt + tilt_error", noise=1e-5, noise_known=True),
+        Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
+        *(
+            output
+            for side in ("left", "right")
+            for output in (
+                Output(f"{side}_wheel_angle", "rad", f"{side}_wheel_angle", noise=COUNT / 12**0.5, age="drive_age"),
+                Output(f"{side}_wheel_rate", "rad/s", f"{side}_wheel_rate", noise=0.5, age="drive_age"),
+            )
+        ),
+    ),
+    base_parameters=_PARAMETERS,
+    joints=(
+        Joint(
+            name="tilt",
+            coordinate="tilt",
+            rate="tilt_rate",
+            inertia="determinant / travel_mass",
+            load="tilt_load",
+            force_unit="N m",
+            coordinate_unit="rad",
+            force_scale=0.05,
+            coordinate_scale=0.1,
+            rate_scale=1.0,
+            smooth_rate=0.02,
+        ),
+        _wheel_joint("left"),
+        _wheel_joint("right"),
+        Joint(
+            name="travel",
+            coordinate="0.5 * (left_wheel_angle + right_wheel_angle) + tilt",
+            rate="travel_rate",
+            inertia="determinant / tilt_mass",
+            load="travel_load",
+            force_unit="N m",
+            coordinate_unit="rad",
+            force_scale=0.05,
+            coordinate_scale=3.0,
+            rate_scale=10.0,
+            smooth_rate=0.1,
+        ),
+    ),
+    actuators=(_motor("left"), _motor("right")),
+    sensors=(
+        Sensor("imu", angle="tilt", rate="tilt_rate", angle_scale=0.1, rate_scale=1.0),
+        _encoder("left"),
+        _encoder("right"),
+    ),
+    definitions=_DEFINITIONS,
+)
+
+_GAIN = "(motor_constant * gear_ratio / armature_resistance)"
+
+TOLD_NEAR_UPRIGHT = {
+    "moment of the body": f"body_mass * com_height / {_GAIN}",
+    "inertia of travel": "((3 * wheel_mass + body_mass) * wheel_radius ** 2 + 2 * gear_ratio ** 2 * rotor_inertia)"
+    f" / {_GAIN}",
+    "inertia of tilt": f"(body_mass * com_height ** 2 + tilt_inertia + 2 * gear_ratio ** 2 * rotor_inertia) / {_GAIN}",
+    "inertia that both share": "(body_mass * com_height * wheel_radius - 2 * gear_ratio ** 2 * rotor_inertia)"
+    f" / {_GAIN}",
+    "friction of the wheels": f"wheel_friction / {_GAIN}",
+    "damping by the motors": f"motor_friction / {_GAIN} + motor_constant * gear_ratio",
+}
+"""What a record can tell in which both motors get the same voltage and the body stays near upright: these combinations,
+all a unit of motor gain (N m/V), and no others. So of the paper's 14 numbers six are estimated here, and those are held
+that its Table 2 knows best. estimators.structural finds both."""
+
+TOLD_AT_LARGE_TILT = {"radius of the wheels": "wheel_radius"}
+"""What it can tell besides where the body leans far enough for the cosine of the tilt to show."""
+
+TOLD_IN_TURNS = {
+    "height of the centre of mass": "com_height",
+    "distance of the wheels": "wheel_distance",
+    "inertia of yaw": f"yaw_inertia / {_GAIN}",
+}
+"""What it can tell besides in fast turns at a large tilt."""

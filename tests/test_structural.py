@@ -1,0 +1,165 @@
+"""Which parameters outputs can tell at all: toys whose answer is known by hand, and the balancing robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.contract import EstimationError
+from estimators.structural import SMALL, Motion, generic_motions, reduced, structure
+from models.library import get
+from models.library.twsbr import TOLD_AT_LARGE_TILT, TOLD_IN_TURNS, TOLD_NEAR_UPRIGHT
+from models.model import Hold, Input, Model, ModelError, Output, Parameter, State
+from models.segment import Segment
+
+TWSBR = get("twsbr")
+ALIKE = (("left_voltage", "right_voltage"), ("left_wheel_rate", "right_wheel_rate"))
+STRAIGHT = generic_motions(TWSBR, same=ALIKE)
+NEAR_UPRIGHT = generic_motions(TWSBR, same=ALIKE, size=SMALL)
+
+TOY = Model(
+    name="structural-toy",
+    title="a mass on two springs in parallel, with a damper and a motor",
+    base_states=(
+        State("x", "m", "v", initial_std=0.1),
+        State("v", "m/s", "(gain * drive * current - (left + right) * x - damping * v) / mass", initial_std=0.1),
+    ),
+    inputs=(Input("current", "A", Hold.ZERO_ORDER),),
+    outputs=(Output("x", "m", "x", noise=1e-3),),
+    base_parameters=(
+        Parameter("mass", "kg", 2.0, std=0.01),
+        Parameter("left", "N/m", 30.0, std=10.0),
+        Parameter("right", "N/m", 50.0, std=2.0),
+        Parameter("damping", "N s/m", 1.5, std=1.0),
+        Parameter("gain", "N/m", 4.0, std=2.0),
+        Parameter("drive", "m/A", 0.5, std=0.1),
+        Parameter("colour", "1", 0.3, std=0.1),
+    ),
+)
+
+
+def test_products_sums_and_what_has_no_influence_are_told_apart() -> None:
+    found = structure(TOY)
+    # gain drive / mass, (left + right) / mass, damping / mass
+    assert (found.rank, found.generic_rank) == (3, 3)
+    # Sensitivities are exact to rounding; what is left of a direction that does not show is 1e-13.
+    assert found.gap > 1e6
+    ties = {tie.parameter: tie for tie in found.ties}
+    # Known best, in per cent of what moves along: mass 0.5, right 4, drive 20; colour alone.
+    assert set(ties) == set(found.hold) == {"mass", "right", "drive", "colour"}
+    assert ties["colour"].changes == {"colour": 1.0}
+    assert str(ties["colour"]) == "colour has no influence on any output"
+    assert ties["drive"].product
+    assert ties["drive"].changes == pytest.approx({"drive": 1.0, "gain": -1.0})
+    assert ties["mass"].product
+    assert ties["mass"].changes == pytest.approx({"mass": 1.0, "left": 1.0, "right": 1.0, "damping": 1.0, "gain": 1.0})
+    assert not ties["right"].product
+    assert ties["right"].changes == pytest.approx({"right": 1.0, "left": -50.0 / 30.0})
+    assert "right +1 %, left -1.67 %" in str(ties["right"])
+
+
+def test_the_proposal_makes_everything_else_known() -> None:
+    found = structure(TOY)
+    model = reduced(TOY, found)
+    free = tuple(parameter.name for parameter in model.parameters if parameter.estimated)
+    assert set(free) == set(found.free)
+    again = structure(model, parameters=free)
+    assert again.rank == len(free)
+    assert (again.hold, again.ties) == ((), ())
+    assert again.gap == np.inf
+
+
+def test_a_combination_is_told_where_no_free_direction_moves_it() -> None:
+    found = structure(TOY)
+    assert found.tells("(left + right) / mass")
+    assert found.tells("sqrt(gain * drive / mass)")
+    assert not found.tells("left / mass")
+    assert not found.tells("mass")
+    with pytest.raises(ModelError, match="there is no 'spring'"):
+        found.tells("spring / mass")
+    with pytest.raises(EstimationError, match="does not depend on a parameter that was looked at"):
+        structure(TOY, parameters=["mass", "left"]).tells("gain")
+
+
+def test_a_scale_that_is_measured_otherwise_breaks_the_tie() -> None:
+    weighed = replace(TOY, outputs=(*TOY.outputs, Output("force", "N", "(left + right) * x", noise=1.0)))
+    assert structure(weighed).rank == 4
+    assert structure(weighed).tells("mass")
+
+
+def test_an_experiment_that_excites_nothing_tells_less_than_the_model_could() -> None:
+    time = 0.01 * np.arange(100)
+    still = Segment(time, time[:, None].copy(), np.zeros((100, 1)), np.full((100, 1), np.nan))
+    found = structure(TOY, [Motion(still, np.array([0.3, 0.0]))])
+    assert found.rank == 2
+    assert not found.tells("gain * drive / mass")
+    assert found.tells("(left + right) / mass")
+
+
+def test_values_at_which_less_shows_than_nearby_are_noticed() -> None:
+    """The shape of friction that is not there."""
+    model = get("axis").add("stribeck_friction")
+    shapes = ["stribeck_friction.torque", "stribeck_friction.sliding"]
+    found = structure(model, parameters=shapes)
+    assert (found.rank, found.generic_rank) == (1, 2)
+    assert found.hold == ("stribeck_friction.sliding",)
+
+
+def test_nothing_to_look_at_is_said() -> None:
+    with pytest.raises(EstimationError, match="there are none to look at"):
+        structure(TOY, parameters=[])
+    with pytest.raises(ModelError, match="model structural-toy has none"):
+        structure(TOY, parameters=["weight"])
+
+
+# --- the balancing robot
+
+
+def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers() -> None:
+    found = structure(TWSBR, NEAR_UPRIGHT)
+    numbers = set(found.parameters) - {"voltage_offset"}
+    assert len(numbers) == 13
+    assert found.rank == found.generic_rank == 1 + len(TOLD_NEAR_UPRIGHT) == 7
+    assert found.gap > 1e6
+    assert all(map(found.tells, TOLD_NEAR_UPRIGHT.values()))
+    others = (*TOLD_AT_LARGE_TILT.values(), *TOLD_IN_TURNS.values(), "body_mass", "motor_constant", "rotor_inertia")
+    assert not any(map(found.tells, others))
+    alone = {tie.parameter for tie in found.ties if len(tie.changes) == 1}
+    assert alone == {"wheel_distance", "yaw_inertia", "armature_inductance"}
+    # Torques are known as multiples of volts only: all masses and the conductance go together.
+    (scale,) = (tie for tie in found.ties if tie.product and len(tie.changes) > 1)
+    masses = {"wheel_mass", "body_mass", "tilt_inertia", "rotor_inertia", "motor_friction", "wheel_friction"}
+    assert scale.changes == pytest.approx(dict.fromkeys(masses, 1.0) | {"armature_resistance": -1.0}, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("motions", "told"),
+    [
+        (STRAIGHT, {**TOLD_NEAR_UPRIGHT, **TOLD_AT_LARGE_TILT}),
+        (generic_motions(TWSBR), {**TOLD_NEAR_UPRIGHT, **TOLD_AT_LARGE_TILT, **TOLD_IN_TURNS}),
+    ],
+    ids=["large tilt", "turns"],
+)
+def test_larger_motion_tells_more(motions: tuple[Motion, ...], told: dict[str, str]) -> None:
+    found = structure(TWSBR, motions)
+    assert found.rank == found.generic_rank == 1 + len(told)
+    assert found.gap > 1e6
+    assert all(map(found.tells, told.values()))
+    assert not found.tells("body_mass")
+
+
+def test_the_shipped_model_estimates_what_is_proposed() -> None:
+    found = structure(TWSBR, NEAR_UPRIGHT)
+    estimated = {parameter.name for parameter in TWSBR.parameters if parameter.estimated}
+    assert estimated == set(found.free)
+    assert structure(TWSBR, NEAR_UPRIGHT, sorted(estimated)).rank == len(estimated)
+
+
+def test_on_a_scale_and_with_an_ohmmeter_other_numbers_are_held() -> None:
+    """What is known best is the user's to say: here better than the radius of a wheel."""
+    weighed = TWSBR.change(deviations={"body_mass": 1e-3, "armature_resistance": 0.02})
+    found = structure(weighed, NEAR_UPRIGHT)
+    assert {"body_mass", "armature_resistance"} < set(found.hold)
+    assert "wheel_radius" in found.free
