@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from estimators.segments import channels_of
-from models.effect import AttachedEffect, Effect, starts
+from models.effect import AttachedEffect, Effect, places_for, starts
 from models.effects import CATALOGUE, find
 from models.model import Model, ModelError
 from telemetry.recording import Recording
@@ -54,28 +54,33 @@ class Candidate:
 def candidates_for(
     model: Model, recordings: Sequence[Recording], effects: Iterable[str | Effect] | None = None
 ) -> tuple[list[Candidate], dict[str, str]]:
-    """The candidates among `effects` (default: the catalogue), and by name why the others are none."""
-    there = {attached.effect.name for attached in model.effects}
-    found, left_out = [], {}
+    """The candidates among `effects` (default: the catalogue), each at every place that can have it, and by name why
+    others are none."""
+    there = {attached.name for attached in model.effects}
+    found: list[Candidate] = []
+    left_out: dict[str, str] = {}
     for each in effects if effects is not None else CATALOGUE:
         effect = find(each) if isinstance(each, str) else each
-        if effect.name in there:
-            continue
         try:
-            with_it = model.add(effect)
+            places = places_for(model, effect)
         except ModelError as error:
             left_out[effect.name] = str(error)
             continue
-        lacking = [
-            name
-            for name in channels_of(with_it)
-            if any(name not in recording.values for recording in recordings) and name not in channels_of(model)
-        ]
-        if lacking:
-            left_out[effect.name] = f"needs channel {', '.join(lacking)}, which is not recorded"
-            continue
-        attached = with_it.effects[-1]
-        found.append(Candidate(attached, _variants(model, attached)))
+        for place in places:
+            name = effect.name if place == places[0] else f"{effect.name}@{place}"
+            if name in there:
+                continue
+            with_it = model.add(effect, place)
+            lacking = [
+                channel
+                for channel in channels_of(with_it)
+                if any(channel not in each.values for each in recordings) and channel not in channels_of(model)
+            ]
+            if lacking:
+                left_out[name] = f"needs channel {', '.join(lacking)}, which is not recorded"
+                continue
+            attached = with_it.effects[-1]
+            found.append(Candidate(attached, _variants(model, attached)))
     return found, left_out
 
 

@@ -34,7 +34,6 @@ from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem
 from estimators.segments import DataError
 from models.effect import Effect
-from models.effects import find
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -206,7 +205,7 @@ def diagnose(
         found = _step(base, screens[-1], workspace, hidden, partial(_part, tell, share, 0.85 / (most + 1.0)))
         if found is None:
             break
-        if findings and found[0].log_likelihood_gain < _asked(found[0], findings):
+        if findings and found[0].log_likelihood_gain < _asked(found[1], findings, steps):
             break
         finding, base = found
         findings.append(finding)
@@ -326,11 +325,12 @@ def alike(one: Effect, other: Effect) -> bool:
     return one.family is other.family or other.name in one.confused_with or one.name in other.confused_with
 
 
-def _asked(finding: Finding, before: Sequence[Finding]) -> float:
-    """Gain in log likelihood that a further effect has to bring."""
+def _asked(found: FullFit, before: Sequence[Finding], steps: Sequence[FullFit]) -> float:
+    """Gain in log likelihood that a further effect has to bring, after those of `steps`."""
     total = sum(each.log_likelihood_gain for each in before)
-    effect = find(finding.effect)
-    neighbours = any(alike(effect, find(each.effect)) for each in before)
+    assert found.candidate is not None
+    one = found.candidate.effect
+    neighbours = any(alike(one, each.candidate.effect) for each in steps if each.candidate is not None)
     return total * (FURTHER_ALIKE if neighbours else FURTHER)
 
 

@@ -191,13 +191,16 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
         return found
     allowed = max(model.parameter(name).upper for each in model.inputs for name in each.delays)
     sizes = dict(found.minimum_detectable)
-    for name in sizes:
-        if find(name).delay:
+    effects = {score.candidate.name: score.candidate.effect for each in found.screens for score in each.scores}
+    for name in sizes.keys() & effects.keys():
+        if effects[name].delay:
             sizes[name] = allowed
-        if find(name).lag:
+        if effects[name].lag:
             sizes[name] = max(sizes[name], FORMULA * model.parameter(LAG).value)
     small = found.repaired is not None and _small(found.repaired)
-    findings = tuple(each for each in found.findings if not (small and find(each.effect).lag))
+    findings = tuple(
+        each for each in found.findings if not (small and each.effect in effects and effects[each.effect].lag)
+    )
     verdict = found.verdict
     if verdict is Verdict.MISSING_EFFECT and not findings:
         verdict = Verdict.ADEQUATE

@@ -66,7 +66,7 @@ class FullFit:
 
 def with_effect(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
     """`model` with the candidate at `values`, amplitudes and shapes estimated."""
-    wider = model.add(candidate.effect)
+    wider = model.add(candidate.effect, candidate.attached.at)
     names = [p.name for p in wider.parameters if p.estimated] + list(candidate.shapes)
     return wider.change(dict(values), estimated=names)
 

@@ -54,8 +54,8 @@ class Workspace:
 
     def others(self, model: Model) -> list[Candidate]:
         """The candidates that `model` does not have yet."""
-        there = {each.effect.name for each in model.effects}
-        return [each for each in self.candidates if each.effect.name not in there]
+        there = {each.name for each in model.effects}
+        return [each for each in self.candidates if each.name not in there]
 
 
 def _settled(segment: Segment) -> Segment:
@@ -68,5 +68,5 @@ def _settled(segment: Segment) -> Segment:
 def attached(model: Model, candidates: Sequence[Candidate]) -> Model:
     """`model` with all of `candidates`, each at its neutral value."""
     for candidate in candidates:
-        model = model.add(candidate.effect)
+        model = model.add(candidate.effect, candidate.attached.at)
     return model

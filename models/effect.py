@@ -239,9 +239,25 @@ def check_names(effect: Effect) -> None:
             raise ModelError(f"effect {effect.name}, {key}", f"there is no parameter {name!r}", remedy=remedy)
 
 
+def places_for(model: Model, effect: Effect) -> tuple[str, ...]:
+    """The names of all places where `model` can have the effect. Raises ModelError where there is none."""
+    _, able = _places(model, effect)
+    if not able:
+        _place(model, effect, "")
+    return able
+
+
+def _places(
+    model: Model, effect: Effect
+) -> tuple[Mapping[str, tuple[Joint | Actuator | Sensor, str]], tuple[str, ...]]:
+    """The places of the effect's kind with what each lacks, in words, and the names of those that lack nothing."""
+    places = {place.name: (place, ", ".join(_lacks(model, effect, place))) for place in places_of(model, effect.place)}
+    return places, tuple(name for name, (_, lack) in places.items() if not lack)
+
+
 def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Sensor, str]:
     """Where the effect goes, and the first place that could have it. Raises ModelError."""
-    places = {place.name: place for place in places_of(model, effect.place)}
+    places, able = _places(model, effect)
     if not places:
         remedy = f"model {model.name} cannot have this effect."
         what = f"needs {_ARTICLE[effect.place]}, and the model has none"
@@ -254,14 +270,13 @@ def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Se
         raise ModelError(
             f"effect {effect.name}", f"there is no {effect.place.value} {at!r}", remedy=f"use one of: {there}."
         )
-    lacking = {name: ", ".join(_lacks(model, effect, place)) for name, place in places.items()}
-    able = [name for name, lack in lacking.items() if not lack]
     asked = at or (able[0] if able else next(iter(places)))
-    if lacking[asked]:
+    place, lack = places[asked]
+    if lack:
         remedy = f"attach it at {' or '.join(able)}." if able else f"model {model.name} cannot have this effect."
-        what = f"needs {lacking[asked]}, which {effect.place.value} {asked} does not have"
+        what = f"needs {lack}, which {effect.place.value} {asked} does not have"
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
-    return places[asked], able[0]
+    return place, able[0]
 
 
 def _lacks(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Iterator[str]:

@@ -155,3 +155,12 @@ def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp
     told = CliRunner().invoke(app, ["diagnose", str(path), "--from", "99"])
     assert told.exit_code != 0
     assert "has no rows from 99" in str(told.exception)
+
+
+def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
+    """The catalogue does not know it, whichever comes first."""
+    path, own = tmp_path / "two.arrow", tmp_path / "wheel_drag.toml"
+    multisine("viscous_friction", "static_torque").save(path)
+    own.write_text(OWN)
+    document = json.loads(upright(path, "--effect", "static_torque", "--effect", own, "--json"))
+    assert {each["effect"] for each in document["findings"]} == {"static_torque", "wheel_drag"}

@@ -15,6 +15,7 @@ from diagnosis.whitened import Whitened, project
 from diagnosis.workspace import Workspace, attached
 from estimators.identify import nominal_model, with_values
 from estimators.methods.prediction_error import fit
+from models import library
 from models.effects import CATALOGUE
 from service.vehicle_file import load
 from tests.virtual_records import multisine
@@ -121,3 +122,19 @@ class TestCandidates:
     def test_an_effect_that_is_there_already_is_none(self) -> None:
         found, _ = candidates_for(MODEL.add("coulomb_friction"), [multisine()])
         assert "coulomb_friction" not in {each.name for each in found}
+
+
+def test_every_place_that_can_have_an_effect_is_a_candidate() -> None:
+    """The robot has a joint for the tilt, for each wheel, and for the floor."""
+    robot = library.get("twsbr")
+    found, left_out = candidates_for(robot, (), ["coulomb_friction"])
+    assert [each.name for each in found] == [
+        "coulomb_friction",
+        *(f"coulomb_friction@{joint.name}" for joint in robot.joints[1:]),
+    ]
+    assert [each.attached.at for each in found] == [joint.name for joint in robot.joints]
+    assert not left_out
+    there = robot.add("coulomb_friction", robot.joints[1].name)
+    assert found[1].name not in {each.name for each in candidates_for(there, (), ["coulomb_friction"])[0]}
+    both = attached(robot, found[:2])
+    assert [each.at for each in both.effects] == [joint.name for joint in robot.joints[:2]]
