@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.config import SimulationConfig
-from simulation.hidden import sizes_of
 from simulation.imu_node import VirtualImu
 from simulation.plant import Plant
 from simulation.vehicle import START_NS
@@ -69,7 +68,7 @@ def simulate_closed_loop(
     if roll is not None:
         plant.place(roll)
     gravity = config.plant.gravity
-    imu = VirtualImu(config.imu, rate=config.rate, seed=config.seed, gravity=gravity, sizes=sizes_of(config.hidden))
+    imu = VirtualImu(config.imu, rate=config.rate, seed=config.seed, gravity=gravity, sizes=config.sizes)
     gimbals = [gimbal.axis for gimbal in plant.gimbals]
     trim = plant.trim
     for axis in (*gimbals, trim):

@@ -1,7 +1,7 @@
-"""What a virtual vehicle is made of: its true physics, its servo inverters, its IMU, and what is hidden in it.
+"""What a virtual vehicle is made of: its true physics, its drives, its IMU, and what is hidden in it.
 
 SI units. Axes are those of ISO 8855 (x forward, y left, z up); roll is positive right side down, precession positive
-where its rate gives a positive roll torque, the trim mass positive to the right.
+where its rate gives a positive roll torque, the trim mass positive to the right; tilt positive forward.
 """
 
 from __future__ import annotations
@@ -10,9 +10,31 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
+from simulation.hidden import MONOCAB, Registry, sizes_of
 from telemetry.samples import Vector3
+
+if TYPE_CHECKING:
+    from simulation.machine import Machine
+
+
+class Truth(Protocol):
+    """The physics of one kind of vehicle as it really is, and the way from there to something that moves."""
+
+    @property
+    def gravity(self) -> float:
+        """m/s^2."""
+        ...
+
+    @property
+    def registry(self) -> Registry:
+        """What this kind of vehicle can hide."""
+        ...
+
+    def build(self, config: SimulationConfig) -> Machine:
+        """The mechanics, at rest. Raises UnknownEffectError."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +82,26 @@ class PlantTruth:
     encoder_increments_per_turn: int = 1 << 20
     """Of the motor encoders, inside the drives."""
 
+    @property
+    def registry(self) -> Registry:
+        return MONOCAB
+
+    def build(self, config: SimulationConfig) -> Machine:
+        from simulation.plant import Plant
+
+        return Plant(config)
+
 
 @dataclass(frozen=True, slots=True)
 class DriveNode:
-    """One servo inverter on the bus. `rpdo` and `tpdo` are its power-on mapping, by object name (see `objects`)."""
+    """One drive on the bus. `rpdo` and `tpdo` are its power-on mapping, by object name (see `objects`)."""
 
     name: str
-    role: Literal["gimbal", "trim"]
+    role: Literal["gimbal", "trim", "wheel"]
+    """Of several with the same role the first one is the left."""
     node: int
     direction: int
-    """+1 where a positive motor speed gives a positive roll torque."""
+    """+1 where a positive motor speed gives a positive roll torque, or drives forward."""
     axis_per_turn: float
     """rad or m of the axis a motor turn."""
     increments_per_turn: int
@@ -80,6 +112,7 @@ class DriveNode:
     """N m at the motor."""
     eds: Path | str
     mode: int = 2
+    """CiA 402 mode of operation; -1 is the voltage mode of upright_motor.eds."""
     vendor_id: int = 0
     """Reported in 1018h:1; 0 leaves the EDS's value."""
     product_code: int = 0
@@ -111,7 +144,7 @@ class ImuNode:
     acceleration_sign: int = 1
     angular_rate_unit: Literal["deg/s", "rad/s"] = "deg/s"
     position: Vector3 = (0.0, 0.0, 0.9)
-    """m, from the rail head."""
+    """m, from the axis that the vehicle falls about: the rail head, the axle."""
     angular_rate_density: float = 3.5e-5
     """rad/s/sqrt(Hz), white."""
     angular_rate_bias: Vector3 = (8.7e-4, -8.7e-4, 8.7e-4)
@@ -130,13 +163,18 @@ class SimulationConfig:
 
     drives: Sequence[DriveNode] = ()
     imu: ImuNode = field(default_factory=ImuNode)
-    plant: PlantTruth = field(default_factory=PlantTruth)
+    plant: Truth = field(default_factory=PlantTruth)
     rate: int = 250
     """Hz of the IMU's stream: the control cycle."""
     seed: int = 1
     hidden: Mapping[str, float | None] = field(default_factory=dict)
     onsets: Mapping[str, float] = field(default_factory=dict)
     """s after the first SYNC at which a hidden effect sets in; those that are not named are there from the start."""
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """The size of each hidden effect in its own unit. Raises UnknownEffectError."""
+        return sizes_of(self.hidden, self.plant.registry)
 
     @property
     def period_ns(self) -> int:

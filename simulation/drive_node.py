@@ -1,4 +1,4 @@
-"""A servo inverter as a CANopen slave (CiA 301): NMT, SDO server, PDOs, SYNC, EMCY, heartbeat both ways.
+"""A drive as a CANopen slave (CiA 301): NMT, SDO server, PDOs, SYNC, EMCY, heartbeat both ways.
 
 SDO and NMT run on canopen's LocalNode over an object dictionary from an EDS. What LocalNode lacks is here: PDOs on
 SYNC and on event, the heartbeat consumer (1016h), RPDO deadlines (1400h:5) and what follows from them (6007h, 1029h).
@@ -16,6 +16,7 @@ from canopen.objectdictionary import ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
 from simulation.config import DriveNode
+from simulation.drive_application import DriveApplication
 from simulation.node_network import NodeNetwork, Send
 from simulation.object_dictionary import (
     MAPPING,
@@ -29,8 +30,6 @@ from simulation.object_dictionary import (
 )
 from simulation.objects import ERROR_REGISTER, MAX_PDOS, MODE, Pdo
 from simulation.power_state import PowerState
-from simulation.servo_axis import ServoAxis
-from simulation.servo_drive import MODES, ServoDrive
 
 COMMUNICATION_ERROR = 0x10
 HEARTBEAT_LOST, RPDO_LATE, PDO_TOO_SHORT, LEFT_OPERATIONAL = 0x8130, 0x8250, 0x8210, 0x8100
@@ -46,9 +45,9 @@ SYNC_LOST = 1.0
 class VirtualDrive:
     """One drive on the bus. `receive` takes frames, `tick` lets time pass; frames leave through `send`."""
 
-    def __init__(self, config: DriveNode, axis: ServoAxis, send: Send, clock: Callable[[], float]) -> None:
+    def __init__(self, config: DriveNode, servo: DriveApplication, send: Send, clock: Callable[[], float]) -> None:
         self.config = config
-        self.servo = ServoDrive(config, axis)
+        self.servo = servo
         self.connected = True
         """False: cable out, nothing is sent or received."""
         self.heartbeat_enabled = True
@@ -199,7 +198,7 @@ class VirtualDrive:
         key = index << 8 | subindex
         if key in self.servo.image:
             value = int(od.decode_raw(bytes(data)))
-            if key == MODE and value not in MODES:
+            if key == MODE and value not in self.servo.modes:
                 raise SdoAbortedError(0x0609_0030)
             self._write(key, value)
             self.servo.update(self._clock())

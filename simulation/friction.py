@@ -22,52 +22,63 @@ STRIBECK_RATE = 0.01
 
 
 class LuGreFriction:
-    """Bristle friction that slides at `level(plant)` N m."""
+    """Bristle friction that slides at `level` N m; `deflection` rad is where it begins to."""
 
-    def __init__(self, size: float) -> None:
+    def __init__(self, size: float, deflection: float = BRISTLE_DEFLECTION) -> None:
         self._size = size
-        self._stiffness = abs(size) / BRISTLE_DEFLECTION
+        self._stiffness = abs(size) / deflection
         self._deflection = 0.0
 
-    def level(self, plant: Plant) -> float:
+    def level(self, rate: float, load: float) -> float:
+        """N m at which the bristles slide, at this `rate` (rad/s) and `load` (N m)."""
         return self._size
 
     def torque(self, plant: Plant) -> float:
-        rate = plant.roll_rate
-        level = self.level(plant)
+        """N m on the roll axis, where the gyroscopic torque is the load; called once a step."""
+        return self.force(plant.roll_rate, plant.gyroscopic_torque, plant.step_size)
+
+    def force(self, rate: float, load: float, step: float) -> float:
+        """N m on what turns at `rate` rad/s; called once a step of `step` s."""
+        level = self.level(rate, load)
         if level <= 0.0:
             self._deflection = 0.0
             return 0.0
-        slide = 1.0 + plant.step_size * abs(rate) * self._stiffness / level
+        slide = 1.0 + step * abs(rate) * self._stiffness / level
         before = self._deflection
-        self._deflection = (before + plant.step_size * rate) / slide
-        bend_rate = (self._deflection - before) / plant.step_size
+        self._deflection = (before + step * rate) / slide
+        bend_rate = (self._deflection - before) / step
         return -self._stiffness * (self._deflection + BRISTLE_DAMPING * bend_rate)
 
 
 class StribeckFriction(LuGreFriction):
-    """Slides at the full size when slow and at half of it when fast."""
+    """Slides at the full size when slow and at half of it when faster than `stribeck_rate` rad/s."""
 
-    def level(self, plant: Plant) -> float:
-        return self._size * (0.5 + 0.5 * math.exp(-((plant.roll_rate / STRIBECK_RATE) ** 2)))
+    def __init__(
+        self, size: float, deflection: float = BRISTLE_DEFLECTION, stribeck_rate: float = STRIBECK_RATE
+    ) -> None:
+        super().__init__(size, deflection)
+        self._stribeck_rate = stribeck_rate
+
+    def level(self, rate: float, load: float) -> float:
+        return self._size * (0.5 + 0.5 * math.exp(-((rate / self._stribeck_rate) ** 2)))
 
 
 class AsymmetricFriction(LuGreFriction):
-    """Slides at the full size right side down and at a third of it the other way."""
+    """Slides at the full size where the rate is positive and at a third of it the other way."""
 
-    def level(self, plant: Plant) -> float:
-        return self._size if plant.roll_rate > 0.0 else self._size / 3.0
+    def level(self, rate: float, load: float) -> float:
+        return self._size if rate > 0.0 else self._size / 3.0
 
 
 class LoadDependentFriction(LuGreFriction):
-    """Slides at a share of the gyroscopic torque that the bearings carry."""
+    """Slides at a share of the torque that the bearings carry; `typical_load` N m sets the bristles' stiffness."""
 
-    def __init__(self, share: float) -> None:
-        super().__init__(share * 300.0)
+    def __init__(self, share: float, deflection: float = BRISTLE_DEFLECTION, typical_load: float = 300.0) -> None:
+        super().__init__(share * typical_load, deflection)
         self._share = share
 
-    def level(self, plant: Plant) -> float:
-        return self._share * abs(plant.gyroscopic_torque)
+    def level(self, rate: float, load: float) -> float:
+        return self._share * abs(load)
 
 
 class BoucWenHysteresis:

@@ -1,8 +1,8 @@
 """The registry of hidden effects: what a virtual vehicle may contain that the nominal model lacks.
 
-Names are the canonical effect names. The size at level 1 is physically plausible for a MONOCAB: a few percent of the
-1000 N m that gravity exerts at the supports, or a few milliseconds. Formulas are in `roll_effects`, `friction`,
-`input_effects`, `gimbal` and `imu_node`.
+Names are the canonical effect names. Each kind of vehicle has a registry of its own; the one here is the MONOCAB's. The
+size at level 1 is physically plausible for it: a few percent of the 1000 N m that gravity exerts at the supports, or a
+few milliseconds. Formulas are in `roll_effects`, `friction`, `input_effects`, `gimbal` and `imu_node`.
 """
 
 from __future__ import annotations
@@ -106,8 +106,6 @@ UNLISTED: dict[str, HiddenEffect] = {
 }
 """What no catalogue has, to test whether a diagnosis says that it does not know: `test_` begins their names."""
 
-_ALL = HIDDEN | UNLISTED
-
 LATE = frozenset(
     {
         "static_torque",
@@ -129,7 +127,31 @@ LATE = frozenset(
 """Effects that can set in during a run: torques on the roll axis."""
 
 
-def parse_hidden(arguments: Iterable[str]) -> tuple[dict[str, float | None], dict[str, float]]:
+@dataclass(frozen=True, slots=True)
+class Registry:
+    """The effects that a kind of vehicle can hide: those that a catalogue has, those that none has, the late ones."""
+
+    listed: Mapping[str, HiddenEffect]
+    unlisted: Mapping[str, HiddenEffect]
+    late: frozenset[str]
+    """Names of those that can set in during a run."""
+
+    def find(self, name: str) -> HiddenEffect:
+        """The effect `name`. Raises UnknownEffectError."""
+        effect = self.listed.get(name) or self.unlisted.get(name)
+        if effect is None:
+            raise UnknownEffectError(
+                name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {', '.join(self.listed)}."
+            )
+        return effect
+
+
+MONOCAB = Registry(HIDDEN, UNLISTED, LATE)
+
+
+def parse_hidden(
+    arguments: Iterable[str], registry: Registry = MONOCAB
+) -> tuple[dict[str, float | None], dict[str, float]]:
     """`["coulomb_friction", "torque_step=2@30"]` as `hidden` and `onsets` of a SimulationConfig.
 
     Raises UnknownEffectError.
@@ -142,19 +164,19 @@ def parse_hidden(arguments: Iterable[str]) -> tuple[dict[str, float | None], dic
         hidden[name] = _number(name, "level", level) if separator else None
         if late:
             onsets[name] = _number(name, "time", second)
-    sizes_of(hidden)
-    check_onsets(onsets)
+    sizes_of(hidden, registry)
+    check_onsets(onsets, registry)
     return hidden, onsets
 
 
-def check_onsets(onsets: Mapping[str, float]) -> None:
+def check_onsets(onsets: Mapping[str, float], registry: Registry = MONOCAB) -> None:
     """Raises UnknownEffectError for an effect that cannot set in during a run, or not then."""
     for name, second in onsets.items():
-        if name not in LATE:
+        if name not in registry.late:
             raise UnknownEffectError(
                 name,
                 f"{name} is there from the beginning.",
-                remedy=f"These can set in later: {', '.join(sorted(LATE))}.",
+                remedy=f"These can set in later: {', '.join(sorted(registry.late))}.",
             )
         if not (math.isfinite(second) and second >= 0.0):
             raise UnknownEffectError(
@@ -173,16 +195,11 @@ def _number(name: str, what: str, text: str) -> float:
         ) from None
 
 
-def sizes_of(hidden: Mapping[str, float | None]) -> dict[str, float]:
+def sizes_of(hidden: Mapping[str, float | None], registry: Registry = MONOCAB) -> dict[str, float]:
     """The size of each named effect in its own unit; those at level 0 are left out. Raises UnknownEffectError."""
-    for name in hidden:
-        if name not in _ALL:
-            raise UnknownEffectError(
-                name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {', '.join(HIDDEN)}."
-            )
     sizes = {}
     for name, given in hidden.items():
-        effect, level = _ALL[name], 1.0 if given is None else given
+        effect, level = registry.find(name), 1.0 if given is None else given
         size = effect.size * level
         least = -math.inf if effect.signed else 0.0
         if not (math.isfinite(level) and least <= size <= effect.most):

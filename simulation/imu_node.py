@@ -1,8 +1,6 @@
-"""The LPMS-IG1 on the vehicle: what its sensors feel, their errors, and the CAN frames it streams.
+"""The LPMS-IG1 on the vehicle: the errors of its sensors, and the CAN frames it streams. What they feel is the plant's.
 
-With roll angle q about x, at the place (x, y, z) from the roll axis, the specific force in vehicle axes is
-    y:  g sin(q) - q'' z - q'^2 y        z:  g cos(q) + q'' y - q'^2 z        x: 0
-and the angular rate (q', 0, 0). Frames carry g and deg/s or rad/s as 32-bit floats, or g / 1000 and 0.1 deg/s as
+Frames carry g and deg/s or rad/s as 32-bit floats, or g / 1000 and 0.1 deg/s as
 16-bit integers, little-endian.
 """
 
@@ -16,15 +14,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from simulation.config import ImuNode
-from simulation.plant import Plant
+from simulation.machine import Machine, Motion
 from telemetry.samples import Vector3
 
 STANDARD_GRAVITY = 9.80665
 NOISE_BLOCK = 512
 VALUES_PER_FRAME = {"float32": 2, "int16": 4}
 KINDS = ("acceleration", "angular_rate")
-State = tuple[float, float, float]
-"""Roll, roll rate and roll acceleration, as the sensor sees them."""
 
 
 class SensorPath:
@@ -33,31 +29,39 @@ class SensorPath:
     def __init__(self, lag: float, delay: float, period: float) -> None:
         self._gain = -math.expm1(-period / lag) if lag > 0.0 else 1.0
         self._whole, self._part = divmod(max(0.0, delay) / period, 1.0)
-        self._past: deque[State] = deque(maxlen=int(self._whole) + 2)
-        self._state: State | None = None
+        self._past: deque[Motion] = deque(maxlen=int(self._whole) + 2)
+        self._state: Motion | None = None
 
-    def pass_on(self, state: State) -> State:
-        """The state that the sensor sees now that the vehicle is in `state`."""
+    def pass_on(self, motion: Motion) -> Motion:
+        """The motion that the sensor sees now that the vehicle moves with `motion`."""
         if self._state is None:
-            self._state = state
-            self._past.extend([state] * (self._past.maxlen or 0))
-        gain = self._gain
-        (a, b, c), (x, y, z) = self._state, state
-        self._state = (a + gain * (x - a), b + gain * (y - b), c + gain * (z - c))
+            self._state = motion
+            self._past.extend([motion] * (self._past.maxlen or 0))
+        gain, late = self._gain, self._part
+        self._state = tuple([a + gain * (x - a) for a, x in zip(self._state, motion, strict=True)])
         self._past.append(self._state)
-        (a, b, c), (x, y, z) = self._past[0], self._past[1]
-        late = self._part
-        return (x + late * (a - x), y + late * (b - y), z + late * (c - z))
+        return tuple([x + late * (a - x) for a, x in zip(self._past[0], self._past[1], strict=True)])
 
 
 class VirtualImu:
     """`measure` makes one noisy sample in vehicle axes; `encode` its frames."""
 
-    def __init__(self, config: ImuNode, *, rate: int, seed: int, gravity: float, sizes: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        config: ImuNode,
+        *,
+        rate: int,
+        seed: int,
+        gravity: float,
+        sizes: Mapping[str, float],
+        falling_axis: int = 0,
+    ) -> None:
+        """`falling_axis`: of the gyro whose hidden errors are among `sizes`, see `Machine`."""
         self.config = config
         self._rate = rate
         self._seed = seed
         self._gravity = gravity
+        self._axis = falling_axis
         self._offset = sizes.get("sensor_offset", 0.0)
         self._scale = 1.0 + sizes.get("sensor_scale", 0.0)
         self._further_bias = sizes.get("gyro_bias", 0.0)
@@ -72,32 +76,27 @@ class VirtualImu:
         self._random = np.random.default_rng(self._seed)
         self._noise: list[list[float]] = []
         self._bias = list(self.config.angular_rate_bias)
-        self._bias[0] += self._further_bias
+        self._bias[self._axis] += self._further_bias
 
-    def measure(self, plant: Plant) -> tuple[Vector3, Vector3]:
+    def measure(self, plant: Machine) -> tuple[Vector3, Vector3]:
         """Acceleration (m/s^2) and angular rate (rad/s) in vehicle axes, with noise and quantisation."""
-        roll, rate, angular_acceleration = self._path.pass_on((plant.roll, plant.roll_rate, plant.roll_acceleration))
-        roll += self._offset
-        _, y, z = self.config.position
+        angle, *others = self._path.pass_on(plant.motion())
+        force, rates = plant.felt((angle + self._offset, *others), self.config.position, self._gravity)
         if not self._noise:
             self._noise = self._random.standard_normal((NOISE_BLOCK, 9)).tolist()
         ax, ay, az, wx, wy, wz, bx, by, bz = self._noise.pop()
-        std, rate_std, walk, bias, scale = (
-            self.config.acceleration_std,
-            self._rate_std,
-            self._walk,
-            self._bias,
-            self._scale,
-        )
+        std, rate_std, walk, bias = self.config.acceleration_std, self._rate_std, self._walk, self._bias
         bias[0] += walk * bx
         bias[1] += walk * by
         bias[2] += walk * bz
-        acceleration = (
-            std * ax,
-            self._gravity * math.sin(roll) - angular_acceleration * z - rate * rate * y + std * ay,
-            self._gravity * math.cos(roll) + angular_acceleration * y - rate * rate * z + std * az,
+        scales = [1.0, 1.0, 1.0]
+        scales[self._axis] = self._scale
+        acceleration = (force[0] + std * ax, force[1] + std * ay, force[2] + std * az)
+        angular_rate = (
+            scales[0] * rates[0] + bias[0] + rate_std * wx,
+            scales[1] * rates[1] + bias[1] + rate_std * wy,
+            scales[2] * rates[2] + bias[2] + rate_std * wz,
         )
-        angular_rate = (scale * rate + bias[0] + rate_std * wx, bias[1] + rate_std * wy, bias[2] + rate_std * wz)
         if self.config.precision == "int16":
             return _rounded(acceleration, STANDARD_GRAVITY / 1000.0), _rounded(angular_rate, math.radians(0.1))
         return acceleration, angular_rate

@@ -23,6 +23,9 @@ TORQUE_ACTUAL = 0x6077_00
 TARGET_VELOCITY = 0x60FF_00
 ERROR_CODE = 0x603F_00
 ERROR_REGISTER = 0x1001_00
+TARGET_VOLTAGE = 0x2400_00
+"""Of upright_motor.eds, mV."""
+VOLTAGE_DEMAND = 0x2401_00
 
 STRUCT_CODES = {
     datatypes.BOOLEAN: "?",
@@ -38,7 +41,7 @@ MAX_PDOS = 4
 
 
 def keys_by_name(mode: int, fine_index: int) -> dict[str, int]:
-    """Key of each object that a vehicle file can map, in this velocity mode."""
+    """Key of each object that a vehicle file can map, in this mode of operation."""
     return {
         "controlword": CONTROLWORD,
         "statusword": STATUSWORD,
@@ -49,6 +52,8 @@ def keys_by_name(mode: int, fine_index: int) -> dict[str, int]:
         "torque_actual": TORQUE_ACTUAL,
         "position_actual": POSITION_ACTUAL,
         "mode_display": MODE_DISPLAY,
+        "target_voltage": TARGET_VOLTAGE,
+        "voltage_demand": VOLTAGE_DEMAND,
     }
 
 

@@ -12,32 +12,39 @@ mass in the middle). Roll and trim mass are integrated by velocity Verlet, the g
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
-from simulation.config import DriveNode, SimulationConfig
+from simulation.config import DriveNode, PlantTruth, SimulationConfig
 from simulation.contact import Supports
 from simulation.gimbal import Gimbal
-from simulation.hidden import check_onsets, sizes_of
+from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
+from simulation.machine import Machine, Motion
 from simulation.roll_effects import roll_effects
 from simulation.servo_axis import AxisMode, ServoAxis
+from simulation.servo_drive import ServoDrive
+from telemetry.samples import Vector3
 
 DEFAULT_GIMBAL_PER_TURN = 2.0 * math.pi / 100.0
 DEFAULT_TRIM_PER_TURN = 0.01
 
 
-class Plant:
+class Plant(Machine):
     """The vehicle's mechanics. Starts at rest on the right-hand support with its brakes closed."""
+
+    name = "a MONOCAB"
+    roles: ClassVar[Mapping[str, int]] = {"gimbal": 2, "trim": 1}
+    falling_axis = 0
 
     def __init__(self, config: SimulationConfig) -> None:
         truth = config.plant
+        if not isinstance(truth, PlantTruth):
+            raise TypeError(f"the physics of a MONOCAB are needed, not {type(truth).__name__}")
         step = config.step
-        sizes = sizes_of(config.hidden)
+        sizes = config.sizes
         check_onsets(config.onsets)
-        self.step_size = step
-        self.steps = 0
-        self.event_origin: float | None = None
-        """Time of the first SYNC, from which events are counted; None before it."""
+        super().__init__(step)
         self.gimbals = tuple(
             Gimbal(
                 ServoAxis(
@@ -80,16 +87,6 @@ class Plant:
         self._trim_acceleration = 0.0
 
     @property
-    def time(self) -> float:
-        """s since the start."""
-        return self.steps * self.step_size
-
-    @property
-    def event_clock(self) -> float:
-        """s since the first SYNC, -1 before it."""
-        return self.time - self.event_origin if self.event_origin is not None else -1.0
-
-    @property
     def precession(self) -> float:
         """rad, mean of the gimbals."""
         return 0.5 * (self.gimbals[0].angle + self.gimbals[1].angle)
@@ -99,9 +96,22 @@ class Plant:
         """rad/s, mean of the gimbals."""
         return 0.5 * (self.gimbals[0].rate + self.gimbals[1].rate)
 
-    def axis_of(self, role: str, number: int) -> ServoAxis:
-        """The axis of the n-th drive with this role."""
-        return self.gimbals[number].axis if role == "gimbal" else self.trim
+    def application(self, node: DriveNode, number: int) -> ServoDrive:
+        return ServoDrive(node, self.gimbals[number].axis if node.role == "gimbal" else self.trim)
+
+    def motion(self) -> Motion:
+        return (self.roll, self.roll_rate, self.roll_acceleration)
+
+    def felt(self, motion: Motion, position: Vector3, gravity: float) -> tuple[Vector3, Vector3]:
+        """Along y: g sin(q) - q'' z - q'^2 y, along z: g cos(q) + q'' y - q'^2 z; q is the roll, y and z the place."""
+        roll, rate, acceleration = motion
+        _, y, z = position
+        force = (
+            0.0,
+            gravity * math.sin(roll) - acceleration * z - rate * rate * y,
+            gravity * math.cos(roll) + acceleration * y - rate * rate * z,
+        )
+        return force, (rate, 0.0, 0.0)
 
     def place(self, roll: float) -> None:
         """Let go of the vehicle at this roll angle, at rest."""
@@ -109,13 +119,7 @@ class Plant:
         self.roll_rate = 0.0
         self._balance()
 
-    def advance(self, steps: int) -> None:
-        """Integrate `steps` steps."""
-        for _ in range(steps):
-            self.step()
-
     def step(self) -> None:
-        """Integrate one step."""
         step = self.step_size
         trim = self.trim
         self.roll_rate += 0.5 * step * self.roll_acceleration

@@ -12,10 +12,9 @@ from typing import Protocol
 from simulation.config import DriveNode, SimulationConfig
 from simulation.drive_node import VirtualDrive
 from simulation.faults import FAULTS, Fault
-from simulation.hidden import sizes_of
 from simulation.imu_node import VirtualImu
+from simulation.machine import Machine
 from simulation.object_dictionary import SimulationError
-from simulation.plant import Plant
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000
@@ -34,7 +33,7 @@ class SendFrame(Protocol):
 class ImuStream:
     """The frame sets that the IMU sends, with the faults that it can have."""
 
-    def __init__(self, imu: VirtualImu, plant: Plant) -> None:
+    def __init__(self, imu: VirtualImu, plant: Machine) -> None:
         self.imu = imu
         self.silent = False
         self.stuck = False
@@ -67,22 +66,23 @@ class ImuStream:
 
 
 class VirtualVehicle:
-    """The vehicle that `config` describes, at rest on its right-hand support.
+    """The vehicle that `config` describes, at rest.
 
     Raises:
         UnknownEffectError: a hidden effect that does not exist.
-        SimulationError: drives that a MONOCAB does not have, or an EDS that cannot be used.
+        SimulationError: drives that such a vehicle does not have, or an EDS that cannot be used.
     """
 
     def __init__(self, config: SimulationConfig, send: SendFrame, faults: Sequence[Fault] = ()) -> None:
         self.config = config
-        self.plant = Plant(config)
+        self.plant = config.plant.build(config)
         self.imu = VirtualImu(
             config.imu,
             rate=config.rate,
             seed=config.seed,
             gravity=config.plant.gravity,
-            sizes=sizes_of(config.hidden),
+            sizes=config.sizes,
+            falling_axis=self.plant.falling_axis,
         )
         self.imu_stream = ImuStream(self.imu, self.plant)
         self.synchronised = False
@@ -92,8 +92,8 @@ class VirtualVehicle:
         self.drives: dict[str, VirtualDrive] = {}
         for node in config.drives:
             number = sum(drive.config.role == node.role for drive in self.drives.values())
-            axis = self.plant.axis_of(node.role, number)
-            self.drives[node.name] = VirtualDrive(node, axis, self._send_from_drive, lambda: self.plant.time)
+            application = self.plant.application(node, number)
+            self.drives[node.name] = VirtualDrive(node, application, self._send_from_drive, lambda: self.plant.time)
         self._drives = tuple(self.drives.values())
         self._faults = list(faults)
         self._agenda: list[tuple[float, Callable[[], None]]] = []
@@ -152,13 +152,12 @@ class VirtualVehicle:
     def _send_from_drive(self, can_id: int, data: bytes) -> None:
         self._send(can_id, data, self.time_ns, of_imu=False)
 
-    @staticmethod
-    def _check_drives(nodes: Sequence[DriveNode]) -> None:
-        for role, count in (("gimbal", 2), ("trim", 1)):
-            found = sum(node.role == role for node in nodes)
+    def _check_drives(self, nodes: Sequence[DriveNode]) -> None:
+        for role in sorted({node.role for node in nodes}):
+            found, count = sum(node.role == role for node in nodes), self.plant.roles.get(role, 0)
             if found > count:
                 raise SimulationError(
-                    f"the vehicle has {found} {role} drives, a MONOCAB has {count}.",
+                    f"the vehicle has {found} {role} drives, {self.plant.name} has {count}.",
                     remedy="Correct the roles in the vehicle file.",
                 )
         for key in ("name", "node"):

@@ -1,0 +1,62 @@
+"""What a plant is to the nodes on the bus: a clock, steps, axes for the drives to move, a motion that the IMU feels."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+from simulation.config import DriveNode
+from simulation.drive_application import DriveApplication
+from telemetry.samples import Vector3
+
+Motion = tuple[float, ...]
+"""Angle about the axis of `Machine.falling_axis`, its rate and acceleration; then what else an IMU on it feels."""
+
+
+class Machine(ABC):
+    """A vehicle's mechanics, integrated in steps of `step_size` s."""
+
+    name: ClassVar[str]
+    """What it is called in messages, with its article."""
+    roles: ClassVar[Mapping[str, int]]
+    """How many drives of which role it has."""
+    falling_axis: ClassVar[int]
+    """0 where it falls about x (roll), 1 about y (tilt)."""
+
+    def __init__(self, step_size: float) -> None:
+        self.step_size = step_size
+        self.steps = 0
+        self.event_origin: float | None = None
+        """Time of the first SYNC, from which events are counted; None before it."""
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.steps * self.step_size
+
+    @property
+    def event_clock(self) -> float:
+        """s since the first SYNC, -1 before it."""
+        return self.time - self.event_origin if self.event_origin is not None else -1.0
+
+    def advance(self, steps: int) -> None:
+        """Integrate `steps` steps."""
+        for _ in range(steps):
+            self.step()
+
+    @abstractmethod
+    def step(self) -> None:
+        """Integrate one step."""
+
+    @abstractmethod
+    def application(self, node: DriveNode, number: int) -> DriveApplication:
+        """What runs on the n-th drive with the role of `node`."""
+
+    @abstractmethod
+    def motion(self) -> Motion:
+        """How it moves now."""
+
+    @abstractmethod
+    def felt(self, motion: Motion, position: Vector3, gravity: float) -> tuple[Vector3, Vector3]:
+        """Specific force (m/s^2) and angular rate (rad/s) in vehicle axes, at `position` (m), while it moves so."""

@@ -1,0 +1,71 @@
+"""The balancing robot as it really is, in the symbols of the paper's table 1, and how its virtual vehicle is built."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from simulation.config import SimulationConfig
+from simulation.hidden import Registry
+from simulation.twsbr.hidden import TWSBR
+
+if TYPE_CHECKING:
+    from simulation.twsbr.plant import TwsbrPlant
+
+
+@dataclass(frozen=True, slots=True)
+class TwsbrTruth:
+    """Deliberately off the paper's table 1: lengths and masses by less than 10 %, inertias and friction by more."""
+
+    wheel_radius: float = 0.0318
+    """m (r)."""
+    wheel_mass: float = 0.055
+    """kg each (m_w); a wheel is a solid disc."""
+    centre_of_gravity_height: float = 0.0475
+    """m of the body's centre of gravity above the axle (l)."""
+    body_mass: float = 0.74
+    """kg (m_b)."""
+    wheel_distance: float = 0.164
+    """m (d)."""
+    yaw_inertia: float = 6.1e-3
+    """kg m^2 about the upright axis (J_J)."""
+    tilt_inertia: float = 1.58e-3
+    """kg m^2 of the body about its centre of gravity, across (J_K)."""
+    gear_ratio: float = 43.8
+    """Motor turns a wheel turn (n)."""
+    rotor_inertia: float = 3.1e-6
+    """kg m^2 (J_r)."""
+    resistance: float = 4.4
+    """ohm (R). The time constant of the armature, 5 microseconds, is none here: the current follows at once."""
+    torque_constant: float = 5.6e-3
+    """N m/A, and V s/rad (K_T, K_E)."""
+    motor_friction: float = 9.0e-6
+    """N m s/rad between wheel and body (b)."""
+    wheel_friction: float = 7.5e-4
+    """N m s/rad between wheel and floor (f_v)."""
+    gravity: float = 9.81
+    """m/s^2."""
+    supply_voltage: float = 12.0
+    """V."""
+    pwm_steps: int = 255
+    """Of the bridge, from 0 to the supply, either way."""
+    encoder_counts_per_turn: int = 700
+    """A wheel turn. The encoder sits on the motor's shaft and counts what the motor turns against the body."""
+    floor_angle: float = math.radians(12.0)
+    """rad, where the bumpers, front and rear, touch the floor."""
+    floor_stiffness: float = 150.0
+    """N m/rad, of a bumper."""
+    floor_damping: float = 0.6
+    """N m s/rad, while pressed: 0.4 of critical with the body's inertia about the axle."""
+    start: Literal["lying", "held"] = "lying"
+    """At rest on the front bumper, or upright in a stand that lets go when the motors have power."""
+
+    @property
+    def registry(self) -> Registry:
+        return TWSBR
+
+    def build(self, config: SimulationConfig) -> TwsbrPlant:
+        from simulation.twsbr.plant import TwsbrPlant
+
+        return TwsbrPlant(config)
