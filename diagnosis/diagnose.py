@@ -25,6 +25,7 @@ from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
 from diagnosis.refit import FullFit, QuickFit, full, quick, surety, with_effect
 from diagnosis.screen import Screen, screen
+from diagnosis.ties import SIMPLER, TIED, alike, tied
 from diagnosis.unseen import Fold, Unseen, folds, judge
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -33,7 +34,7 @@ from estimators.contract import EstimationError, ParameterEstimate, Status
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem
 from estimators.segments import DataError
-from models.effect import Effect
+from models.effect import Effect, Place
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -42,16 +43,9 @@ Progress = Callable[[str, float], None]
 
 LEVEL = 0.01
 """Probability of naming an effect where nothing is missing."""
-TIED = 1.0 / 20.0
-"""Posterior odds to the best above which an effect is tied with it."""
-SIMPLER = 0.95
-"""Share of the best gain in log likelihood with which an effect of fewer parameters is named instead.
-
-Real friction is no formula, and what a further parameter gains by bending a little towards it is no evidence for
-another effect."""
-FURTHER = 0.01
+FURTHER = 0.05
 """Share of what was gained so far that a further effect has to gain: no formula is exact, and a long record tells."""
-FURTHER_ALIKE = 0.05
+FURTHER_ALIKE = 0.1
 """The same for an effect that is easily confused with one that was found: it bends its formula."""
 WORTH_A_FIT = 1e-3
 """p-value, of one candidate alone, below which it gets a quick fit."""
@@ -192,6 +186,7 @@ def diagnose(
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
     steps = [base]
+    last = base
     findings: list[Finding] = []
     screens: list[Screen] = []
     for step in range(most + 1):
@@ -201,17 +196,22 @@ def diagnose(
         surprising = any(score.p_value < LEVEL for score in screens[-1].scores)
         if step == most or not (surprising or (masked and not findings)):
             break
-        hidden = fits_of_masked(base.model, workspace, masked)
+        # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
+        more = unseen_at_zero(workspace) if surprising and not findings else []
+        hidden = fits_of_masked(base.model, workspace, {*masked, *more})
         found = _step(base, screens[-1], workspace, hidden, partial(_part, tell, share, 0.85 / (most + 1.0)))
         if found is None:
             break
-        if findings and found[0].log_likelihood_gain < _asked(found[1], findings, steps):
+        finding, fitted = found
+        if findings and finding.log_likelihood_gain < _asked(fitted, findings, steps):
+            # Too little for a name, but no more unknown than what it bends.
+            last = fitted
             break
-        finding, base = found
+        last = base = fitted
         findings.append(finding)
         steps.append(base)
     tell("looking for what has no name", 0.95)
-    rest = adequacy(steps[0].fit, base.fit)
+    rest = adequacy(steps[0].fit, last.fit, last.log_likelihood - steps[0].log_likelihood)
     return _verdict(steps, findings, screens, rest, workspace)
 
 
@@ -259,7 +259,7 @@ def _step(
         tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
         unseen = _on_unseen(base, best, workspace)
         if unseen is None or unseen.stands:
-            return _finding(base, best, fits, screened, p_value, unseen), best
+            return _finding(base, best, fits, screened, p_value, unseen, workspace), best
         fits = [each for each in fits if each is not best]
     return None
 
@@ -299,6 +299,7 @@ def _finding(
     screened: Screen,
     p_value: float,
     unseen: Unseen | None,
+    workspace: Workspace,
 ) -> Finding:
     assert best.candidate is not None
     odds = {each.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0))) for each in fits}
@@ -311,7 +312,7 @@ def _finding(
         probability=1.0 / (sum(odds.values()) + none),
         p_value=p_value,
         held_out_error_closed_percent=unseen.closed_percent if unseen else None,
-        tied_with=tuple(name for name, value in odds.items() if name != best.name and value > TIED),
+        tied_with=tied(best, fits, base, workspace),
         explanation="",
         log_likelihood_gain=best.log_likelihood - base.log_likelihood,
         held_out_gain=(unseen.gain, unseen.std) if unseen else None,
@@ -320,9 +321,13 @@ def _finding(
     return replace(finding, explanation=explain(finding, best.candidate, screened.score(best.name), screened))
 
 
-def alike(one: Effect, other: Effect) -> bool:
-    """Whether the two are easily confused, by the catalogue's own word."""
-    return one.family is other.family or other.name in one.confused_with or one.name in other.confused_with
+def unseen_at_zero(workspace: Workspace) -> list[str]:
+    """Effects on sensors whose amplitude has starts of its own: near zero the record may ask for less of them."""
+    return [
+        each.effect.name
+        for each in workspace.candidates
+        if each.effect.place is Place.SENSOR and any(p.amplitude and p.starts for p in each.effect.parameters)
+    ]
 
 
 def _asked(found: FullFit, before: Sequence[Finding], steps: Sequence[FullFit]) -> float:
@@ -378,9 +383,14 @@ def _verdict(
     rest: Adequacy,
     workspace: Workspace,
 ) -> Diagnosis:
+    after = rest.after
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
         reason = f"something is missing that no known effect explains. {rest.reason}"
+        if findings and not rest.named:
+            names = " and ".join(finding.effect for finding in findings)
+            reason += f" Nearest comes {names}, which leaves most of it."
+            findings, steps, after = [], steps[:1], rest.before
     elif findings:
         verdict = Verdict.MISSING_EFFECT
         reason = "; ".join(finding.explanation for finding in findings)
@@ -393,7 +403,7 @@ def _verdict(
         findings=tuple(findings),
         minimum_detectable={score.candidate.name: score.detectable for score in screens[0].scores},
         innovation_ratio_before=rest.before,
-        innovation_ratio_after=rest.after,
+        innovation_ratio_after=after,
         repaired=steps[-1].fitted,
         left_out=workspace.left_out,
         screens=tuple(screens),

@@ -43,7 +43,7 @@ LINE = "periodic_disturbance"
 """The effect whose frequency is followed."""
 NEAR = 0.25
 """Of the width of a line, by which its frequency may be off."""
-UNSEEN = ("backlash",)
+UNSEEN = ("backlash", "sensor_lag")
 """Effects whose own motion is too fast to be followed along with all others."""
 
 

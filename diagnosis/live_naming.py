@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from diagnosis.candidates import Candidate
-from diagnosis.diagnose import FURTHER, FURTHER_ALIKE, SIMPLER, TIED, alike
+from diagnosis.diagnose import FURTHER, FURTHER_ALIKE
 from diagnosis.onset import BEGINNING, Amplitudes, Onset, Products, onsets
+from diagnosis.ties import SIMPLER, TIED, alike
 from estimators.problem import Problem
 from estimators.recursive_predictor import Seen
 from estimators.report import significant

@@ -91,8 +91,10 @@ class Whitened:
         gain[: len(self.fit.gain)] = self.fit.gain
         weights = whitening(self.fit)
         parts = []
-        for segment, start, basis in zip(full.segments, self.fit.starts, self.starts, strict=True):
-            initial = np.concatenate((start, np.zeros(len(gain) - len(start))))
+        for segment, start, further, basis in zip(
+            full.segments, self.fit.starts, full.initials, self.starts, strict=True
+        ):
+            initial = np.concatenate((start, further[len(start) :]))
             # A state that is fast only where the vehicle moves fast does not show in the poles at rest.
             substeps = max(full.substeps, task.substeps)
             run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)

@@ -116,7 +116,7 @@ class NoiseModel:
         values (m, np) and of logarithms (n, q); where the values' rows end, the last one goes on."""
         transition, output = (
             np.concatenate((each, np.repeat(each[-1:], len(logarithms) - len(values), axis=0)))
-            for each in linearise(self.problem.kernel, values, self.rest, self.motion)
+            for each in linearise(self.problem.kernel, values, self.rest, self.motion, substeps=self.problem.substeps)
         )
         process = np.tile(self.process, (len(logarithms), 1))
         sensor = np.tile(self.sensor, (len(logarithms), 1))
@@ -127,9 +127,10 @@ class NoiseModel:
         # What a filter makes of a sensor's noise, a trapezoid a row: half shows at once, all from the next row on.
         trapezoid = self.spacing * self.integrated * sensor[:, None, :]
         shown = np.eye(len(self.sensor)) * sensor[:, None, :] + 0.5 * output @ trapezoid
-        smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
         floor = np.diag((FLOOR * np.maximum(self.process, np.min(self.sensor))) ** 2)
-        density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
+        with np.errstate(invalid="ignore", over="ignore"):  # a motion that no step follows: there is no filter for it
+            smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
+            density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
         return transition, output, density, shown @ _turned(shown), trapezoid @ _turned(shown)
 
 
@@ -170,6 +171,8 @@ def _steady(transition: Array, output: Array, process: Array, sensor: Array, acr
     x+ = A x + w, y = C x + v with covariances process (nx, nx), sensor (ny, ny), across (nx, ny) = E w v'.
     """
     states = len(transition)
+    if not (np.isfinite(transition).all() and np.isfinite(process).all()):
+        return None
     try:
         inner = np.linalg.solve(sensor, np.concatenate((output, across.T), axis=1))
         rest = process - across @ inner[:, states:]

@@ -227,7 +227,9 @@ def typical_motion(model: Model, data: Sequence[Segment]) -> Array:
     return motion
 
 
-def linearise(kernel: Kernel, values: Array, rest: Segment, state: Array | None = None) -> tuple[Array, Array]:
+def linearise(
+    kernel: Kernel, values: Array, rest: Segment, state: Array | None = None, *, substeps: int = 1
+) -> tuple[Array, Array]:
     """Transition matrices between the two rows of `rest` (m, nx, nx) and output matrices (m, ny, nx) at `state` (nx,),
     by default all zero, for each row of parameter values (m, np).
 
@@ -238,7 +240,7 @@ def linearise(kernel: Kernel, values: Array, rest: Segment, state: Array | None 
     active = range(len(kernel.parameters), len(kernel.parameters) + states)
     memory, here = kernel.memory(begin, active), np.empty(values.shape[1])
     predicted, sensitivity = np.empty((2, outputs)), np.empty((2, outputs, states))
-    move = kernel.ready(rest, here, memory, None, active, predicted, sensitivity)
+    move = kernel.ready(rest, here, memory, None, active, predicted, sensitivity, substeps=substeps)
     transition, output = np.empty((len(values), states, states)), np.empty((len(values), outputs, states))
     for place, row in enumerate(values):
         here[:], memory.x[:], memory.S[:] = row, begin, np.eye(states)

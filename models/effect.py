@@ -82,12 +82,14 @@ class EffectParameter:
 
 @dataclass(frozen=True, slots=True)
 class EffectState:
-    """A state of an effect with memory, at rest at 0."""
+    """A state of an effect with memory, at rest at 0. `initial`: of a sensor's, the reading (angle or rate) that it has
+    at the first row of a record."""
 
     name: str
     unit: str
     derivative: str
     meaning: str = ""
+    initial: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +198,7 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
             bare.qualified(state.name),
             _unit(state.unit, offered.units, f"effect {effect.name}, state {state.name}"),
             state.derivative,
+            initial=_shown(place, state.initial) or "0",
             meaning=state.meaning,
         )
         for state in effect.states
@@ -223,7 +226,7 @@ def check_names(effect: Effect) -> None:
     own = frozenset(effect.own_names)
     belonging = BELONGING[effect.place]
     strange = [key for keys in BELONGING.values() for key in keys if getattr(effect, key) and key not in belonging]
-    if effect.states and effect.place is not Place.JOINT:
+    if effect.states and effect.place is Place.ACTUATOR:
         strange.append("states")
     if strange:
         what = f"is on {_ARTICLE[effect.place]}, where {strange[0]} means nothing"
@@ -233,6 +236,12 @@ def check_names(effect: Effect) -> None:
     for key, text in effect.expressions.items():
         more = {"force"} if key.endswith(".derivative") else set()
         check(text, VOCABULARY[effect.place] | own | more, f"effect {effect.name}, {key}")
+    for state in effect.states:
+        if state.initial and not (effect.place is Place.SENSOR and state.initial in ("angle", "rate")):
+            remedy = "a sensor's state may begin with its angle or its rate, all others at rest."
+            raise ModelError(
+                f"effect {effect.name}, state {state.name}", f"cannot begin with {state.initial!r}", remedy=remedy
+            )
     for key, name in (("delay", effect.delay), ("lag", effect.lag)):
         if name and name not in own:
             remedy = f"name one of its parameters: {', '.join(effect.own_names)}."
@@ -293,6 +302,11 @@ def _lacks(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> It
     for name in effect.in_radians:
         if name in offered.names and name not in offered.in_radians:
             yield f"{name} in rad"
+
+
+def _shown(place: Joint | Actuator | Sensor, reading: str) -> str:
+    """The output that is `reading` of a sensor, empty where it has none."""
+    return {"angle": place.angle, "rate": place.rate}.get(reading, "") if isinstance(place, Sensor) else ""
 
 
 def _unit(template: str, units: Mapping[str, str], where: str) -> str:

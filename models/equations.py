@@ -15,6 +15,7 @@ import sympy
 from models.effect import AttachedEffect, Place
 from models.expressions import names_in, parse
 from models.model import Actuator, Hold, Joint, Model, ModelError, Sensor
+from models.place import VOCABULARY
 
 Symbols = Mapping[str, sympy.Expr]
 
@@ -87,22 +88,24 @@ def compose(model: Model) -> Equations:
         forces[joint.name] = terms
         symbols[f"{joint.name}_force"] = sympy.Add(load, *(term for _, term in terms))
     for attached in model.effects:
-        if attached.effect.place is not Place.JOINT:
+        if attached.effect.place is Place.ACTUATOR:
             for state in attached.states:
-                remedy = "give it to a joint."
-                raise ModelError(f"effect {attached.name}", f"state {state.name} is not at a joint", remedy=remedy)
+                remedy = "give it to a joint or a sensor."
+                raise ModelError(f"effect {attached.name}", f"state {state.name} is on an actuator", remedy=remedy)
     derivatives, nominal = [], []
     for state in model.base_states:
         where = f"state {state.name}"
         derivatives.append(_real(parse(state.derivative, symbols, where)))
         nominal.append(_real(parse(state.derivative, plain, where)))
     for state in model.states[len(model.base_states) :]:
-        derivatives.append(memories[state.name])
-        nominal.append(memories[state.name])
+        # What a sensor remembers has no part in what moves, and is known only with what it reads.
+        derivatives.append(memories.get(state.name, sympy.Integer(0)))
+        nominal.append(derivatives[-1])
     outputs = {each.name: _real(parse(each.expression, symbols, f"output {each.name}")) for each in model.outputs}
     moving = _Flow(states, inputs, slopes, [each.hold is Hold.FIRST_ORDER for each in model.inputs], time)
     for sensor in model.sensors:
-        _read(model, sensor, outputs, symbols, moving, derivatives, nominal)
+        _read(model, sensor, outputs, symbols, moving, derivatives, nominal, memories)
+    derivatives = [memories.get(state.name, each) for state, each in zip(model.states, derivatives, strict=True)]
     delays, lags = [], []
     for each in model.inputs:
         shifting = [effect for effect in model.effects if _acts_on(model, effect, each.channel)]
@@ -222,8 +225,9 @@ def _read(
     flow: _Flow,
     derivatives: Sequence[sympy.Expr],
     nominal: Sequence[sympy.Expr],
+    memories: dict[str, sympy.Expr],
 ) -> None:
-    """Replace what the outputs of `sensor` show by what its effects make of it.
+    """Replace what the outputs of `sensor` show by what its effects make of it; their states go into `memories`.
 
     Time derivatives are those of what the sensor would show without its effects, the second of them in the model
     without effects: they only carry terms that are small already.
@@ -240,6 +244,11 @@ def _read(
         shown = {"angle": sensor.angle, "rate": sensor.rate}
         names = {**moving, **{local: outputs[output] for local, output in shown.items() if output}}
         local_names = _local(attached, symbols, names)
+        # What remembers a reading that is not measured stays at rest.
+        absent = dict.fromkeys(VOCABULARY[Place.SENSOR] - set(local_names), sympy.Integer(0))
+        for state, own in zip(attached.states, attached.effect.states, strict=True):
+            where = f"effect {attached.name}, {own.name}"
+            memories[state.name] = _real(parse(own.derivative, {**absent, **local_names}, where))
         readings = {sensor.angle: attached.effect.angle_reading, sensor.rate: attached.effect.rate_reading}
         for output, text in readings.items():
             if text and output:

@@ -209,6 +209,10 @@ def _readings(model: Model) -> Iterator[Line]:
                 shown = _measured(output)
                 names |= {local: shown, f"{local}_1": f"{shown}@1", f"{local}_2": f"{shown}@2"}
             names |= _own(attached)
+            for state, own in zip(attached.states, attached.effect.states, strict=True):
+                measured = {local for local, output in (("angle", sensor.angle), ("rate", sensor.rate)) if output}
+                if names_in(own.derivative) & {"angle", "rate"} <= measured:
+                    yield Line(Kind.DERIVATIVE, state.name, renamed(own.derivative, names), attached.name)
             readings = ((attached.effect.angle_reading, sensor.angle), (attached.effect.rate_reading, sensor.rate))
             for reading, output in readings:
                 if reading and output:

@@ -601,10 +601,10 @@ def test_latex(crowded: Model) -> None:
     assert latex.count(r"\left(") == latex.count(r"\right)")
 
 
-def test_latex_of_a_sensor_that_lags_uses_dots() -> None:
-    latex = rendering.latex(library.get("monocab_roll").add("sensor_lag"))
+def test_latex_of_a_sensor_that_is_late_uses_dots() -> None:
+    latex = rendering.latex(library.get("monocab_roll").add("sensor_delay"))
     assert r"\ddot{\mathrm{roll}_{\mathrm{measured}}}" in latex
-    assert "roll_measured''" in rendering.text(library.get("monocab_roll").add("sensor_lag"))
+    assert "roll_measured''" in rendering.text(library.get("monocab_roll").add("sensor_delay"))
 
 
 # The command line

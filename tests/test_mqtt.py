@@ -61,13 +61,22 @@ async def test_an_experiment_as_the_broker_tells_it(client: ObserverClient, brok
         summary = await record(client, frames)
         await until(lambda: watcher.of("parameters") and watcher.of("telemetry"))
         await until(lambda: watcher.of("parameters")[-1] == parameters(summary["estimates"]))
-        assert watcher.of("event") == [{"severity": "warning", "code": "end", "text": "an operator asked for the end"}]
+        await until(lambda: watcher.of("diagnosis") and watcher.of("diagnosis")[-1] == summary["diagnosis"])
+        told = {each["code"]: each for each in watcher.of("event")}
+        assert told.pop("end") == {"severity": "warning", "code": "end", "text": "an operator asked for the end"}
+        # What was named at the end, and perhaps others before it: each is told once.
+        named = summary["diagnosis"]["findings"]
+        events = [each["text"] for each in watcher.of("event") if each["code"] == "missing_effect"]
+        assert told.keys() <= {"missing_effect"}
+        assert len(events) == len(set(events))
+        assert all(any(each["effect"] in text for text in events) for each in named)
         assert watcher.of("progress") == [{"task": "sweep", "fraction": 0.25, "remaining": 30.0}]
     async with Watcher(broker.port) as late:
         await until(lambda: late.of("parameters"))
         name, entry = next(iter(late.of("parameters")[0].items()))
         assert name == "inertia"
         assert entry.keys() >= {"value", "std", "unit", "status", "method"}
+        assert late.of("diagnosis")[0] == summary["diagnosis"]
         assert not late.of("telemetry")
 
 

@@ -1,11 +1,12 @@
 """Readings that are not what is measured. They leave the motion alone and change what is shown.
 
-Lag and delay are expansions to the second order in time, right for frequencies below 0.3 / lag.
+A lag remembers what it has shown. A delay is an expansion to the second order in time, right for frequencies below
+0.3 / delay.
 """
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family, Place
+from models.effect import Effect, EffectParameter, EffectState, Family, Place
 
 GYRO_BIAS = Effect(
     name="gyro_bias",
@@ -61,15 +62,22 @@ def _shift(name: str, meaning: str) -> tuple[EffectParameter, ...]:
     )
 
 
+# Beside a lag of some milliseconds the root is the lag; where there is none it keeps the memory finite.
+_LATE = "({0} - late_{0}) / sqrt(lag ** 2 + 0.002 ** 2)"
+
 SENSOR_LAG = Effect(
     name="sensor_lag",
     family=Family.SENSOR,
     title="readings that go through a first-order low pass",
     place=Place.SENSOR,
-    equation="x_shown = x - lag x' + lag^2 x'' for angle and rate, which is x / (1 + lag s)",
+    equation="lag x_shown' = x - x_shown for angle and rate, which is x / (1 + lag s)",
     parameters=_shift("lag", "time constant"),
-    angle_reading="angle - lag * angle_1 + lag ** 2 * angle_2",
-    rate_reading="rate - lag * rate_1 + lag ** 2 * rate_2",
+    states=(
+        EffectState("late_angle", "{angle}", _LATE.format("angle"), "what is shown of the angle", initial="angle"),
+        EffectState("late_rate", "{rate}", _LATE.format("rate"), "what is shown of the rate", initial="rate"),
+    ),
+    angle_reading=f"angle - lag * {_LATE.format('angle')}",
+    rate_reading=f"rate - lag * {_LATE.format('rate')}",
     signature="Readings come late and are damped at high frequencies.",
     confused_with=("sensor_delay", "input_delay", "actuator_lag"),
     separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "

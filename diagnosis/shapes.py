@@ -1,0 +1,157 @@
+"""Would a force of any shape still help? A test for lack of fit that needs no formula.
+
+A missing force at a joint is let depend on one coordinate after the other as it likes: piecewise straight lines
+over it, the same times rate or coordinate, waves over it, and swinging or creeping in time. What each would do to the
+innovations is its linear response (diagnosis.force_probe), less what parameters, noise and initial states could do, the
+effects that are in the model included. So what is left is what no value of theirs would mend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+from scipy.stats import chi2
+
+from diagnosis.floor import Innovations
+from diagnosis.force_probe import Probe, recurrence
+from diagnosis.whitened import Whitened, project, whitening
+
+Array = NDArray[np.float64]
+
+KNOTS = 8
+"""Of a piecewise straight line, with as many rows between neighbours."""
+HARMONICS = 12
+"""Of the range of a coordinate."""
+SLOWEST, FASTEST, LINES = 0.1, 5.0, 60
+"""Hz, between which a coefficient may swing in time, and how many frequencies are tried."""
+LEAST = 1e-6
+"""Share of a column's own energy that has to be left beside what is fitted anyway."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What a force of one kind of shape would gain in log likelihood, beyond what chance gains, and how likely that is.
+
+    `name` is what it goes with at `joint`, `p_value` with all kinds looked at.
+    """
+
+    joint: str
+    name: str
+    gain: float
+    p_value: float
+
+
+def shapes(found: Innovations, probed: Probe) -> list[Shape]:
+    """All kinds at all joints, the one that gains most first. `found` has the fit itself, with its own gain."""
+    white = Whitened.of(found.fit)
+    tried: list[tuple[str, str, float, int, int]] = []
+    for place, joint in enumerate(probed.joints):
+        design = _Design(white, found, probed, place)
+        for name, width, members in _kinds(found, probed, place):
+            columns = design.columns(members)
+            pieces = [columns[:, first : first + width] for first in range(0, columns.shape[1], width)]
+            statistics = [design.statistic(piece) for piece in pieces]
+            statistic, rank = max(statistics, key=lambda each: each[0] - each[1])
+            tried.append((joint.name, name, statistic, rank, len(pieces)))
+    kinds = max(len(tried), 1)
+    ranked = [
+        Shape(joint, name, 0.5 * (statistic - rank), min(1.0, kinds * pieces * float(chi2.sf(statistic, rank))))
+        for joint, name, statistic, rank, pieces in tried
+        if rank
+    ]
+    return sorted(ranked, key=lambda each: -each.gain)
+
+
+def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str, int, list[Array]]]:
+    """Name, columns of one shape, and by stretch (n, m) its values: m / columns shapes of a kind."""
+    joint = probed.joints[place]
+    values = {each.name: each.values for each in probed.coordinates}
+    time = tuple(segment.time for segment in found.problem.segments)
+    angle, rate = values.get(joint.coordinate), values.get(joint.rate)
+    hats = {name: _hats(each) for name, each in values.items()}
+    clock = _hats(time)
+    for name in values:
+        yield name, hats[name][0].shape[1], hats[name]
+    yield "time", clock[0].shape[1], clock
+    for slope, word in ((angle, joint.coordinate), (rate, joint.rate)):
+        if slope is None:
+            continue
+        for name in values:
+            if name != word:
+                yield f"{word} by {name}", hats[name][0].shape[1], _times(hats[name], slope)
+        yield f"{word} by time", clock[0].shape[1], _times(clock, slope)
+        swings = [_lines(each, np.linspace(SLOWEST, FASTEST, LINES)) for each in time]
+        yield f"{word} swinging in time", 2, _times(swings, slope)
+    if angle is not None:
+        whole = np.concatenate(angle)
+        span = float(np.quantile(whole, 0.999) - np.quantile(whole, 0.001))
+        waves = [_lines(each, np.arange(1, HARMONICS + 1) / span) for each in angle]
+        yield f"waves over {joint.coordinate}", 2, waves
+        if rate is not None:
+            yield f"{joint.rate} by waves over {joint.coordinate}", 2, _times(waves, rate)
+
+
+def _hats(values: Sequence[Array]) -> list[Array]:
+    """Piecewise straight lines over a coordinate, (n, KNOTS)."""
+    knots = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, KNOTS)))
+    return [np.stack([np.interp(each, knots, row) for row in np.eye(len(knots))], axis=1) for each in values]
+
+
+def _times(columns: Sequence[Array], factor: Sequence[Array]) -> list[Array]:
+    return [each * by[:, None] for each, by in zip(columns, factor, strict=True)]
+
+
+def _lines(values: Array, frequencies: Array) -> Array:
+    """Sine and cosine of each frequency in turn, (n, 2 m)."""
+    turns = 2.0 * np.pi * values[:, None] * frequencies
+    return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(values), -1)
+
+
+class _Design:
+    """What forces at one joint do to the whitened innovations."""
+
+    def __init__(self, white: Whitened, found: Innovations, probed: Probe, place: int) -> None:
+        fit, response = white.fit, probed.response
+        self.white, self.segments = white, fit.problem.segments
+        floor = found.floor
+        predictor = floor.transition - floor.transition @ fit.gain @ floor.output
+        pushes = np.zeros((max(map(len, self.segments)), len(predictor)))
+        pushes[1:2] = response.drive[:, place]
+        impulse = recurrence(predictor, pushes) @ floor.output.T
+        impulse[0] += response.direct[:, place]
+        self.impulse = impulse @ whitening(fit).T
+        order = np.argsort(white.blocks, kind="stable")
+        self.order, self.edges = order, np.flatnonzero(np.diff(white.blocks[order], prepend=-1))
+
+    def columns(self, members: Sequence[Array]) -> Array:
+        parts = []
+        for segment, basis, inside in zip(self.segments, self.white.starts, members, strict=True):
+            shown = np.stack(
+                [fftconvolve(inside, each[:, None], axes=0)[: len(inside)] for each in self.impulse[: len(inside)].T],
+                axis=1,
+            )
+            shown = np.where(np.isfinite(segment.measured)[:, :, None], shown, 0.0).reshape(-1, inside.shape[1])
+            whole = np.zeros((len(basis), inside.shape[1]))
+            whole[: len(shown)] = shown
+            parts.append(whole - basis @ (basis.T @ whole))
+        stacked = np.concatenate(parts)
+        size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+        return project(stacked / size, self.white.nuisance)
+
+    def statistic(self, columns: Array) -> tuple[float, int]:
+        """Chi squared of unit columns (n, m), and its degrees of freedom; the blocks' scatter counts where larger."""
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > LEAST
+        if not kept.any():
+            return 0.0, 0
+        basis = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+        residual = self.white.residual
+        sizes = basis.T @ residual
+        rest = basis * (residual - basis @ sizes)[:, None]
+        sums = np.add.reduceat(rest[self.order], self.edges, axis=0)
+        inflation = max(1.0, float(np.sum(sums**2)) / len(sizes))
+        return float(sizes @ sizes) / inflation, len(sizes)

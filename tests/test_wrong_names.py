@@ -1,0 +1,111 @@
+"""No confident wrong name: what a record cannot tell is tied, and what no formula of the catalogue is, is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.adequacy import CHANCE, SHAPED, Adequacy
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.shapes import Shape
+from diagnosis.where_it_fails import VIEWS, Views
+from estimators.identify import nominal_model, with_values
+from models import library
+from models.effect import Effect, check_names
+from models.effects import find
+from models.kernel import compile_model
+from models.model import ModelError
+from models.segment import Segment
+from service.vehicle_file import load
+from service.virtual_run import record
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+
+
+def found_in(*hide: str) -> Diagnosis:
+    """From 20 s, which the gate asks for with some to spare."""
+    return diagnose(MODEL, [record("monocab", "multisine", hide=hide, seed=8, duration=20.0)], support=VEHICLE.support)
+
+
+class TestNames:
+    def test_a_lag_of_the_sensor_is_no_sprung_cabin(self) -> None:
+        found = found_in("sensor_lag=0.5")
+        (finding,) = found.findings
+        assert found.verdict is Verdict.MISSING_EFFECT
+        assert finding.effect == "sensor_lag"
+        assert finding.tied_with == ()
+        # Half of 20 ms, to four standard deviations and the 2 ms in the root, which are a fiftieth of the lag.
+        lag = finding.parameters["sensor_lag.lag"]
+        assert lag.value is not None
+        assert lag.std is not None
+        assert lag.value == pytest.approx(0.010, abs=4.0 * lag.std + 0.2e-3)
+
+    def test_friction_with_bristles_is_at_least_tied_with_dry_friction(self) -> None:
+        (finding,) = found_in("coulomb_friction=0.3").findings
+        assert "coulomb_friction" in {finding.effect, *finding.tied_with}
+        assert len(finding.tied_with) <= 1
+
+    def test_a_drag_that_is_not_in_the_catalogue_is_unknown(self) -> None:
+        # Eight times the size that the record would just show: quadratic drag closes four fifths of the gap.
+        found = found_in("test_cubic_drag=0.041")
+        assert found.verdict is Verdict.UNKNOWN
+        assert found.unexplained is not None
+        assert found.unexplained.shape is not None
+        assert found.unexplained.shape.joint == "roll"
+        assert "roll_rate" in found.unexplained.shape.name
+        assert "of no known shape" in found.reason
+
+
+def adequacy(gain: float, p_value: float, gained: float = 100.0) -> Adequacy:
+    fine = Views((), (), (), (), (), dict.fromkeys(VIEWS, ()))
+    return Adequacy(1.5, 1.0, fine, Shape("roll", "roll_rate", gain, p_value), gained)
+
+
+class TestWhatIsLeft:
+    def test_a_small_rest_is_the_formula_and_a_large_one_has_no_name(self) -> None:
+        assert adequacy(0.9 * 100.0 * SHAPED, 0.1 * CHANCE).adequate
+        assert not adequacy(1.1 * 100.0 * SHAPED, 0.1 * CHANCE).adequate
+        assert adequacy(1.1 * 100.0 * SHAPED, 2.0 * CHANCE).adequate
+
+    def test_where_more_is_left_than_was_found_nothing_is_named(self) -> None:
+        assert adequacy(50.0, 0.1 * CHANCE).named
+        assert not adequacy(150.0, 0.1 * CHANCE).named
+        assert not replace(adequacy(0.0, 1.0), after=1.3).named
+
+
+class TestSensorLag:
+    def test_shows_what_a_low_pass_makes_of_a_sine(self) -> None:
+        lag, frequency = 0.02, 5.0
+        model = library.get("axis").add("sensor_lag")
+        kernel = compile_model(model)
+        time = np.arange(0.0, 2.0, 0.002)
+        turn = 2.0 * np.pi * frequency
+        inputs = np.repeat(np.sin(turn * time)[:, None], len(kernel.inputs), axis=1)
+        knots = np.repeat(time[:, None], len(kernel.inputs), axis=1)
+        segment = Segment(time, knots, inputs, np.full((len(time), len(kernel.outputs)), np.nan))
+
+        def shown(value: float) -> np.ndarray:
+            values = kernel.vector({"sensor_lag.lag": value})
+            run = kernel.run(segment, values, np.zeros(len(kernel.states)), substeps=8)
+            return np.asarray(run.predicted[:, 0])
+
+        plain, late = shown(0.0), shown(lag)
+        exact = np.zeros_like(plain)
+        decay = np.exp(-0.002 / lag)
+        for row in range(1, len(time)):  # first-order hold of the plain reading
+            slope = (plain[row] - plain[row - 1]) / 0.002
+            exact[row] = decay * exact[row - 1] + (1.0 - decay) * (plain[row - 1] - lag * slope) + slope * 0.002
+        # The root that keeps the memory finite makes the lag half a per cent longer in its second order alone.
+        assert np.max(np.abs(late - exact)) < 0.01 * np.max(np.abs(plain - exact))
+
+    def test_only_a_sensor_may_begin_with_what_it_reads(self) -> None:
+        hysteresis = find("hysteresis")
+        (state,) = hysteresis.states
+        moved: Effect = replace(hysteresis, states=(replace(state, initial="angle"),))
+        with pytest.raises(ModelError, match="cannot begin with"):
+            check_names(moved)
