@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from diagnosis.closed_loop import Course, Experiment, simulate
 from diagnosis.gate import SHORTEST
-from diagnosis.rivals import Rival, innovation_covariance
+from diagnosis.rivals import NOTHING_MORE, Rival, innovation_covariance
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
@@ -75,7 +75,10 @@ class Suggestion:
         """In one sentence, without its full stop."""
         several = f" ({self.runs} runs of {self.experiment.duration:g} s)" if self.runs > 1 else ""
         first, *others = self.separates
-        told = f"{self.seconds:.0f} s of {self.experiment.name}{several} separates {first} from {' and '.join(others)}"
+        record = f"{self.seconds:.0f} s of {self.experiment.name}{several}"
+        told = f"{record} separates {first} from {' and '.join(others)}"
+        if others == [NOTHING_MORE]:
+            told = f"{record} would show {first} of a size that is still too small to show here"
         return "; ".join((told, *(f"nothing here separates {one} from {other}" for one, other in self.together)))
 
     def to_json(self) -> dict[str, Any]:

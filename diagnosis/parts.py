@@ -97,7 +97,7 @@ def diagnose_actuators(
     """What the one of `actuators` that fits `recordings` lacks of `candidates`."""
     if progress is not None:
         progress("choosing the speed loop", 0.0)
-    free = [middle(away_from_support(each, actuators[0], support), actuators[0], ENOUGH) for each in recordings]
+    free = looked_at(actuators[0], recordings, support)
     try:
         model, hidden = speed_loop(actuators, free, candidates)
     except (DataError, ArithmeticError) as error:
@@ -112,6 +112,11 @@ def diagnose_actuators(
         progress=progress,
     )
     return beyond_formula(model, found)
+
+
+def looked_at(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Recording]:
+    """What of `recordings` the diagnosis of an actuator's `model` rests on."""
+    return [middle(away_from_support(each, model, support), model, ENOUGH) for each in recordings]
 
 
 def away_from_support(recording: Recording, model: Model, support: float | None) -> Recording:

@@ -164,3 +164,18 @@ def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
     own.write_text(OWN)
     document = json.loads(upright(path, "--effect", "static_torque", "--effect", own, "--json"))
     assert {each["effect"] for each in document["findings"]} == {"static_torque", "wheel_drag"}
+
+
+def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path) -> None:
+    """The vehicle from its measured gimbals on lacks nothing: the report is on the gimbals."""
+    path, report = tmp_path / "late.arrow", tmp_path / "report.html"
+    record("monocab", "multisine", hide=["input_delay"], seed=6, duration=30.0).save(path)
+    document = json.loads(upright(path, "--report", report, "--json"))
+    assert [each["effect"] for each in document["findings"]] == ["input_delay"]
+    # 12 ms in the plant.
+    assert document["findings"][0]["parameters"]["input_delay.delay"]["value"] == pytest.approx(0.012, abs=0.003)
+    assert document["suggested_experiment"] is None
+    text = report.read_text()
+    assert "the model lacks input_delay" in text
+    assert "monocab_gimbals" in text
+    assert not (tmp_path / "report-2.html").exists()

@@ -15,8 +15,10 @@ import typer
 from service.cli.output import page, people, print_json
 
 if TYPE_CHECKING:
+    from diagnosis.diagnose import Diagnosis
     from diagnosis.report import Provenance
     from models.effect import Effect
+    from models.model import Model
     from service.vehicle_file import VehicleFile
     from telemetry.recording import Recording
 
@@ -71,8 +73,8 @@ def diagnose(
     """Find the physical effect that a model lacks, or say that the recordings cannot tell.
 
     Of several recordings the last is held out to check on; of a single one each third in turn. A vehicle whose
-    actuators have a model of their own is diagnosed in two parts, from command to motion and from there on; a report is
-    on the second. Ctrl-C ends it.
+    actuators have a model of their own is diagnosed in two parts, from command to motion and from there on; where both
+    lack something, a second report is written beside the first. Ctrl-C ends it.
     """
     from diagnosis.diagnose import Verdict
     from diagnosis.diagnose import diagnose as run
@@ -105,9 +107,10 @@ def diagnose(
     with share_done() as progress:
         way = partial(diagnose_parts, nominal, actuators) if actuators else partial(run, nominal)
         found = way(loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress)
-        own_part = found.parts[0] if found.parts else found
+        parts = shown_parts(found, nominal, loaded, file.support)
         progress("choosing the next experiment", 1.0)
-        found = replace(found, suggested_experiment=suggest_for(file, own_part, nominal, loaded))
+        if parts[0][1] is nominal:  # experiments are predicted for the vehicle, which its actuators only move
+            found = replace(found, suggested_experiment=suggest_for(file, parts[0][0], nominal, loaded))
         if found.verdict is Verdict.UNKNOWN and model is None:
             progress("looking for what sets in during the run", 1.0)
             found = replace(found, reason=f"{found.reason}{sets_in(loaded, recordings, file, begin)}")
@@ -115,15 +118,16 @@ def diagnose(
             from diagnosis.report import write_report
 
             origin = provenance(file.vehicle.id, recordings)
-            text = write_report(
-                replace(own_part, suggested_experiment=found.suggested_experiment),
-                nominal,
-                loaded,
-                support=file.support,
-                provenance=origin,
-                progress=lambda text: progress(text, 1.0),
-            )
-            report.write_text(text, encoding="utf-8")
+            for (part, bare, seen), path in zip(parts, report_paths(report, len(parts)), strict=True):
+                text = write_report(
+                    replace(part, suggested_experiment=found.suggested_experiment),
+                    bare,
+                    seen,
+                    support=file.support,
+                    provenance=origin,
+                    progress=lambda text: progress(text, 1.0),
+                )
+                path.write_text(text, encoding="utf-8")
     if auto is not None and found.repaired is not None:
         from service.trail import write_trail
 
@@ -135,11 +139,32 @@ def diagnose(
 
         print_diagnosis(found)
         if report is not None:
-            page.print(f"\nReport: {report}")
+            page.print("\n" + "\n".join(f"Report: {path}" for path in report_paths(report, len(parts))))
         if auto is not None and found.repaired is not None:
             page.print(f"\nModel: {auto}, and how it came about: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA:
         raise typer.Exit(1)
+
+
+def shown_parts(
+    found: Diagnosis, nominal: Model, loaded: Sequence[Recording], support: float
+) -> list[tuple[Diagnosis, Model, Sequence[Recording]]]:
+    """What a report is on, with the bare model and the recordings of each: the vehicle, or else the part with the
+    likeliest effect first, and the other one where it lacks something, too."""
+    from diagnosis.parts import looked_at
+
+    vehicle = (found.parts[0] if found.parts else found, nominal, loaded)
+    if not found.parts or not found.parts[1].findings or not found.findings:
+        return [vehicle]
+    bare = found.parts[1].steps[0].model
+    actuators = (found.parts[1], bare, looked_at(bare, loaded, support))
+    told = [vehicle, actuators] if vehicle[0].findings else [actuators]
+    return sorted(told, key=lambda each: found.findings[0] not in each[0].findings)
+
+
+def report_paths(report: Path, count: int) -> list[Path]:
+    """FILE.html, and for a second part FILE-2.html."""
+    return [report, *(report.with_stem(f"{report.stem}-{number}") for number in range(2, count + 1))]
 
 
 def sets_in(loaded: Sequence[Recording], paths: Sequence[Path], file: VehicleFile, begin: float) -> str:
