@@ -35,6 +35,11 @@ class LineFinder:
         """s that are looked at."""
         return self._rows * self._period
 
+    @property
+    def bins(self) -> int:
+        """Among how many frequencies the line is picked, at least 1."""
+        return max(1, self._rows // 2)
+
     def frequency(self) -> float | None:
         """Hz of the strongest line, between bins by a parabola through logarithms; None where too little is there."""
         if self.span < SHORTEST:

@@ -158,13 +158,13 @@ class LiveDiagnosis:
         columns = np.column_stack((nuisances, effects[len(effects) - len(nuisances) :], np.concatenate(target)))
         for rows, begin, span in parts(chunk, outputs):
             if self._gathered.add(columns[rows], begin, span) and last.place + 1 >= last.count:
-                self._result = self._gathered.look(self._shapes)
+                self._result = self._gathered.look(self._shapes, {LINE: self._line.bins})
                 self._follow_line()
 
     def _follow_line(self) -> None:
         """The disturbance of one frequency is looked for where innovations have a line, in what comes from now on.
 
-        So it is not picked from the data that it is tested on.
+        Data that are gone through again were there when it was picked: so it has the price of all that could have been.
         """
         if self._line_place is None or self._gathered is None or self._line is None:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -166,9 +166,12 @@ class Gathered:
         if effect in self._entries:
             self.products.forget(self._entries[effect].amplitudes.columns)
 
-    def look(self, shapes: Mapping[str, tuple[float, float, str]]) -> LiveResult:
-        """Name what stands out, the strongest first, each with those before it taken for granted. `shapes`: values,
-        standard deviations and units of parameters that were followed."""
+    def look(self, shapes: Mapping[str, tuple[float, float, str]], tries: Mapping[str, int]) -> LiveResult:
+        """Name what stands out, the strongest first, each with those before it taken for granted.
+
+        `shapes`: values, standard deviations and units of parameters that were picked from the data, `tries` by effect
+        among how many.
+        """
         if self.products.seconds <= SHORTEST:
             return TOO_LITTLE
         amplitudes = [entry.amplitudes for entry in self._entries.values()]
@@ -181,6 +184,7 @@ class Gathered:
             found, errors = onsets(self.products, amplitudes, named, SHORTEST)
             if not named:
                 detectable = {name: DETECTABLE * error * self._entries[name].scale[0] for name, error in errors.items()}
+            found = sorted((_priced(each, tries) for each in found), key=lambda each: -each.statistic)
             best = simplest(found)
             if best is None or _p_value(best) > threshold:
                 break
@@ -261,6 +265,12 @@ def simplest(found: Sequence[Onset]) -> Onset | None:
     """The effect of fewest amplitudes among those that gain nearly the most."""
     near = [each for each in found if each.statistic >= SIMPLER * found[0].statistic]
     return min(near, key=lambda each: len(each.effect.columns), default=None)
+
+
+def _priced(onset: Onset, tries: Mapping[str, int]) -> Onset:
+    """Less what the best of many tries gains by chance."""
+    price = 2.0 * math.log(tries.get(onset.effect.name, 1))
+    return replace(onset, statistic=max(onset.statistic - price, 0.0)) if price else onset
 
 
 def _p_value(onset: Onset) -> float:
