@@ -59,7 +59,7 @@ def size(finding: LiveFinding) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("excitation", "seed"), [("multisine", 1), ("multisine", 2), ("sweep", 1), ("hold", 1)])
 def test_where_nothing_is_missing_nothing_is_named_at_any_time(excitation: str, seed: int) -> None:
-    """By its level, once in a hundred minutes of such data; seeds are fixed. One has a line that only chance put there."""
+    """By its level, once in a hundred minutes; seeds are fixed. One record has a line that only chance put there."""
     told = course(recorded(excitation=excitation, seed=seed))
     assert [result.findings for _, result in told] == [()] * len(told)
     assert told[0][1].verdict == "insufficient_data"
