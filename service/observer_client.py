@@ -22,6 +22,8 @@ from service.raw_log_process import RawLogProcess
 from telemetry.channels import TABLES
 from telemetry.samples import CanFrame, Frame
 
+ORDERS = ("start_recording", "stop_recording")
+"""Messages that must not be lost."""
 ORDERLY_END = 10.0
 """s that the observer gets to end by itself."""
 
@@ -195,7 +197,7 @@ class ObserverClient:
 
     def _tell(self, type: str, **message: Any) -> None:
         if self._pipe is not None:
-            self._pipe.post(link.pack_json({"type": type, **message}))
+            self._pipe.post(link.pack_json({"type": type, **message}), order=type in ORDERS)
 
     # What the observer tells control
 

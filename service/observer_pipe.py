@@ -87,13 +87,14 @@ class ObserverPipe:
             self._flush_can_at_ns = frame.timestamp_ns + BATCH_NS
             self._flush_can_frames()
 
-    def post(self, packet: bytes) -> None:
-        """A message: after the frames that came before it, queued where there is no room."""
+    def post(self, packet: bytes, *, order: bool = False) -> None:
+        """A message: after the frames that came before it, queued where there is no room. An `order` is never dropped,
+        however many messages wait."""
         self.flush()
         self._flush_at_ns = 0  # The next cycle may be the last one that an order asks for.
         if self._send(packet):
             return
-        if not self.is_open or len(self._messages) >= MOST_MESSAGES:
+        if not self.is_open or (len(self._messages) >= MOST_MESSAGES and not order):
             self._statistics.messages_dropped += 1
             return
         self._messages.append(packet)
