@@ -31,6 +31,11 @@ TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque"
 ROLL = get("monocab_roll").add("static_torque")
 DRIVEN = replace(ROLL, actuators=tuple(replace(each, commanded=True) for each in ROLL.actuators))
 """The same, had its gimbals followed a command at once."""
+MIXED = replace(
+    ROLL,
+    outputs=tuple(replace(each, expression="roll + roll_rate") for each in ROLL.outputs),
+)
+"""Every sensor shows the same sum: no solving for one of the two."""
 NOMINAL = small_vehicle.Truth()
 
 
@@ -102,7 +107,8 @@ def test_every_output_that_shows_a_state_is_solved_for_it() -> None:
         (ROLL.add("sensor_scale"), "not linear in inertia, sensor_scale.scale"),
         (DRIVEN.add("actuator_lag"), "actuator_lag.lag: a lag is not linear"),
         (ROLL.add("hysteresis"), "needs hysteresis.z, which no output shows"),
-        (ROLL.add("sensor_lag"), "cannot be solved for the motion"),
+        (ROLL.add("sensor_lag"), "not linear in .*sensor_lag.lag"),
+        (MIXED, "cannot be solved for the motion"),
         (get("monocab_roll").change(estimated=["drive_offset"]), "no estimated parameter"),
         (replace(ROLL, joints=()), "has none"),
         (replace(ROLL, joints=(replace(ROLL.joints[0], rate="2 * roll_rate"),)), "is no state"),
