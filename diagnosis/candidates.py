@@ -14,6 +14,7 @@ from estimators.segments import channels_of
 from models.effect import AttachedEffect, Effect, places_for, starts
 from models.effects import CATALOGUE, find
 from models.model import Model, ModelError
+from models.sensing import learned
 from telemetry.recording import Recording
 
 MOST_VARIANTS = 24
@@ -55,7 +56,10 @@ def candidates_for(
     model: Model, recordings: Sequence[Recording], effects: Iterable[str | Effect] | None = None
 ) -> tuple[list[Candidate], dict[str, str]]:
     """The candidates among `effects` (default: the catalogue), each at every place that can have it, and by name why
-    others are none."""
+    others are none.
+
+    Without recordings all that may set in later is one: a constant error is learned by a filter, but not at once.
+    """
     there = {attached.name for attached in model.effects}
     found: list[Candidate] = []
     left_out: dict[str, str] = {}
@@ -78,6 +82,9 @@ def candidates_for(
             ]
             if lacking:
                 left_out[name] = f"needs channel {', '.join(lacking)}, which is not recorded"
+                continue
+            if recordings and any(s.name == place and learned(s, effect) for s in model.sensors):
+                left_out[name] = f"is there before the record begins, when the filter of {place} has learned it"
                 continue
             attached = with_it.effects[-1]
             found.append(Candidate(attached, _variants(model, attached)))

@@ -9,7 +9,7 @@ from diagnosis.screen import Score, Screen
 from estimators.report import significant
 
 if TYPE_CHECKING:
-    from diagnosis.diagnose import Finding
+    from diagnosis.findings import Finding
 
 
 def explain(finding: Finding, candidate: Candidate, score: Score, screened: Screen) -> str:
@@ -39,8 +39,8 @@ def explain(finding: Finding, candidate: Candidate, score: Score, screened: Scre
         told.append(
             f"{nearest} instead would close about {100.0 * closed:.0f} % of the gap: a falling error proves little."
         )
-    if finding.held_out_gain is not None:
-        gain, std = finding.held_out_gain
+    if finding.held_out is not None:
+        gain, std = finding.held_out.gain, finding.held_out.std
         told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} +-{std:.2g}.")
     return " ".join(told)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from diagnosis.candidates import Candidate
-from diagnosis.diagnose import FURTHER, FURTHER_ALIKE
+from diagnosis.exchange import FURTHER, FURTHER_ALIKE
 from diagnosis.onset import BEGINNING, Amplitudes, Onset, Products, onsets
 from diagnosis.ties import SIMPLER, TIED, alike
 from estimators.problem import Problem

@@ -8,7 +8,6 @@ their gain is, is told by blocks of half a second: innovations of a model withou
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from diagnosis.candidates import Candidate
 from diagnosis.refit import FullFit, full, with_effect
 from diagnosis.whitened import BLOCK
 from diagnosis.workspace import Workspace, attached
-from models.effect import starts
+from models.effect import Place, starts
 from models.model import Model
 
 Array = NDArray[np.float64]
@@ -49,16 +48,15 @@ def together(model: Model, workspace: Workspace, names: Collection[str]) -> list
         return []
     wider = attached(model, chosen)
     try:
-        fitted = full(wider, workspace, chosen[-1])
+        return [full(wider, workspace, chosen[-1])]
     except ArithmeticError:
         return []
-    return [replace(fitted, cost=len(chosen) * fitted.cost)]
 
 
 def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
     """`model` with the effect; an offset of the input that it delays is held, since the two are one and the same."""
     wider = with_effect(model, candidate, values)
-    if not candidate.effect.delay:
+    if not (candidate.effect.delay and candidate.effect.place is Place.ACTUATOR):
         return wider
     command = next(each.command for each in model.actuators if each.name == candidate.attached.at)
     same = next(each.delays for each in model.inputs if each.name == command)

@@ -7,11 +7,13 @@ effect in the model less noise is needed, which is what makes the difference bet
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from diagnosis.candidates import Candidate
 from diagnosis.screen import Score
@@ -40,18 +42,24 @@ class QuickFit:
 
 @dataclass(frozen=True, slots=True)
 class FullFit:
-    """`log_likelihood` at its own noise; `cost`, what its further parameters have to gain (Schwarz)."""
+    """`log_likelihood` at its own noise; `count`, of its effects' estimated parameters; `rows` that were fitted."""
 
     candidate: Candidate | None
     model: Model
     fit: Fit
     log_likelihood: float
-    cost: float
+    count: int
+    rows: int
 
     @property
     def name(self) -> str:
         """Of the effect that was added last; empty for the model alone."""
         return self.candidate.name if self.candidate else ""
+
+    @property
+    def cost(self) -> float:
+        """What its effects' parameters have to gain (Schwarz)."""
+        return 0.5 * self.count * math.log(self.rows)
 
     @property
     def evidence(self) -> float:
@@ -128,13 +136,16 @@ def shape_spread(value: float, typical: float) -> float:
 def full(model: Model, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
     """The fit of `model` with its noise. `candidate` is the effect that was added last."""
     fitted = fit(workspace.problem(model))
-    count = 0
-    if candidate is not None:
-        count = sum(p.estimated for p in model.parameters if p.name in (*candidate.amplitudes, *candidate.shapes))
+    own = {p.name for each in model.effects for p in each.parameters}
+    count = sum(p.estimated for p in model.parameters if p.name in own)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
-    return FullFit(
-        candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), 0.5 * count * float(np.log(rows))
-    )
+    return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
+
+
+def by_chance(fitted: FullFit, base: FullFit) -> float:
+    """p-value of the likelihood ratio of `fitted` to `base`, whose model lacks some of its effects (Wilks)."""
+    gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
+    return float(chi2.sf(gain, fitted.count - base.count))
 
 
 def surety(fitted: FullFit) -> float:

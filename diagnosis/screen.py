@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from diagnosis.candidates import Candidate, at_frequencies
+from diagnosis.instants import at_instants
 from diagnosis.whitened import Whitened, peaks, project
 from estimators.problem import Problem
 
@@ -87,6 +88,7 @@ def screen(
     parts: list[tuple[Candidate, int, Array]] = []
     for group in _groups(at_frequencies(candidates, *peaks(innovations))):
         full = attach(group)
+        group = [at_instants(each, innovations, full) for each in group]
         for number in range(max(len(candidate.variants) for candidate in group)):
             looked_at = [candidate for candidate in group if number < len(candidate.variants)]
             shape = {name: value for each in looked_at for name, value in each.variants[number].items()}

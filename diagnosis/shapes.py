@@ -69,7 +69,8 @@ def shapes(found: Innovations, probed: Probe) -> list[Shape]:
 def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str, int, list[Array]]]:
     """Name, columns of one shape, and by stretch (n, m) its values: m / columns shapes of a kind."""
     joint = probed.joints[place]
-    values = {each.name: each.values for each in probed.coordinates}
+    inner = {state.name for each in found.problem.model.effects for state in each.states}
+    values = {each.name: each.values for each in probed.coordinates if each.name not in inner}
     time = tuple(segment.time for segment in found.problem.segments)
     angle, rate = values.get(joint.coordinate), values.get(joint.rate)
     hats = {name: _hats(each) for name, each in values.items()}

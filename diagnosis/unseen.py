@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis import ahead
-from diagnosis.refit import off_prior
+from diagnosis.refit import FullFit, full, off_prior
 from diagnosis.whitened import whitening
+from diagnosis.workspace import Workspace
+from estimators.contract import EstimationError, Status
 from estimators.gauss_newton import Block, eliminate
-from estimators.methods.prediction_error import Fit
+from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
 from estimators.segments import segments
+from models.effect import AttachedEffect
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -29,6 +32,9 @@ SETTLING = 0.5
 """s at the beginning of a recording that tell of the start, not of the model."""
 BLOCK = 1.0
 """s of held-out data that count as one piece of evidence."""
+SURE = 2.0
+"""Standard deviations from zero of an amplitude that a part of the data tells. One that does not tell cannot judge."""
+NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 HORIZON = 0.5
 """s ahead at which held-out errors are told: far enough for a missing force to show."""
 
@@ -61,6 +67,48 @@ class Unseen:
         """Whether the likelihood rises beyond its own noise, and no error grows beyond its."""
         closes = self.closed_percent is None or self.closed_std is None or self.closed_percent > -self.closed_std
         return closes and self.gain + self.known >= self.std
+
+
+class UnseenCheck:
+    """Judges effects that are added to one model, whose own fits are made once."""
+
+    def __init__(self, base: FullFit, workspace: Workspace) -> None:
+        self._base = base
+        self._workspace = workspace
+        self._few: dict[float, Workspace] = {}
+        self._without: dict[float, Fit] = {}
+
+    def of(self, best: FullFit) -> Unseen | None:
+        """What fits of a part of the data say of the rest; None where no part tells the effects that `best` adds."""
+        there = {each.name for each in self._base.model.effects}
+        further = [each for each in best.model.effects if each.name not in there]
+        workspace = self._workspace
+        try:
+            parts = folds(self._base.model, workspace.recordings, workspace.support)
+            return judge(parts, lambda part: self._fits(best, further, part), workspace.support)
+        except (EstimationError, ArithmeticError):
+            return None
+
+    def _fits(self, best: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
+        base, workspace = self._base.model, self._workspace
+        if part.begin not in self._few:
+            others = [each.effect for each in workspace.others(base)]
+            self._few[part.begin] = Workspace.of(base, part.seen, workspace.support, others)
+        few = self._few[part.begin]
+        with_it = full(best.model, few).fit
+        told = result(with_it, 0.0).parameters
+        sizes = [told[name] for each in further for name in each.amplitudes]
+        if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
+            return None
+        # What happens once, at an instant outside the part, is nothing that the part could foretell.
+        instants = [
+            p.name for each in further for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes
+        ]
+        if any(told[name].status in NOT_TOLD for name in instants):
+            return None
+        if part.begin not in self._without:
+            self._without[part.begin] = full(base, few).fit
+        return self._without[part.begin], with_it
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:

@@ -58,8 +58,8 @@ class Whitened:
         assert slopes is not None, "the fit ended here"
         assert blocks is not None, "the fit ended here"
         bases = [np.linalg.qr(block.own)[0] for block in blocks]
-        columns = np.concatenate([_less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
-        residual = np.concatenate([_less(block.residual, basis) for block, basis in zip(blocks, bases, strict=True)])
+        columns = np.concatenate([less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
+        residual = np.concatenate([less(block.residual, basis) for block, basis in zip(blocks, bases, strict=True)])
         deviations = np.array([task.model.parameters[place].std for place in held])
         known = size + len(held)
         prior = np.zeros(columns.shape[1])
@@ -80,6 +80,11 @@ class Whitened:
 
         `full` is the problem of the model with the effects, on the same rows.
         """
+        moved = self.moved(full, amplitudes, shape)
+        return np.concatenate([less(rows, basis) for rows, basis in zip(moved, self.starts, strict=True)])
+
+    def moved(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> list[Array]:
+        """The same by stretch, with what its initial state could do; row after row, and what a start may be off."""
         task = self.fit.problem
         known = dict(zip(task.kernel.parameters, self.fit.values.tolist(), strict=True))
         neutral = {p.name: p.value for p in full.model.parameters if p.name not in known} | dict.fromkeys(
@@ -103,9 +108,8 @@ class Whitened:
                 run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
             moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
             rows = (weights @ moved).reshape(-1, len(active))
-            rows = np.concatenate((rows, np.zeros((len(basis) - len(rows), len(active)))))
-            parts.append(_less(rows, basis))
-        return np.concatenate(parts)
+            parts.append(np.concatenate((rows, np.zeros((len(basis) - len(rows), len(active))))))
+        return parts
 
 
 PEAKS = 3
@@ -147,7 +151,7 @@ def project(columns: Array, nuisance: Array) -> Array:
     return np.asarray(whole - scaled @ np.linalg.lstsq(scaled.T @ scaled, scaled.T @ whole, rcond=1e-13)[0])
 
 
-def _less(columns: Array, basis: Array) -> Array:
+def less(columns: Array, basis: Array) -> Array:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 

@@ -2,7 +2,8 @@
 
 A model may say that a sensor's noise is known, and that a filter made one reading of another: then the angle is the
 integrated rate to a millionth. Where the record's angle has white noise of its own, many times that, it was measured
-otherwise: its noise is then estimated as that of any other sensor, and is not the integral of another one's.
+otherwise: its noise is then estimated as that of any other sensor, is not the integral of another one's, and no filter
+takes errors of the rate into the angle.
 """
 
 from __future__ import annotations
@@ -34,7 +35,18 @@ def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
         replace(each, noise_of="", initial_std=max(each.initial_std, noise.get(each.initial, 0.0)))
         for each in model.base_states
     )
-    return replace(model, base_states=states, outputs=outputs)
+    apart = {sensor.name for sensor in model.sensors if sensor.angle in freed}
+    return replace(
+        model,
+        base_states=states,
+        outputs=outputs,
+        sensors=tuple(replace(each, filter=None) if each.name in apart else each for each in model.sensors),
+        # What an effect has for the filter goes with it.
+        effects=tuple(
+            replace(each, states=each.states[: len(each.effect.states)]) if each.at in apart else each
+            for each in model.effects
+        ),
+    )
 
 
 def _white_noise(name: str, recordings: Sequence[Recording]) -> float:

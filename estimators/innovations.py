@@ -201,9 +201,10 @@ def _doubled(transition: Array, known: Array, process: Array) -> Array | None:
     for _ in range(60):
         ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=1))
         first, second = ratio[:, :states], ratio[:, states:]
-        grown = H + A.T @ H @ first
-        G = G + A @ second @ A.T
-        A = A @ first
+        with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers has no steady filter
+            grown = H + A.T @ H @ first
+            G = G + A @ second @ A.T
+            A = A @ first
         size = np.max(np.abs(grown))
         if not np.isfinite(size):
             return None

@@ -10,7 +10,9 @@ An effect knows no machine. Its expressions use the names of the place it is att
   first-order lag.
 * on a sensor: `angle`, `rate` (what the sensor would show), their time derivatives `angle_1`, `angle_2`, `rate_1`,
   `rate_2`, and `time`. `angle_reading` and `rate_reading` replace what it shows; one that the sensor does not measure
-  is left out.
+  is left out. Where the sensor has a `filter`, what is added to the rate alone goes through it into the angle. `delay`
+  names the parameter (s) by which all that it shows is late: where that is all that the model shows, whatever drives
+  the model acts later instead, which is exact.
 
 States and parameters go by their local names. In a model a parameter is called EFFECT.NAME (EFFECT@PLACE.NAME at
 another than the first place that can have the effect).
@@ -28,11 +30,12 @@ from models.model import Actuator, Joint, Model, ModelError, Parameter, Sensor, 
 from models.place import VOCABULARY, offer
 from models.place import Place as Place
 from models.place import places_of as places_of
+from models.sensing import FILTERED, integrated
 
 BELONGING: Mapping[Place, tuple[str, ...]] = {
     Place.JOINT: ("force",),
     Place.ACTUATOR: ("command", "delay", "lag"),
-    Place.SENSOR: ("angle_reading", "rate_reading"),
+    Place.SENSOR: ("angle_reading", "rate_reading", "delay"),
 }
 """Which attributes of an effect say what it does at its place."""
 
@@ -203,6 +206,12 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
         )
         for state in effect.states
     )
+    if isinstance(place, Sensor) and integrated(place, effect):
+        units = (place.angle_unit, place.rate_unit, place.angle_unit)
+        states += tuple(
+            State(bare.qualified(name), unit, text, meaning="error of the filter that makes the angle from the rate")
+            for (name, text), unit in zip(FILTERED.items(), units, strict=True)
+        )
     return replace(bare, parameters=tuple(parameters), states=states)
 
 

@@ -1,14 +1,15 @@
 """A model's text equations, with all its effects merged in, as SymPy expressions.
 
 Effects on actuators replace the command; effects at joints add to the joint's force; effects on sensors replace what
-the output shows, last. An effect that asks for `load` (what accelerates the joint) is given all that does not ask.
+the output shows, last, and what they add to a rate goes through the filter that makes an angle of it. An effect that
+asks for `load` (what accelerates the joint) is given all that does not ask.
 Only generation, printing and tests need this module: a kernel that is cached is loaded without SymPy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import sympy
 
@@ -16,6 +17,7 @@ from models.effect import AttachedEffect, Place
 from models.expressions import names_in, parse
 from models.model import Actuator, Hold, Joint, Model, ModelError, Sensor
 from models.place import VOCABULARY
+from models.sensing import FILTERED, delayed, integrated
 
 Symbols = Mapping[str, sympy.Expr]
 
@@ -109,7 +111,7 @@ def compose(model: Model) -> Equations:
     delays, lags = [], []
     for each in model.inputs:
         shifting = [effect for effect in model.effects if _acts_on(model, effect, each.channel)]
-        extra = tuple(effect.qualified(effect.effect.delay) for effect in shifting if effect.effect.delay)
+        extra = tuple(a.qualified(a.effect.delay) for a in model.effects if each.name in delayed(model, a))
         delays.append(each.delays + extra)
         lag = [effect.qualified(effect.effect.lag) for effect in shifting if effect.effect.lag]
         if len(lag) + bool(each.lag) > 1:
@@ -229,10 +231,12 @@ def _read(
 ) -> None:
     """Replace what the outputs of `sensor` show by what its effects make of it; their states go into `memories`.
 
-    Time derivatives are those of what the sensor would show without its effects, the second of them in the model
-    without effects: they only carry terms that are small already.
+    What is added to the rate alone goes through the sensor's filter into the angle. Time derivatives of readings are
+    those of what the sensor would show without its effects, the second of them in the model without effects: they only
+    carry terms that are small already.
     """
-    effects = [a for a in model.effects if a.effect.place is Place.SENSOR and a.at == sensor.name]
+    here = [a for a in model.effects if a.effect.place is Place.SENSOR and a.at == sensor.name]
+    effects = [a for a in here if not delayed(model, a)]
     if not effects:
         return
     moving: dict[str, sympy.Expr] = {}
@@ -246,10 +250,19 @@ def _read(
         local_names = _local(attached, symbols, names)
         # What remembers a reading that is not measured stays at rest.
         absent = dict.fromkeys(VOCABULARY[Place.SENSOR] - set(local_names), sympy.Integer(0))
-        for state, own in zip(attached.states, attached.effect.states, strict=True):
+        for own in attached.effect.states:
             where = f"effect {attached.name}, {own.name}"
-            memories[state.name] = _real(parse(own.derivative, {**absent, **local_names}, where))
+            memories[attached.qualified(own.name)] = _real(parse(own.derivative, {**absent, **local_names}, where))
         readings = {sensor.angle: attached.effect.angle_reading, sensor.rate: attached.effect.rate_reading}
+        before = dict(outputs)
         for output, text in readings.items():
             if text and output:
                 outputs[output] = _real(parse(text, local_names, f"effect {attached.name}, reading"))
+        if sensor.filter is not None and integrated(sensor, attached.effect):
+            error = outputs[sensor.rate] - before[sensor.rate]
+            own_states = {name: symbols[attached.qualified(name)] for name in FILTERED}
+            gains = {key: sympy.Float(value) for key, value in asdict(sensor.filter).items()}
+            for name, text in FILTERED.items():
+                memories[attached.qualified(name)] = parse(text, {**own_states, **gains, "error": error}, name)
+            outputs[sensor.angle] += own_states["angle_error"]
+            outputs[sensor.rate] -= own_states["bias_error"]

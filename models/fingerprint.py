@@ -20,7 +20,7 @@ def fingerprint(model: Model) -> str:
     parts += [sorted(model.definitions.items())]
     parts += [(j.name, j.coordinate, j.rate, j.inertia, j.load, j.smooth_rate) for j in model.joints]
     parts += [(a.name, a.command, a.joint, a.rate, a.angle, a.gain) for a in model.actuators]
-    parts += [(sensor.name, sensor.angle, sensor.rate) for sensor in model.sensors]
+    parts += [(s.name, s.angle, s.rate, s.filter) for s in model.sensors]
     for attached in model.effects:
         effect = attached.effect
         expressions = (effect.force, effect.command, effect.angle_reading, effect.rate_reading)
@@ -48,6 +48,7 @@ def _sources() -> str:
         "expression_syntax",
         "kernel_loops",
         "machine_code",
+        "sensing",
     )
     return hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()
 

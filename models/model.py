@@ -168,8 +168,30 @@ class Actuator:
 
 
 @dataclass(frozen=True, slots=True)
+class Filter:
+    """What makes an angle from its rate, and how it answers to an error of the rate: slowly, by an accelerometer.
+
+        off = angle - level - lever error / smoothing
+        angle' = error - bias - proportional off,  bias' = integral off
+        level' = error - bias - (level + lever error / smoothing) / smoothing
+
+    are the errors of angle, bias and of the direction from the accelerometer, which goes through a low pass of
+    `smoothing` s that turns with the rate. `proportional` 1/s and `integral` 1/s^2 are the filter's gains, 0 where it
+    learns no bias; `lever` s^2, the sensor's height over the axis by g: its acceleration there is taken from the rate.
+    """
+
+    proportional: float
+    integral: float = 0.0
+    smoothing: float = 1.0
+    lever: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Sensor:
-    """Outputs of one device: `angle` (or position) and `rate` are output names, "" where it does not measure it."""
+    """Outputs of one device: `angle` (or position) and `rate` are output names, "" where it does not measure it.
+
+    `filter` is what makes the angle from the rate, None where they are measured apart.
+    """
 
     name: str
     angle: str = ""
@@ -178,6 +200,7 @@ class Sensor:
     rate_unit: str = "rad/s"
     angle_scale: float = 1.0
     rate_scale: float = 1.0
+    filter: Filter | None = None
 
 
 @dataclass(frozen=True, slots=True)

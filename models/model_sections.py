@@ -100,6 +100,13 @@ class ActuatorSection(Section):
     commanded: bool = True
 
 
+class FilterSection(Section):
+    proportional: Positive
+    integral: NotNegative = 0.0
+    smoothing: Positive = 1.0
+    lever: Finite = 0.0
+
+
 class SensorSection(Section):
     angle: str = ""
     rate: str = ""
@@ -107,6 +114,7 @@ class SensorSection(Section):
     rate_unit: str = "rad/s"
     angle_scale: Positive = 1.0
     rate_scale: Positive = 1.0
+    filter: FilterSection | None = None
 
 
 class EffectSection(Section):

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, asdict, fields, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from models import library
 from models.effect import AttachedEffect, attach
-from models.model import Model, Parameter
+from models.model import Filter, Model, Parameter
 
 if TYPE_CHECKING:
     from models.model_file import ModelFile
@@ -183,6 +183,8 @@ def _toml(value: Any) -> str:
             return "{ " + ", ".join(f"{_key(key)} = {_toml(item)}" for key, item in value.items()) + " }"
         case list() | tuple():
             return "[" + ", ".join(map(_toml, value)) + "]"
+        case Filter():
+            return _toml(asdict(value))
         case float():
             return repr(float(value))
         case str():

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from models import library
 from models.expressions import check, length, name_problem, names_in
-from models.model import Actuator, Hold, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
+from models.model import Actuator, Filter, Hold, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
 from models.model_sections import ModelSection, ParameterSection, Section, one_of
 
 Build = TypeVar("Build")
@@ -103,7 +103,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
     ) -> tuple[Build, ...]:
         plain = [(each, entry.model_dump(exclude_none=True)) for each, entry in entries.items()]
         return tuple(
-            kind(name=each, **(values | {key: make(values[key]) for key, make in more.items()}))
+            kind(name=each, **(values | {key: make(values[key]) for key, make in more.items() if key in values}))
             for each, values in plain
         )
 
@@ -118,7 +118,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
         base_parameters=tuple(_in_bounds(each, f"{file}: parameters.{each.name}") for each in parameters),
         joints=built(Joint, tables.joints),
         actuators=built(Actuator, tables.actuators),
-        sensors=built(Sensor, tables.sensors),
+        sensors=built(Sensor, tables.sensors, filter=lambda each: Filter(**each)),
         definitions=dict(tables.definitions),
     )
 

@@ -15,8 +15,9 @@ from typing import Any
 
 from models.effect import AttachedEffect
 from models.expressions import names_in, parse, renamed
-from models.model import Actuator, Joint, Model
+from models.model import Actuator, Filter, Joint, Model, Sensor
 from models.place import Place
+from models.sensing import FILTERED, delayed, integrated
 
 
 class Kind(StrEnum):
@@ -69,7 +70,8 @@ def text(model: Model) -> str:
     """The equations as plain text, a line each, what an effect does with its name behind it."""
     rows = []
     for line in equations(model):
-        right = line.expression.replace("@1", "'").replace("@2", "''") if line.kind is Kind.READING else line.expression
+        shown = line.kind in (Kind.READING, Kind.DERIVATIVE)
+        right = line.expression.replace("@1", "'").replace("@2", "''") if shown else line.expression
         match line.kind:
             case Kind.DELAY:
                 rows.append((line.name, f"acts later by {right}", ""))
@@ -151,7 +153,8 @@ def to_json(model: Model) -> dict[str, Any]:
 def _shifts(model: Model) -> Iterator[Line]:
     for each in model.inputs:
         shifting = [(a, a.effect) for a in _acting(model, Place.ACTUATOR) if _actuator(model, a).command == each.name]
-        delays = [*each.delays, *(a.qualified(effect.delay) for a, effect in shifting if effect.delay)]
+        late = [a.qualified(a.effect.delay) for a in model.effects if each.name in delayed(model, a)]
+        delays = [*each.delays, *late]
         if delays:
             yield Line(Kind.DELAY, each.name, " + ".join(delays))
         if each.lag:
@@ -202,21 +205,37 @@ def _memories(model: Model, attached: AttachedEffect) -> Iterator[Line]:
 def _readings(model: Model) -> Iterator[Line]:
     for sensor in model.sensors:
         for attached in _acting(model, Place.SENSOR):
-            if attached.at != sensor.name:
+            if attached.at != sensor.name or delayed(model, attached):
                 continue
             names: dict[str, str] = {}
             for local, output in (("angle", sensor.angle), ("rate", sensor.rate)):
                 shown = _measured(output)
                 names |= {local: shown, f"{local}_1": f"{shown}@1", f"{local}_2": f"{shown}@2"}
             names |= _own(attached)
-            for state, own in zip(attached.states, attached.effect.states, strict=True):
+            for own in attached.effect.states:
                 measured = {local for local, output in (("angle", sensor.angle), ("rate", sensor.rate)) if output}
                 if names_in(own.derivative) & {"angle", "rate"} <= measured:
-                    yield Line(Kind.DERIVATIVE, state.name, renamed(own.derivative, names), attached.name)
+                    state = attached.qualified(own.name)
+                    yield Line(Kind.DERIVATIVE, state, renamed(own.derivative, names), attached.name)
+            if sensor.filter is not None and integrated(sensor, attached.effect):
+                yield from _filtered(sensor, sensor.filter, attached, renamed(attached.effect.rate_reading, names))
+                continue
             readings = ((attached.effect.angle_reading, sensor.angle), (attached.effect.rate_reading, sensor.rate))
             for reading, output in readings:
                 if reading and output:
                     yield Line(Kind.READING, output, renamed(reading, names), attached.name)
+
+
+def _filtered(sensor: Sensor, filtered: Filter, attached: AttachedEffect, reading: str) -> Iterator[Line]:
+    """What becomes of a rate that an effect changes, and of the angle that a filter makes of it."""
+    names = {name: attached.qualified(name) for name in FILTERED}
+    given = {key: repr(value) for key, value in asdict(filtered).items()}
+    rate, angle = _measured(sensor.rate), _measured(sensor.angle)
+    for name, text in FILTERED.items():
+        expression = renamed(text, {**names, **given, "error": f"{reading} - {rate}"})
+        yield Line(Kind.DERIVATIVE, names[name], expression, attached.name)
+    yield Line(Kind.READING, sensor.angle, f"{angle} + {names['angle_error']}", attached.name)
+    yield Line(Kind.READING, sensor.rate, f"{reading} - {names['bias_error']}", attached.name)
 
 
 def _acting(model: Model, place: Place) -> list[AttachedEffect]:

@@ -69,9 +69,9 @@ class TestOneEffect:
         assert after is not None
         assert before > 1.5
         assert after == pytest.approx(1.0, abs=0.1)
-        gain = found.findings[0].held_out_gain
-        assert gain is not None
-        assert gain[0] > 2.0 * gain[1]
+        unseen = found.findings[0].held_out
+        assert unseen is not None
+        assert unseen.gain > 2.0 * unseen.std
 
     def test_a_line_is_found_at_its_frequency(self) -> None:
         finding = found_in("periodic_disturbance").findings[0]

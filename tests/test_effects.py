@@ -26,6 +26,7 @@ from models.library import get
 from models.library.axis import axis
 from models.model import Model, ModelError, Sensor
 from models.segment import Segment
+from models.sensing import FILTERED
 from simulation.friction import BRISTLE_DEFLECTION
 from simulation.hidden import HIDDEN
 from simulation.input_effects import input_effects
@@ -162,6 +163,8 @@ def test_equations_are_those_of_the_model_without_it_where_its_size_is_zero(name
     for _ in range(5):
         values = {**with_it.values, "time": source.uniform(0.0, 30.0)}
         values |= {state.name: source.normal(0.0, 0.3) for state in with_it.states}
+        # A filter that nothing leads astray stays at rest.
+        values |= {f"{name}.{state}": 0.0 for state in FILTERED}
         values |= {each.name: source.normal(0.0, 0.3) for each in MONOCAB.inputs}
         values |= {f"{each.name}_slope": source.normal() for each in MONOCAB.inputs}
         there, expected = full(values), bare(values)
@@ -313,7 +316,7 @@ def test_a_place_that_lacks_what_an_effect_needs_is_named_with_what_it_lacks() -
 
 
 def test_a_sensor_without_a_rate_reading_is_shifted_in_what_it_has() -> None:
-    shifted = compose(get("axis").add("sensor_delay"))
+    shifted = compose(replace(axis(rate_measured=True), sensors=get("axis").sensors).add("sensor_delay"))
     delay = next(symbol for symbol in shifted.parameters if symbol.name == "sensor_delay.delay")
     assert shifted.outputs[0].diff(delay) != 0
 

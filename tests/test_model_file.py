@@ -602,9 +602,9 @@ def test_latex(crowded: Model) -> None:
 
 
 def test_latex_of_a_sensor_that_is_late_uses_dots() -> None:
-    latex = rendering.latex(library.get("monocab_roll").add("sensor_delay"))
-    assert r"\ddot{\mathrm{roll}_{\mathrm{measured}}}" in latex
-    assert "roll_measured''" in rendering.text(library.get("monocab_roll").add("sensor_delay"))
+    late = library.get("monocab_reduced").add("sensor_delay")
+    assert r"\ddot{\mathrm{roll}_{\mathrm{measured}}}" in rendering.latex(late)
+    assert "roll_measured''" in rendering.text(late)
 
 
 # The command line

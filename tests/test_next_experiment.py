@@ -188,11 +188,10 @@ def test_a_diagnosis_gets_what_separates_its_tied_effects() -> None:
         parameters={},
         probability=0.6,
         p_value=1e-9,
-        held_out_error_closed_percent=None,
         tied_with=("viscous_friction",),
         explanation="",
         log_likelihood_gain=30.0,
-        held_out_gain=None,
+        held_out=None,
         odds={"coulomb_friction": 1.0, "viscous_friction": 0.5},
     )
     tied = Diagnosis(Verdict.MISSING_EFFECT, "", (finding,), repaired=with_friction(model, 12.0))

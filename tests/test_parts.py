@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict
-from diagnosis.parts import diagnose_actuators, diagnose_parts
+from diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
 from estimators.identify import nominal_model, with_values
 from estimators.segments import ramp_shortfall
 from models.effect import Place
@@ -88,6 +89,54 @@ class TestVirtualGimbals:
         assert len(first.tied_with) <= 1
         value = next(iter(first.parameters.values())).value
         assert value == pytest.approx(level * hidden, abs=within)
+
+    def test_two_rows_of_delay_are_found_where_they_make_the_vehicle_swing(self) -> None:
+        """Setpoints of 1 rad/s at 5 Hz, which the drives' ramp of 31.4 rad/s^2 follows for several rows."""
+        found = gimbals_of("input_delay=2.0")
+        assert found.verdict is Verdict.MISSING_EFFECT
+        assert found.steps[0].model.name == "monocab_gimbals"
+        assert found.steps[0].model.inputs[1].ramp == pytest.approx(30_000.0 / 60.0 / 100.0 * 2.0 * np.pi, rel=2e-3)
+        (finding,) = found.findings
+        assert finding.effect == "input_delay"
+        assert finding.tied_with == ()
+        # 24 ms, and the bus: one of its cycles of 1 ms at most.
+        assert finding.parameters["input_delay.delay"].value == pytest.approx(0.0245, abs=5e-4)
+
+    def test_a_second_effect_is_not_made_up(self) -> None:
+        assert [each.effect for each in gimbals_of("actuator_lag=0.5333").findings] == ["actuator_lag"]
+
+
+class TestUnknown:
+    """Gimbals that follow no known speed loop are never adequate."""
+
+    ADEQUATE = Diagnosis(Verdict.ADEQUATE, "nothing is missing")
+    UNKNOWN = Diagnosis(Verdict.UNKNOWN, "3 times the floor")
+
+    def test_the_whole_is_unknown(self) -> None:
+        found = merged(self.ADEQUATE, self.UNKNOWN, COMMANDED)
+        assert found.verdict is Verdict.UNKNOWN
+        assert "3 times the floor" in found.reason
+        assert set(found.left_out or {}) == {each.name for each in COMMANDED}
+
+    def test_a_command_has_no_name_where_the_speed_loop_has_none(self) -> None:
+        one = gimbals_of("input_delay=2.0")
+        found = merged(self.ADEQUATE, replace(one, verdict=Verdict.UNKNOWN, reason="3 times the floor"), COMMANDED)
+        assert found.verdict is Verdict.UNKNOWN
+        assert not found.findings
+
+    def test_play_that_the_vehicle_shows_explains_it(self) -> None:
+        (finding,) = gimbals_of("input_delay=2.0").findings
+        play = replace(self.ADEQUATE, verdict=Verdict.MISSING_EFFECT, findings=(replace(finding, effect="backlash"),))
+        assert merged(play, self.UNKNOWN, COMMANDED).verdict is Verdict.MISSING_EFFECT
+
+    def test_too_little_data_for_the_gimbals_say_nothing_against_the_vehicle(self) -> None:
+        short = Diagnosis(Verdict.INSUFFICIENT_DATA, "10 s are too short")
+        assert merged(self.ADEQUATE, short, COMMANDED).verdict is Verdict.ADEQUATE
+
+    def test_process_noise_does_not_excuse_innovations_far_above_the_sensors_noise(self) -> None:
+        assert gimbals_of("backlash=0.0353").verdict is Verdict.UNKNOWN
+        clean = gimbals_of()
+        assert quiet(clean) is clean
 
 
 class TestPlainServo:

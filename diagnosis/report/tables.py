@@ -75,7 +75,7 @@ def rankings(diagnosis: Diagnosis) -> list[Ranking]:
     """One for each finding; where there is none, what the screen alone says of those that came nearest."""
     if not diagnosis.findings:
         return [_nearest(diagnosis.screens[0])] if diagnosis.screens and diagnosis.screens[0].scores else []
-    return [_ranking(finding, screen) for finding, screen in zip(diagnosis.findings, diagnosis.screens, strict=False)]
+    return [_ranking(finding, finding.screen) for finding in diagnosis.findings if finding.screen is not None]
 
 
 def _ranking(finding: Finding, screen: Screen) -> Ranking:

@@ -86,8 +86,10 @@ def _add_or_tell_apart(diagnosis: Diagnosis) -> str:
 
 
 def effect_of(diagnosis: Diagnosis, step: int, name: str) -> Effect:
-    """The effect called `name` that was looked for in `step`."""
-    return diagnosis.screens[step].score(name).candidate.effect
+    """The effect called `name` that was looked for when finding number `step` was found."""
+    screen = diagnosis.findings[step].screen
+    assert screen is not None
+    return screen.score(name).candidate.effect
 
 
 def _experiment(suggested: Mapping[str, Any]) -> str:

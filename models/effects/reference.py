@@ -60,7 +60,8 @@ _FAMILIES = {
 _PLACES = {
     Place.JOINT: "`force`, and `states` where it has a memory",
     Place.ACTUATOR: "`command`, or the name of a parameter in s as `delay` or `lag`",
-    Place.SENSOR: "`angle_reading`, `rate_reading`, and `states` where it has a memory",
+    Place.SENSOR: "`angle_reading`, `rate_reading`, the name of a parameter in s as `delay`, and `states` where it has "
+    "a memory",
 }
 
 

@@ -1,7 +1,7 @@
 """Readings that are not what is measured. They leave the motion alone and change what is shown.
 
-A lag remembers what it has shown. A delay is an expansion to the second order in time, right for frequencies below
-0.3 / delay.
+A lag remembers what it has shown. A delay of a sensor that shows all that the model does is that of all that drives the
+model, and exact; elsewhere it is an expansion to the second order in time, right for frequencies below 0.3 / delay.
 """
 
 from __future__ import annotations
@@ -90,10 +90,11 @@ SENSOR_DELAY = Effect(
     family=Family.SENSOR,
     title="readings of the past",
     place=Place.SENSOR,
-    equation="x_shown = x - delay x' + delay^2 x'' / 2 for angle and rate, which is x(t - delay)",
+    equation="x_shown = x(t - delay) for angle and rate; beside other sensors x - delay x' + delay^2 x'' / 2",
     parameters=_shift("delay", "age of the readings"),
     angle_reading="angle - delay * angle_1 + 0.5 * delay ** 2 * angle_2",
     rate_reading="rate - delay * rate_1 + 0.5 * delay ** 2 * rate_2",
+    delay="delay",
     signature="Readings come late at their full size.",
     confused_with=("sensor_lag", "input_delay", "actuator_lag"),
     separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "

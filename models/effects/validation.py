@@ -11,6 +11,7 @@ from models.effects import CATALOGUE
 from models.expressions import name_problem, number
 from models.model import ModelError
 from models.place import SCALES, UNITS, VOCABULARY
+from models.sensing import FILTERED
 
 _TRIES = 40
 """Random motions on which neutrality is judged; a term that is missed by one is hit by another."""
@@ -45,7 +46,7 @@ def _validate_own_names(effect: Effect, where: str) -> None:
     seen: set[str] = set()
     for kind, part in [("parameter", p.name) for p in effect.parameters] + [("state", s.name) for s in effect.states]:
         problem = name_problem(part)
-        if part in VOCABULARY[effect.place] | {"force"}:
+        if part in VOCABULARY[effect.place] | {"force", *FILTERED}:
             problem = f"is what an effect on {effect.place}s is given already"
         if part in seen:
             problem = "is there twice"

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 
-from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Actuator, Filter, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
 
 GRAVITY = 9.81
 SUPPORT = math.radians(4.0)
@@ -95,7 +95,14 @@ _OUTPUTS = (
     Output("roll", "rad", "roll + roll_error", noise=1e-5, noise_known=True),
     Output("roll_rate", "rad/s", "roll_rate + rate_error", noise=4e-4),
 )
-_IMU = Sensor("imu", angle="roll", rate="roll_rate", angle_scale=0.02, rate_scale=0.05)
+_IMU = Sensor(
+    "imu",
+    angle="roll",
+    rate="roll_rate",
+    angle_scale=0.02,
+    rate_scale=0.05,
+    filter=Filter(proportional=2.36, integral=0.12, smoothing=1.0, lever=0.9 / GRAVITY),
+)
 
 
 def _joint(trim_position: str, trim_acceleration: str) -> Joint:

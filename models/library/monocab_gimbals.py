@@ -10,7 +10,8 @@ of the two can be judged for itself. Three speed loops, all with speed_loop_lag 
 A vehicle that rolls turns its gimbals: the reaction, angular momentum x roll rate over the gimbals' inertia. The roll
 rate is a state that the gyro measures, not an input: the controller answers to the gyro's noise, so that noise taken
 for motion would be blamed on the setpoint, whose gain came out 5 % too small. How the vehicle rolls is told by
-roll_gain and by an acceleration that wanders, and so does not depend on what is unknown of it.
+roll_gain, roll_stiffness and an acceleration that wanders, and so does not depend on what is unknown of it. Gyro and
+drives are not read at the same instant: where the vehicle swings at 5 Hz, 1.6 ms between them are 5 % of its rate.
 
 Drives in a velocity mode follow their setpoint by a ramp (6048h and 604Ah of CiA 402). `ramp_share` is how much of a
 ramp of 30 rad/s^2 there is, 0 for none; a steeper one takes proportionally less, as long as a step is over within its
@@ -25,6 +26,7 @@ from models.model import Actuator, Hold, Input, Model, Output, Parameter, State
 COMMAND = "precession_rate_setpoint"
 _ACTING = f"({COMMAND} + ramp_share * setpoint_shortfall)"
 _REACTION = "gimbal_reaction * roll_rate"
+_ROLLS = "roll_gain * precession_rate + roll_acceleration"
 _UNDER_LOAD = f"servo_acceleration - {_REACTION} - gimbal_drag * precession_rate"
 
 _PARAMETERS = (
@@ -37,6 +39,24 @@ _PARAMETERS = (
         meaning="angular momentum over the gimbals' inertia; 0 where the drives do not feel it",
     ),
     Parameter("roll_gain", "1/s", 2.2, std=0.4, meaning="angular momentum over the vehicle's inertia"),
+    Parameter(
+        "roll_stiffness",
+        "1/s^2",
+        0.0,
+        std=10.0,
+        estimated=False,
+        meaning="gravity stiffness over the vehicle's inertia",
+    ),
+    Parameter(
+        "gyro_offset",
+        "s",
+        0.0,
+        std=0.005,
+        lower=-0.02,
+        upper=0.02,
+        estimated=False,
+        meaning="how much later than its row, or earlier than the drives, the gyro is read",
+    ),
     Parameter("ramp_share", "1", 0.0, std=1.0, lower=-1.0, upper=3.0, meaning="of a ramp of 30 rad/s^2 in the drives"),
     Parameter(
         "setpoint_offset",
@@ -50,10 +70,19 @@ _PARAMETERS = (
 )
 _ROLL = (
     State(
-        "roll_rate", "rad/s", "roll_gain * precession_rate + roll_acceleration", initial="roll_rate", initial_std=2e-3
+        "roll_rate",
+        "rad/s",
+        _ROLLS,
+        initial="roll_rate",
+        initial_std=2e-3,
     ),
     State(
-        "roll_acceleration", "rad/s^2", "0", initial_std=0.3, process_noise=0.2, meaning="but for the gyroscopic torque"
+        "roll_acceleration",
+        "rad/s^2",
+        "roll_stiffness * roll_rate",
+        initial_std=0.3,
+        process_noise=0.2,
+        meaning="but for the gyroscopic torque",
     ),
 )
 
@@ -88,7 +117,7 @@ def _model(name: str, title: str, servo: tuple[State, ...], *more: Parameter) ->
             ),
         ),
         outputs=(
-            Output("roll_rate", "rad/s", "roll_rate", noise=4e-4),
+            Output("roll_rate", "rad/s", f"roll_rate - gyro_offset * ({_ROLLS})", noise=4e-4),
             Output("precession_rate", "rad/s", "precession_rate", noise=1e-4, age="drive_age"),
         ),
         base_parameters=(*_PARAMETERS, *more),
@@ -123,7 +152,8 @@ MONOCAB_GIMBALS = _model(
         "1",
         1.0,
         std=0.05,
-        lower=0.0,
+        lower=0.5,
+        upper=1.5,
         estimated=False,
         meaning="of current loop, filters and sampling, in quarters of speed_loop_lag; 1 by the symmetric optimum",
     ),

@@ -1,0 +1,85 @@
+"""Effects that were found one after the other, each looked for again beside the others.
+
+The first one had to stand for all that is missing: quadratic drag and dry friction together look like viscous friction,
+and beside that like Stribeck friction. Beside Stribeck friction, though, quadratic drag is what is missing, and beside
+quadratic drag plain dry friction. So each effect is taken out in turn and looked for as if it had not been found, until
+no name changes: a floating search (Pudil, Novovicova, Kittler, "Floating search methods in feature selection", 1994).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+from diagnosis.findings import Finding
+from diagnosis.refit import FullFit, by_chance, full
+from diagnosis.step import LEVEL, Named, Tell, find, look, surprising, unseen_at_zero
+from diagnosis.ties import alike
+from diagnosis.workspace import Workspace
+
+FURTHER = 0.05
+"""Share of what was gained so far that a further effect has to gain: no formula is exact, and a long record tells."""
+FURTHER_ALIKE = 0.1
+"""The same for an effect that is easily confused with one that was found: it bends its formula."""
+TURNS = 2
+"""How often each effect is looked for again, at most."""
+
+
+def exchange(
+    findings: Sequence[Finding], whole: FullFit, workspace: Workspace, masked: Collection[str], tell: Tell
+) -> tuple[list[Finding], FullFit]:
+    """`findings` as each is found beside the others, and the fit with all of them; `whole` is that of the given ones.
+
+    The last of `findings` was found beside the others. What is not missing beside the others is left out. The order
+    stays where the names do; otherwise what explains most comes first.
+    """
+    found = list(findings)
+    settled, turns = 1, TURNS * len(found)
+    for turn in range(turns):
+        if settled >= len(found):
+            break
+        oldest = found.pop(0)
+        tell(f"looking for {oldest.effect} again, with the others in the model", turn / turns)
+        without = full(whole.model.remove(oldest.effect), workspace)
+        candidate = next(each for each in workspace.candidates if each.name == oldest.effect)
+        new = _again(Named(oldest, replace(whole, candidate=candidate)), without, workspace, masked)
+        if new is not None and new.finding.log_likelihood_gain >= asked(new.finding, found):
+            settled = settled + 1 if new.finding.effect == oldest.effect else 1
+            found.append(new.finding)
+            whole = new.fit
+        elif new is None and by_chance(whole, without) < LEVEL / len(workspace.candidates):
+            settled += 1
+            found.append(oldest)
+        else:
+            settled = 0
+            whole = without
+    place = {each.effect: number for number, each in enumerate(findings)}
+    if {each.effect for each in found} == set(place):
+        return sorted(found, key=lambda each: place[each.effect]), whole
+    return sorted(found, key=lambda each: -each.log_likelihood_gain), whole
+
+
+def one_by_one(findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> list[FullFit]:
+    """The fit with the first of `findings`, with the first two, and so on to `whole`, which has them all."""
+    fits = [whole] if findings else []
+    candidates = {each.name: each for each in workspace.candidates}
+    for last, dropped in reversed(list(pairwise(findings))):
+        model = fits[0].model.remove(dropped.effect)
+        fits.insert(0, full(model, workspace, candidates[last.effect]))
+    return fits
+
+
+def _again(oldest: Named, without: FullFit, workspace: Workspace, masked: Collection[str]) -> Named | None:
+    screened = look(without, workspace)
+    if not surprising(screened):
+        return None
+    more = {oldest.finding.effect}.intersection(unseen_at_zero(workspace))
+    return find(without, screened, workspace, {*masked, *more}, lambda text, share: None, oldest)
+
+
+def asked(further: Finding, before: Sequence[Finding]) -> float:
+    """Gain in log likelihood that a further effect has to bring, beside those found before."""
+    total = sum(each.log_likelihood_gain for each in before)
+    neighbours = any(alike(further.definition, each.definition) for each in before)
+    return total * (FURTHER_ALIKE if neighbours else FURTHER)

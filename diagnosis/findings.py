@@ -1,0 +1,117 @@
+"""What a diagnosis ends with: the verdict, the effects that are missing, and how it came to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from diagnosis.adequacy import Adequacy
+from diagnosis.refit import FullFit
+from diagnosis.screen import Screen
+from diagnosis.unseen import Unseen
+from estimators.contract import ParameterEstimate
+from models.effect import Effect
+from models.model import Model
+
+
+class Verdict(StrEnum):
+    """What a diagnosis ends with."""
+
+    ADEQUATE = "adequate"
+    MISSING_EFFECT = "missing_effect"
+    UNKNOWN = "unknown"
+    INSUFFICIENT_DATA = "insufficient_data"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An effect that the model lacks.
+
+    `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
+    model before; `held_out` what data say that the fit had not seen, None where there are none;
+    `odds` of every effect that got a full fit, relative to this one; `screen` is the one that it was found in. Where
+    there are several, each is told as it is beside the others.
+    """
+
+    effect: str
+    family: str
+    parameters: Mapping[str, ParameterEstimate]
+    probability: float
+    p_value: float
+    tied_with: tuple[str, ...]
+    explanation: str
+    log_likelihood_gain: float
+    held_out: Unseen | None
+    odds: Mapping[str, float]
+    screen: Screen | None = None
+
+    @property
+    def held_out_error_closed_percent(self) -> float | None:
+        """Of the error energy on unseen data that exceeds the sensors', what the effect closes."""
+        return self.held_out.closed_percent if self.held_out else None
+
+    @property
+    def definition(self) -> Effect:
+        """The effect, from the screen that it was found in."""
+        assert self.screen is not None
+        return self.screen.score(self.effect).candidate.effect
+
+    def to_json(self) -> dict[str, Any]:
+        """One of `findings` in `diagnose --json`."""
+        return {
+            "effect": self.effect,
+            "family": self.family,
+            "parameters": {
+                name: {"value": each.value, "std": each.std, "unit": each.unit, "identifiable": each.identifiable}
+                for name, each in self.parameters.items()
+            },
+            "probability": self.probability,
+            "p_value": self.p_value,
+            "held_out_error_closed_percent": self.held_out_error_closed_percent,
+            "tied_with": list(self.tied_with),
+            "explanation": self.explanation,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The verdict with its `reason`, what was found, and `repaired`, the model with it; `screens` of the model alone
+    and after each effect that was added.
+
+    `steps`: the fit of the model alone, then that after each of `findings`. `parts`: those of a vehicle and of its
+    actuators that this one is made of (diagnosis.parts), none where it is of one model.
+    """
+
+    verdict: Verdict
+    reason: str
+    findings: tuple[Finding, ...] = ()
+    minimum_detectable: Mapping[str, float] | None = None
+    suggested_experiment: Mapping[str, Any] | None = None
+    innovation_ratio_before: float | None = None
+    innovation_ratio_after: float | None = None
+    repaired: Model | None = None
+    left_out: Mapping[str, str] | None = None
+    screens: tuple[Screen, ...] = ()
+    steps: tuple[FullFit, ...] = ()
+    unexplained: Adequacy | None = None
+    parts: tuple[Diagnosis, ...] = ()
+
+    @property
+    def adequate(self) -> bool:
+        return self.verdict is Verdict.ADEQUATE
+
+    def to_json(self) -> dict[str, Any]:
+        """`diagnose --json`."""
+        return {
+            "adequate": self.adequate,
+            "verdict": self.verdict.value,
+            "reason": self.reason,
+            "findings": [finding.to_json() for finding in self.findings],
+            "minimum_detectable": dict(self.minimum_detectable or {}),
+            "suggested_experiment": dict(self.suggested_experiment) if self.suggested_experiment else None,
+            "innovation_ratio_before": self.innovation_ratio_before,
+            "innovation_ratio_after": self.innovation_ratio_after,
+            "not_candidates": dict(self.left_out or {}),
+        }

@@ -1,0 +1,211 @@
+"""One step of a diagnosis: which effect explains most of what a model leaves, and does it stand up to unseen data?
+
+screen of all candidates -> quick fits -> full fits and their evidence -> the simplest of the best -> held-out check
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.candidates import Candidate
+from diagnosis.explain import explain
+from diagnosis.findings import Finding
+from diagnosis.masked import fits as fits_of_masked
+from diagnosis.masked import surprise
+from diagnosis.refit import FullFit, QuickFit, by_chance, full, quick, surety, with_effect
+from diagnosis.screen import Screen, screen
+from diagnosis.ties import SIMPLER, TIED, tied
+from diagnosis.unseen import SURE, Unseen, UnseenCheck
+from diagnosis.whitened import Whitened
+from diagnosis.workspace import Workspace, attached
+from estimators.contract import ParameterEstimate, Status
+from estimators.fit_result import inverse
+from estimators.methods.prediction_error import result
+from estimators.problem import Problem
+from models.effect import Place
+
+Tell = Callable[[str, float], None]
+
+LEVEL = 0.01
+"""Probability of naming an effect where nothing is missing."""
+WORTH_A_FIT = 1e-3
+"""p-value, of one candidate alone, below which it gets a quick fit."""
+WORTH = -float(np.log(TIED))
+"""Logarithm of the odds to "none" that an effect has to have."""
+CONTENDERS = 6
+"""Full fits a step, at most."""
+CONTENDING = 0.5
+"""Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
+CHECKED = 3
+"""Effects, the likeliest first, that are tried on unseen data before none is named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """An effect that was found, and the `fit` of the model with it."""
+
+    finding: Finding
+    fit: FullFit
+
+
+def look(base: FullFit, workspace: Workspace) -> Screen:
+    """What every candidate that the model of `base` does not have would do to its innovations."""
+
+    def attach(group: Sequence[Candidate]) -> Problem:
+        return workspace.problem(attached(base.model, group))
+
+    return screen(Whitened.of(base.fit), attach, workspace.others(base.model))
+
+
+def surprising(screened: Screen) -> bool:
+    """Whether any effect explains more than chance does, all of them looked at."""
+    return any(score.p_value < LEVEL for score in screened.scores)
+
+
+def find(
+    base: FullFit,
+    screened: Screen,
+    workspace: Workspace,
+    unseen: Collection[str],
+    tell: Tell,
+    before: Named | None = None,
+) -> Named | None:
+    """The effect that explains most, in the model; None where none stands up to a full fit and to unseen data.
+
+    `unseen`: effects that get a full fit whatever the screen says. `before`: an effect whose fit is known, and that
+    stood up to unseen data.
+    """
+    hidden = fits_of_masked(base.model, workspace, unseen)
+    if before:
+        hidden = [*(each for each in hidden if each.name != before.fit.name), before.fit]
+    fits = _contenders(base, screened, workspace, hidden, tell)
+    # What the screen saw in a neighbour is this effect's, too: the strongest is tested, the best fitting is named.
+    names = {each.candidate.name for each in fits if each.candidate}
+    p_value = min((each.p_value for each in screened.scores if each.candidate.name in names), default=1.0)
+    tries = len(screened.scores)
+    unscreened = [each for each in hidden if each.name in names and not (before and each is before.fit)]
+    p_value = min([p_value, *(tries * surprise(base, each) for each in unscreened)])
+    if p_value >= LEVEL:
+        return None
+    check = UnseenCheck(base, workspace)
+    for attempt in range(CHECKED):
+        if not fits:
+            return None
+        best = _simplest(fits, base)
+        tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
+        held_out = before.finding.held_out if before and best is before.fit else check.of(best)
+        if held_out is None or held_out.stands:
+            return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
+        fits = [each for each in fits if each is not best]
+    return None
+
+
+def _contenders(
+    base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
+) -> list[FullFit]:
+    """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
+    worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
+    quicks: list[QuickFit] = []
+    for number, score in enumerate(worth):
+        tell(f"trying {score.candidate.effect.title}", 0.6 * number / len(worth))
+        quicks.append(quick(base.fit, base.model, score, workspace))
+    quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
+    quicks.sort(key=lambda each: -each.gain)
+    chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
+    fits = list(hidden)
+    chosen = [each for each in chosen if each.candidate.name not in {fit.name for fit in hidden}]
+    for number, each in enumerate(chosen):
+        tell(f"fitting {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
+        try:
+            fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
+        except ArithmeticError:
+            continue
+    allowed = LEVEL / len(screened.scores)
+    fits = [
+        each for each in fits if each.fit.minimum.converged and by_chance(each, base) < allowed and surety(each) > SURE
+    ]
+    return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _finding(
+    base: FullFit,
+    best: FullFit,
+    fits: Sequence[FullFit],
+    screened: Screen,
+    p_value: float,
+    held_out: Unseen | None,
+    workspace: Workspace,
+) -> Finding:
+    assert best.candidate is not None
+    odds = {each.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0))) for each in fits}
+    # The least odds that "none" can have at this p-value, whatever the prior of the size: Sellke, Bayarri, Berger,
+    # "Calibration of p values for testing precise null hypotheses" (2001).
+    none = -math.e * p_value * math.log(max(p_value, 1e-300))
+    finding = Finding(
+        effect=best.name,
+        family=best.candidate.effect.family.value,
+        parameters=_sizes(best.name, best),
+        probability=1.0 / (sum(odds.values()) + none),
+        p_value=p_value,
+        tied_with=tied(best, fits, base, workspace),
+        explanation="",
+        log_likelihood_gain=best.log_likelihood - base.log_likelihood,
+        held_out=held_out,
+        odds=odds,
+        screen=screened,
+    )
+    return replace(finding, explanation=explain(finding, best.candidate, screened.score(best.name), screened))
+
+
+def retold(finding: Finding, fitted: FullFit) -> Finding:
+    """`finding` with its parameters as `fitted` has them, which other effects may have moved."""
+    screened = finding.screen
+    assert screened is not None
+    score = screened.score(finding.effect)
+    finding = replace(finding, parameters=_sizes(finding.effect, fitted))
+    return replace(finding, explanation=explain(finding, score.candidate, score, screened))
+
+
+def _sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
+    """The parameters of `effect`, by name.
+
+    A size that data alone do not tell, because another parameter does the same, is told by what was known of that one:
+    readings that are late from commands that are early, by the clocks that both have.
+    """
+    told = result(fitted.fit, 0.0).parameters
+    amplitudes = next(each.amplitudes for each in fitted.model.effects if each.name == effect)
+    deviations = np.sqrt(np.diag(inverse(fitted.fit.minimum.information)))
+    found = {}
+    for place, parameter in enumerate(fitted.fit.problem.parameters):
+        name = parameter.name
+        if not name.startswith(f"{effect}."):
+            continue
+        found[name] = told[name]
+        value, std = float(fitted.fit.minimum.common[place]), float(deviations[place])
+        if name in amplitudes and told[name].value is None and abs(value) > SURE * std:
+            reason = f"told by what was known before: {told[name].reason}"
+            found[name] = replace(told[name], value=value, std=std, status=Status.OK, reason=reason)
+    return found
+
+
+def unseen_at_zero(workspace: Workspace) -> list[str]:
+    """Effects on sensors whose amplitude has starts of its own: near zero the record may ask for less of them."""
+    return [
+        each.effect.name
+        for each in workspace.candidates
+        if each.effect.place is Place.SENSOR and any(p.amplitude and p.starts for p in each.effect.parameters)
+    ]
+
+
+def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:
+    """The first of `fits`, or one with fewer parameters that explains almost as much."""
+    best = fits[0]
+    gain = best.log_likelihood - base.log_likelihood
+    simple = [
+        each for each in fits if each.cost < best.cost and each.log_likelihood - base.log_likelihood >= SIMPLER * gain
+    ]
+    return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best

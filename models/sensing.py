@@ -1,0 +1,65 @@
+"""What a sensor makes of an effect on it beyond its reading: a filter integrates a rate, and what is late is all late.
+
+Where a filter makes the angle from the rate (models.model.Filter), an error of the rate alone goes into the angle, is
+corrected slowly, and a constant one is learned. An effect that adds to the rate alone has the filter's states for that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from models.expressions import number
+from models.model import Actuator, Joint, Model, Sensor
+from models.place import VOCABULARY, Place
+
+if TYPE_CHECKING:
+    from models.effect import AttachedEffect, Effect
+
+_SEEN = "(level_error + lever * error / smoothing)"
+FILTERED: Mapping[str, str] = {
+    "angle_error": f"error - bias_error - proportional * (angle_error - {_SEEN})",
+    "bias_error": f"integral * (angle_error - {_SEEN})",
+    "level_error": f"error - bias_error - {_SEEN} / smoothing",
+}
+"""Local name to derivative of the states of a filter that is led astray by the `error` of its rate.
+
+Beside it and each other they use the fields of models.model.Filter. The first adds to the angle, the second takes from
+the rate.
+"""
+
+
+def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:
+    """Whether a filter integrates what `effect` adds to the rate at `place`.
+
+    One that changes the angle as well says itself what becomes of it.
+    """
+    if not isinstance(place, Sensor) or place.filter is None:
+        return False
+    return bool(place.angle and place.rate and effect.rate_reading) and not effect.angle_reading
+
+
+def learned(sensor: Sensor, effect: Effect) -> bool:
+    """Whether a filter has learned, before a record begins, what `effect` adds to the rate of `sensor`: a constant."""
+    if not integrated(sensor, effect) or sensor.filter is None or not sensor.filter.integral or effect.states:
+        return False
+    own = dict.fromkeys(effect.own_names, 1.0)
+    motions = [{**own, **dict.fromkeys(VOCABULARY[Place.SENSOR], value)} for value in (0.25, 0.5)]
+    less, more = (number(effect.rate_reading, each) - each["rate"] for each in motions)
+    return math.isclose(less, more, rel_tol=1e-9)
+
+
+def delayed(model: Model, attached: AttachedEffect) -> tuple[str, ...]:
+    """Names of the inputs of `model` that act later by the effect's `delay`, none where it delays none.
+
+    A sensor that shows all outputs, late, is one of a vehicle to which all happens late.
+    """
+    effect = attached.effect
+    if not effect.delay:
+        return ()
+    if effect.place is Place.ACTUATOR:
+        commands = {actuator.command for actuator in model.actuators if actuator.name == attached.at}
+        return tuple(each.name for each in model.inputs if each.channel in commands)
+    shown = {name for sensor in model.sensors if sensor.name == attached.at for name in (sensor.angle, sensor.rate)}
+    return tuple(each.name for each in model.inputs) if shown.issuperset(each.name for each in model.outputs) else ()

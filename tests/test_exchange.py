@@ -1,0 +1,71 @@
+"""Effects that were found one after the other, looked for again beside each other."""
+
+from __future__ import annotations
+
+import pytest
+
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.refit import by_chance, full
+from diagnosis.workspace import Workspace
+from estimators.identify import nominal_model, with_values
+from service.vehicle_file import load
+from service.virtual_run import record
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+DRAGS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_drag", "asymmetric_friction")
+
+
+def found_in(*hide: str, candidates: tuple[str, ...] | None = None) -> Diagnosis:
+    # Seed 31 took no part in any choice; 20 s are what the gate asks for with some to spare.
+    recording = record("monocab", "multisine", hide=hide, seed=31, duration=20.0)
+    return diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates)
+
+
+@pytest.fixture(scope="module")
+def two_drags() -> Diagnosis:
+    """Quadratic drag and dry friction, each a few times what such a record would just show."""
+    return found_in("coulomb_friction=0.04", "quadratic_drag=0.1", candidates=DRAGS)
+
+
+class TestTwoDrags:
+    def test_both_are_found_where_viscous_friction_explains_most_alone(self, two_drags: Diagnosis) -> None:
+        found = two_drags
+        assert found.verdict is Verdict.MISSING_EFFECT
+        assert len(found.findings) == 2
+        assert any({"quadratic_drag"} == {each.effect, *each.tied_with} for each in found.findings)
+        assert any("coulomb_friction" in {each.effect, *each.tied_with} for each in found.findings)
+        # What is shown step by step ends with both, whichever was found first.
+        assert [len(each.model.effects) for each in found.steps] == [0, 1, 2]
+        assert found.steps[-1].log_likelihood > found.steps[1].log_likelihood > found.steps[0].log_likelihood
+
+    def test_each_is_told_with_its_size_beside_the_other(self, two_drags: Diagnosis) -> None:
+        found = two_drags
+        (drag,) = (each for each in found.findings if each.effect == "quadratic_drag")
+        size = drag.parameters["quadratic_drag.coefficient"]
+        assert size.value is not None
+        assert size.std is not None
+        # 0.1 of 5000 N m s^2/rad^2, to three standard deviations: bristles are not quite tanh.
+        assert abs(size.value - 500.0) < 3.0 * size.std
+        assert found.repaired is not None
+        assert found.repaired.values["quadratic_drag.coefficient"] == size.value
+
+
+def test_what_is_not_missing_beside_another_is_left_out() -> None:
+    # Two thirds of the record are after the step: a constant torque explains most of it, alone.
+    found = found_in("torque_step=0.02", candidates=("static_torque", "torque_step", "viscous_friction"))
+    assert [each.effect for each in found.findings] == ["torque_step"]
+
+
+def test_a_likelihood_ratio_counts_the_further_parameters() -> None:
+    recording = record("monocab", "multisine", hide=("viscous_friction=0.1",), seed=31, duration=20.0)
+    workspace = Workspace.of(MODEL, [recording], VEHICLE.support, ("viscous_friction", "quadratic_drag"))
+    base = full(MODEL, workspace)
+    one = full(MODEL.add("viscous_friction"), workspace)
+    two = full(MODEL.add("viscous_friction").add("quadratic_drag"), workspace)
+    assert (base.count, one.count, two.count) == (0, 1, 2)
+    assert by_chance(one, base) < 1e-6
+    # The second one is not there. A false alarm of one in a thousand, with a fixed seed.
+    assert by_chance(two, one) > 1e-3

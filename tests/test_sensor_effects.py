@@ -1,0 +1,285 @@
+"""Effects on a rate that a filter makes an angle of, and on readings that are late: in models, files and diagnoses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from virtual_records import multisine
+
+from diagnosis.candidates import candidates_for
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.screen import DETECTABLE
+from estimators.as_recorded import as_recorded
+from estimators.identify import nominal_model, with_values
+from estimators.roll_filter import RollFilter, RollFilterConfig
+from models import library, rendering
+from models.effect import EffectParameter
+from models.effects import find
+from models.effects.validation import validate
+from models.equations import compose
+from models.fingerprint import fingerprint
+from models.kernel import compile_model
+from models.library.axis import axis
+from models.model import Filter, Input, Model, ModelError, Output, Parameter, Sensor, State
+from models.model_file import ModelFile, read, write
+from models.segment import Segment
+from models.sensing import FILTERED
+from service.vehicle_file import load
+from service.virtual_run import record
+from telemetry.recording import Recording
+from telemetry.samples import ImuSample
+
+ROLL = library.get("monocab_roll")
+IMU = ROLL.sensors[0]
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+
+
+def turned() -> Model:
+    """Something that is turned at a given rate, under the IMU of the MONOCAB."""
+    return Model(
+        name="turned",
+        title="a given rate",
+        base_states=(State("roll", "rad", "rate"),),
+        inputs=(Input("rate", "rad/s"),),
+        outputs=(Output("roll", "rad", "roll", 1e-5), Output("roll_rate", "rad/s", "rate", 1e-4)),
+        base_parameters=(Parameter("nothing", "1", 0.0, scale=1.0),),
+        sensors=(IMU,),
+    )
+
+
+def shown(model: Model, rate: np.ndarray, time: np.ndarray, **values: float) -> np.ndarray:
+    """What the sensor shows, (n, 2), where the turn begins at rest."""
+    kernel = compile_model(model)
+    segment = Segment(time, time[:, None].copy(), rate[:, None].copy(), np.full((len(time), 2), np.nan))
+    given = kernel.vector({name.replace("__", "."): value for name, value in values.items()})
+    return np.asarray(kernel.run(segment, given, np.zeros(len(kernel.states)), substeps=2).predicted)
+
+
+class TestFilter:
+    def test_a_wrong_scale_is_what_the_roll_filter_makes_of_it(self) -> None:
+        scale, period = 0.05, 0.004
+        time = period * np.arange(round(60.0 / period))
+        tones = ((0.011, 0.15), (0.008, 0.4), (0.003, 1.1))
+        # From 30 s on, when the filter's gains have settled, as they have on a vehicle that has stood for a while.
+        moving = np.clip((time - 30.0) / 2.0, 0.0, 1.0)
+        roll = moving * sum(size * np.sin(2.0 * math.pi * pitch * time) for size, pitch in tones)
+        rate = np.gradient(roll, period)
+        faster = np.gradient(rate, period)
+        height = 0.9
+        config = RollFilterConfig(250.0, 0.2, 0.003, 1e-4, (0.0, 0.0, height))
+
+        def filtered(factor: float) -> np.ndarray:
+            filter_, found = RollFilter(config), []
+            for now, angle, turn, angular in zip(time, roll, rate, faster, strict=True):
+                level = 9.80665 * math.sin(angle) - angular * height, 9.80665 * math.cos(angle) - turn**2 * height
+                sample = ImuSample(round(now * 1e9), (0.0, *level), (factor * turn, 0.0, 0.0))
+                state = filter_.update(sample)
+                found.append((state.roll, state.roll_rate))
+            return np.array(found)
+
+        difference = filtered(1.0 + scale) - filtered(1.0)
+        model = turned().add("sensor_scale")
+        said = shown(model, rate, time, sensor_scale__scale=scale) - shown(model, rate, time)
+        late = time > 30.0
+        # Constant gains and a linear direction of gravity: to a twentieth of the angle's error, by its RMS.
+        error = (difference - said)[late]
+        assert np.std(error[:, 0]) < 0.05 * np.std(difference[late, 0])
+        assert np.std(error[:, 1]) < 0.01 * np.std(difference[late, 1])
+        # Without the filter the angle would be right: the error is most of a twentieth of the motion.
+        assert np.std(difference[late, 0]) > 0.5 * scale * np.std(roll[late])
+
+    def test_a_constant_error_fades_from_what_is_shown(self) -> None:
+        time = 0.01 * np.arange(18_000)
+        error = shown(turned().add("gyro_bias"), np.zeros(len(time)), time, gyro_bias__bias=1e-3)
+        assert error[0, 1] == pytest.approx(1e-3)
+        assert np.max(np.abs(error[:, 0])) > 1e-3
+        # The slowest pole of the filter is at some 0.1 1/s.
+        assert np.max(np.abs(error[-1])) < 1e-6
+
+    def test_where_angle_and_rate_are_measured_apart_the_angle_is_right(self) -> None:
+        apart = replace(turned(), sensors=(replace(IMU, filter=None),))
+        for name in ("sensor_scale", "gyro_bias"):
+            model = apart.add(name)
+            assert model.states == apart.states
+            equations = compose(model)
+            assert equations.outputs[0] == compose(apart).outputs[0]
+            assert equations.outputs[1] != compose(apart).outputs[1]
+
+    def test_what_changes_both_readings_says_itself_what_becomes_of_the_angle(self) -> None:
+        for name in ("sensor_lag", "sensor_delay", "sensor_offset"):
+            states = {state.name for state in ROLL.add(name).states}
+            assert not states & {f"{name}.{state}" for state in FILTERED}
+        assert {f"sensor_scale.{state}" for state in FILTERED} <= {s.name for s in ROLL.add("sensor_scale").states}
+
+    def test_it_is_shown_with_the_equations(self) -> None:
+        text = rendering.text(ROLL.add("sensor_scale"))
+        assert "sensor_scale.bias_error' = 0.12 * (sensor_scale.angle_error - " in text.replace("  ", " ")
+        assert ":= roll_measured + sensor_scale.angle_error   [sensor_scale]" in text
+        latex = rendering.latex(ROLL.add("sensor_scale"))
+        assert latex.count(r"\left(") == latex.count(r"\right)")
+
+    def test_an_effect_cannot_have_names_of_the_filter(self) -> None:
+        scale = find("sensor_scale")
+        taken = EffectParameter("level_error", "1", "", amplitude=True, scale="1")
+        with pytest.raises(ModelError, match="given already"):
+            validate(replace(scale, name="own_scale", parameters=(taken,), rate_reading="rate * (1 + level_error)"))
+
+    def test_models_with_other_filters_have_code_of_their_own(self) -> None:
+        other = replace(ROLL, sensors=(replace(IMU, filter=Filter(1.0)),))
+        none = replace(ROLL, sensors=(replace(IMU, filter=None),))
+        assert len({fingerprint(each) for each in (ROLL, other, none)}) == 3
+
+
+class TestModelFile:
+    TEXT = """
+[states.angle]
+unit = "rad"
+derivative = "turn"
+
+[inputs.turn]
+unit = "rad/s"
+
+[outputs.shown]
+unit = "rad"
+expression = "angle"
+noise = 1e-5
+
+[outputs.shown_rate]
+unit = "rad/s"
+expression = "turn"
+noise = 1e-4
+
+[parameters]
+nothing = { value = 0.0, unit = "1" }
+
+[sensors.imu]
+angle = "shown"
+rate = "shown_rate"
+filter = { proportional = 2.0, integral = 0.1, lever = 0.09 }
+
+[[effects]]
+name = "sensor_scale"
+"""
+
+    def test_a_filter_is_read_and_written(self, tmp_path: Path) -> None:
+        path, again = tmp_path / "mine.toml", tmp_path / "again.toml"
+        path.write_text(self.TEXT)
+        model = read(path).model
+        assert model.sensors[0].filter == Filter(proportional=2.0, integral=0.1, smoothing=1.0, lever=0.09)
+        assert len(model.states) == 1 + len(FILTERED)
+        file = ModelFile(replace(model, name="again"), ({"action": "add", "effect": "sensor_scale"},))
+        write(file, again)
+        assert read(again) == file
+
+    def test_a_key_that_is_not_of_a_filter_is_named(self, tmp_path: Path) -> None:
+        path = tmp_path / "mine.toml"
+        path.write_text(self.TEXT.replace("proportional", "proportionl"))
+        with pytest.raises(ModelError, match=r"sensors\.imu\.filter\.proportional"):
+            read(path)
+
+    def test_a_filter_without_a_gain_is_none(self, tmp_path: Path) -> None:
+        path = tmp_path / "mine.toml"
+        path.write_text(self.TEXT.replace("proportional = 2.0", "proportional = 0.0"))
+        with pytest.raises(ModelError, match="greater than 0"):
+            read(path)
+
+
+class TestDelay:
+    def test_of_a_sensor_that_shows_all_is_one_of_whatever_drives_the_model(self) -> None:
+        late, offset = compose(ROLL.add("sensor_delay")), compose(ROLL)
+        assert late.outputs == offset.outputs
+        assert late.delays == tuple((*each, "sensor_delay.delay") for each in offset.delays)
+
+    def test_is_exactly_an_offset_of_the_drives(self) -> None:
+        time = 0.004 * np.arange(250)
+        motion = np.stack([np.sin(7.0 * time + phase) for phase in range(4)], axis=1) * 1e-2
+        segment = Segment(time, np.repeat(time[:, None], 4, axis=1), motion, np.full((250, 2), np.nan))
+        kernel = compile_model(ROLL.add("sensor_delay"))
+        runs = [
+            kernel.run(segment, kernel.vector({name: 0.0137}), np.zeros(len(kernel.states))).predicted
+            for name in ("sensor_delay.delay", "drive_offset")
+        ]
+        assert np.array_equal(*runs)
+        assert not np.allclose(
+            runs[0], kernel.run(segment, kernel.vector(), np.zeros(len(kernel.states))).predicted, atol=1e-6
+        )
+
+    def test_beside_other_sensors_is_one_of_the_readings(self) -> None:
+        reduced = library.get("monocab_reduced")
+        late, plain = compose(reduced.add("sensor_delay")), compose(reduced)
+        assert late.delays == plain.delays
+        assert late.outputs[0] != plain.outputs[0]
+        assert late.outputs[2] == plain.outputs[2]
+
+    def test_of_a_command_stays_one_of_the_command(self) -> None:
+        cart = axis(rate_measured=True).add("input_delay").add("sensor_delay")
+        assert compose(cart).delays == (("input_delay.delay", "sensor_delay.delay"),)
+
+
+class TestCandidates:
+    def test_a_bias_that_a_filter_has_learned_is_none(self) -> None:
+        found, left_out = candidates_for(MODEL, [multisine()])
+        assert "gyro_bias" not in {each.name for each in found}
+        assert "learned" in left_out["gyro_bias"]
+        assert "sensor_scale" in {each.name for each in found}
+
+    def test_while_the_vehicle_runs_it_may_set_in(self) -> None:
+        assert "gyro_bias" in {each.name for each in candidates_for(MODEL, ())[0]}
+
+    @pytest.mark.parametrize("sensor", [replace(IMU, filter=None), replace(IMU, filter=Filter(proportional=2.0))])
+    def test_a_bias_that_no_filter_learns_is_one(self, sensor: Sensor) -> None:
+        model = replace(MODEL, sensors=(sensor,))
+        assert "gyro_bias" in {each.name for each in candidates_for(model, [multisine()])[0]}
+
+    def test_an_angle_that_was_measured_apart_has_no_filter(self) -> None:
+        recording = multisine()
+        noise = 1e-4 * np.random.default_rng(1).standard_normal(len(recording.time))
+        apart = replace(recording, values={**recording.values, "roll": recording["roll"] + noise})
+        model = MODEL.add("sensor_scale")
+        assert as_recorded(model, [recording]).sensors == model.sensors
+        freed = as_recorded(model, [apart])
+        assert freed.sensors[0].filter is None
+        assert freed.states == as_recorded(MODEL, [apart]).states
+
+
+def found_in(hide: Sequence[str], seed: int) -> Diagnosis:
+    recording: Recording = record("monocab", "multisine", hide=hide, seed=seed, duration=30.0)
+    return diagnose(MODEL, [recording], support=VEHICLE.support)
+
+
+class TestDiagnosis:
+    def test_a_delay_can_be_told_as_far_as_the_drives_time_stamps_are_known(self) -> None:
+        sizes = diagnose(MODEL, [multisine()], support=VEHICLE.support, candidates=["sensor_delay"]).minimum_detectable
+        assert sizes is not None
+        # All that the record tells is delay and offset together: the offset's 2 ms are what is left, to a hundredth.
+        assert sizes["sensor_delay"] == pytest.approx(DETECTABLE * MODEL.parameter("drive_offset").std, rel=0.01)
+
+    def test_a_delay_of_twice_that_is_named(self) -> None:
+        found = found_in(["sensor_delay=1.55"], seed=5)
+        assert found.verdict is Verdict.MISSING_EFFECT
+        assert found.findings[0].effect == "sensor_delay"
+        assert len(found.findings[0].tied_with) <= 1
+
+    def test_a_scale_of_twice_the_detectable_size_is_named_and_sized(self) -> None:
+        # A record shows 0.028. A fifteenth is for the gains of the filter, which are constant in the model alone.
+        truth = -1.87 * 0.03
+        finding = found_in(["sensor_scale=-1.87"], seed=4).findings[0]
+        assert finding.effect == "sensor_scale"
+        assert len(finding.tied_with) <= 1
+        scale = finding.parameters["sensor_scale.scale"]
+        assert scale.value is not None
+        assert scale.std is not None
+        assert scale.value == pytest.approx(truth, abs=4.0 * scale.std + abs(truth) / 15.0)
+
+    def test_a_bias_from_the_beginning_does_no_harm(self) -> None:
+        found = found_in(["gyro_bias=0.22"], seed=3)
+        assert found.verdict is Verdict.ADEQUATE
+        assert "gyro_bias" not in (found.minimum_detectable or {})
