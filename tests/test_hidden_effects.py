@@ -87,6 +87,13 @@ def test_a_grid_is_every_combination_and_the_clean_records_and_pairs() -> None:
     assert grid.cases() == cases
 
 
+def test_a_grid_of_further_records_shares_no_record_but_the_reference_with_the_first() -> None:
+    one, other = (Grid(effects=("static_torque",), excitations=("hold",), seeds=2, first=first) for first in (0, 2))
+    assert {case.number for case in other.cases()} == {2, 3}
+    assert not set(one.cases()) & set(other.cases())
+    assert {case.reference for case in one.cases()} == {case.reference for case in other.cases()}
+
+
 def test_the_whole_grid_hides_everything_there_is() -> None:
     cases = Grid().cases()
     assert {effect for case in cases for effect in case.effects} == {*HIDDEN, *UNLISTED}

@@ -60,6 +60,9 @@ def hidden_effects(
         str | None, typer.Option(help="Experiments of the vehicle.", show_default="multisine,sweep,square,hold")
     ] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Records of each kind.", show_default="3")] = None,
+    first: Annotated[
+        int, typer.Option(min=0, help="Number of the first of them: others than before are records nobody has seen.")
+    ] = 0,
     quick: Annotated[
         bool, typer.Option("--quick", help="A few cases and no baselines, unless options say otherwise.")
     ] = False,
@@ -111,7 +114,7 @@ def hidden_effects(
         lines = results.read(summary)
     else:
         bench = _bench(quick, baseline, model)
-        grid = _grid(bench, quick, effects, sizes, noise, excitations, seeds)
+        grid = _grid(bench, quick, effects, sizes, noise, excitations, seeds, first)
         spread = machines(scheduler) if scheduler else processes(workers or os.cpu_count() or 1)
         try:
             with _counting() as progress:
@@ -147,6 +150,7 @@ def _grid(
     noise: str | None,
     excitations: str | None,
     seeds: int | None,
+    first: int,
 ) -> Grid:
     """The grid that the options ask for. Raises UnknownEffectError, and BadParameter for what cannot be."""
     from service.hidden_effects.cases import QUICK, Grid
@@ -164,6 +168,7 @@ def _grid(
         noises=base.noises if noise is None else _numbers(noise, "--noise"),
         excitations=base.excitations if excitations is None else _words(excitations),
         seeds=base.seeds if seeds is None else seeds,
+        first=first,
     )
 
 

@@ -61,7 +61,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """All cases of `effects` x `sizes` x `noises` x `excitations`, `seeds` records of each.
+    """All cases of `effects` x `sizes` x `noises` x `excitations`, `seeds` records of each, numbered from `first` on.
 
     For every noise and excitation there are `seeds` records with nothing missing, too, and as many records of two
     effects at once as there are effects. Raises UnknownEffectError for a name that the virtual vehicle does not have.
@@ -72,6 +72,7 @@ class Grid:
     noises: tuple[float, ...] = (1.0,)
     excitations: tuple[str, ...] = ("multisine", "sweep", "square", "hold")
     seeds: int = 3
+    first: int = 0
 
     def __post_init__(self) -> None:
         for name in self.effects:
@@ -82,7 +83,8 @@ class Grid:
 
     def cases(self) -> tuple[Case, ...]:
         """Those with nothing missing first."""
-        conditions = list(product(self.noises, self.excitations, range(self.seeds)))
+        numbers = range(self.first, self.first + self.seeds)
+        conditions = list(product(self.noises, self.excitations, numbers))
         nothing = [Case((), 0.0, noise, excitation, number) for noise, excitation, number in conditions]
         hidden = [
             Case((effect,), size, noise, excitation, number)
