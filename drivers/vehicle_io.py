@@ -1,39 +1,20 @@
-"""The vehicle as the control loop sees it: CAN frames in, one `Measurement` a cycle; setpoints in, CAN frames out.
+"""The vehicle as the control loop sees it: CAN frames in, IMU samples and drive values out; setpoints in, frames out.
 
-Live control and replay of a raw log run this same code, so what a recording holds can be rebuilt from its frames.
-Sign: a positive precession rate gives a positive roll torque; each drive's `direction` maps its motor onto that.
+Live control and replay of a raw log run this same code, so what a recording holds can be rebuilt from its frames. What
+the drives' values mean for one kind of vehicle (a precession rate, a wheel angle) is said by `service.kinds`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State
 from drivers.imu import Imu
 from telemetry.samples import CanFrame, ImuSample
 
-NAN = float("nan")
-
-
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """What the drives reported last, in axis units (rad, rad/s, m, m/s).
-
-    `timestamp_ns` is that of the oldest value in it, 0 while a drive has not answered yet; `gimbal_mismatch` is the
-    largest difference between two gimbals (rad).
-    """
-
-    timestamp_ns: int
-    precession: float
-    precession_rate: float
-    gimbal_mismatch: float
-    trim_position: float
-    trim_rate: float
-
-
-NOTHING_MEASURED = Measurement(0, NAN, NAN, NAN, NAN, NAN)
+ACTUATORS = frozenset({"gimbal", "wheel"})
+"""Roles of the drives that carry out the controller's setpoint; those of other roles are held still."""
 
 
 class VehicleIo:
@@ -42,8 +23,7 @@ class VehicleIo:
     def __init__(self, imu: Imu, drives: Sequence[Drive]) -> None:
         self.imu = imu
         self.drives = tuple(drives)
-        self.gimbals = tuple(drive for drive in drives if drive.config.role == "gimbal")
-        self.trim = next((drive for drive in drives if drive.config.role == "trim"), None)
+        self._acting = tuple((drive, drive.config.role in ACTUATORS) for drive in self.drives)
         self._handlers: dict[int, Callable[[CanFrame], object]] = {}
         for drive in self.drives:
             for can_id in drive.can_ids:
@@ -57,6 +37,10 @@ class VehicleIo:
         """Every CAN id this vehicle is known to use."""
         return tuple(self._handlers)
 
+    def role(self, name: str) -> tuple[Drive, ...]:
+        """The drives of a role, in the order of the vehicle file."""
+        return tuple(drive for drive in self.drives if drive.config.role == name)
+
     def handle(self, frame: CanFrame) -> ImuSample | None:
         """Take one frame; the IMU sample that it completed, if it did. Frames of others are ignored."""
         handler = self._handlers.get(frame.can_id)
@@ -69,43 +53,20 @@ class VehicleIo:
     def _handle_imu(self, frame: CanFrame) -> None:
         self._sample = self.imu.handle(frame)
 
-    def measurement(self) -> Measurement:
-        """The drives' latest values; `NOTHING_MEASURED` until each of them has sent all of its own."""
-        oldest = 0
-        for drive in self.drives:
-            timestamp_ns = drive.timestamp_ns
-            if timestamp_ns == 0:
-                return NOTHING_MEASURED
-            if oldest == 0 or timestamp_ns < oldest:
-                oldest = timestamp_ns
-        positions = [gimbal.position for gimbal in self.gimbals]
-        rates = [gimbal.velocity for gimbal in self.gimbals]
-        trim = self.trim
-        return Measurement(
-            oldest,
-            sum(positions) / len(positions),
-            sum(rates) / len(rates),
-            max(positions) - min(positions),
-            trim.position if trim is not None else 0.0,
-            trim.velocity if trim is not None else 0.0,
-        )
+    @property
+    def timestamp_ns(self) -> int:
+        """Receive time of the oldest of the drives' latest values; 0 until each of them has sent all of its own."""
+        return min([drive.timestamp_ns for drive in self.drives])
 
-    def command(self, target: State, precession_rate: float, trim_rate: float) -> list[tuple[int, bytes]]:
-        """The setpoint frames of one cycle: each drive one step towards `target`, moving at these axis rates."""
+    def command(self, target: State, setpoint: float) -> list[tuple[int, bytes]]:
+        """The setpoint frames of one cycle: each drive one step towards `target`, the acting ones with `setpoint`.
+
+        `setpoint` is in axis unit/s (rad/s) or V, as the drives' mode takes it.
+        """
         frames: list[tuple[int, bytes]] = []
-        for drive in self.drives:
-            frames.extend(drive.command(target, precession_rate if drive is not self.trim else trim_rate))
+        for drive, acts in self._acting:
+            frames.extend(drive.command(target, setpoint if acts else 0.0))
         return frames
-
-    @property
-    def precession_rate_setpoint(self) -> float:
-        """rad/s as last sent, quantised; the mean over the gimbals."""
-        return sum(gimbal.velocity_setpoint for gimbal in self.gimbals) / len(self.gimbals)
-
-    @property
-    def trim_rate_setpoint(self) -> float:
-        """m/s as last sent, quantised."""
-        return self.trim.velocity_setpoint if self.trim is not None else 0.0
 
     def reset(self, start_ns: int) -> None:
         """Forget every measured value: only frames from `start_ns` on count."""

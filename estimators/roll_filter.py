@@ -69,7 +69,10 @@ class RollFilterConfig:
 
 @dataclass(frozen=True, slots=True)
 class RollState:
-    """The estimate at one IMU sample: rad and rad/s. `roll_rate` is the gyro about x less its bias."""
+    """The estimate at one IMU sample: rad and rad/s. The rates are the gyro about x and about y less its bias.
+
+    A vehicle falls about one of the two axes: a monorail rolls, a robot on two wheels pitches.
+    """
 
     timestamp_ns: int
     roll: float
@@ -77,6 +80,8 @@ class RollState:
     roll_rate: float
     roll_std: float
     bias: Vector3
+    pitch_rate: float = 0.0
+    pitch_std: float = 0.0
 
 
 class RollFilter:
@@ -225,13 +230,26 @@ class RollFilter:
         )
         # At 90 deg of pitch roll is undefined: any angle is as good as another.
         std = min(math.sqrt(max(variance, 0.0)) / lateral, math.pi) if lateral > 1e-9 else math.pi
+        # Pitch is off by what the up vector is off within the plane of pitch, across itself.
+        across = math.sqrt(lateral)
+        along = ux / across if lateral > 1e-9 else 0.0
+        gy, gz = uy * along, uz * along
+        pitch_variance = (
+            lateral * float(covariance[0, 0])
+            - 2.0 * across * (gy * float(covariance[0, 1]) + gz * float(covariance[0, 2]))
+            + gy * gy * float(covariance[1, 1])
+            + 2.0 * gy * gz * float(covariance[1, 2])
+            + gz * gz * float(covariance[2, 2])
+        )
         return RollState(
             timestamp_ns=sample.timestamp_ns,
             roll=math.atan2(uy, uz),
-            pitch=math.atan2(-ux, math.sqrt(lateral)),
+            pitch=math.atan2(-ux, across),
             roll_rate=sample.angular_rate[0] - self._bias[0],
             roll_std=std,
             bias=self._bias,
+            pitch_rate=sample.angular_rate[1] - self._bias[1],
+            pitch_std=math.sqrt(max(pitch_variance, 0.0)),
         )
 
 

@@ -18,7 +18,7 @@ from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollFilter, RollFilterConfig
-from service.vehicle_file import DriveSection, VehicleFile
+from service.vehicle_sections import DriveSection, VehicleFile
 from telemetry.channels import TABLES, ChannelTable
 
 
@@ -34,7 +34,7 @@ def channels(vehicle: VehicleFile) -> ChannelTable:
 
 
 def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:
-    """The driver's configuration of one servo inverter."""
+    """The driver's configuration of one drive."""
     return DriveConfig(
         name=drive.name,
         role=drive.role,

@@ -15,16 +15,15 @@ from typing import Any, Protocol
 
 from drivers.bus import BusDown
 from drivers.cia402.drive import Drive
-from drivers.vehicle_io import Measurement, VehicleIo
-from estimators.roll_filter import RollState
-from service import assembly
-from service.controller import design
+from drivers.vehicle_io import VehicleIo
+from service import assembly, kinds
+from service.kind import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement
 from service.notify import Notifier
 from service.readiness import interlocks, observation, observe
 from service.rows import row
-from service.safety import OK, Reaction, Safety, SafetyLimits, Verdict
-from service.sequence import BALANCING, IDLE, POWERED, QUICK_STOP, Command, ExperimentRun, Phase, plan
-from service.vehicle_file import VehicleFile
+from service.safety import OK, Reaction, Safety, Verdict
+from service.sequence import BALANCING, POWERED, UPRIGHT, ExperimentRun, Phase, plan
+from service.vehicle_sections import VehicleFile
 from telemetry.samples import CanFrame, Frame, ImuSample
 
 SYNC = 0x080
@@ -86,6 +85,7 @@ class ControlLoop:
     ) -> None:
         self.vehicle = vehicle
         self.io: VehicleIo = assembly.vehicle_io(vehicle)
+        self.kind: Kind[Any] = kinds.of(vehicle, self.io)
         self.mode = Mode.STARTING
         self.code = "starting"
         self.reason = "setting up the drives"
@@ -94,14 +94,14 @@ class ControlLoop:
         self.run: ExperimentRun | None = None
         self.cycles = 0
         self.missed_cycles = 0
-        self.roll: RollState | None = None
-        self.drives: Measurement = self.io.measurement()
+        self.lean: Lean | None = None
+        self.drives: Measurement = self.kind.measure()
         self.on_change: Callable[[], None] = lambda: None
         self.heard: list[CanFrame] | None = None
         """While set-up listens to the bus: all frames."""
         self._filter = assembly.roll_filter(vehicle)
-        self._design = design(vehicle)
-        self._safety = Safety(SafetyLimits.of(vehicle))
+        self._pilot = self.kind.pilot()
+        self._safety = Safety(self.kind.bounds, missed_cycles=vehicle.limits.missed_cycles, period=vehicle.period)
         self._seen = observation(self.io)
         self._send = send
         self._observer = observer
@@ -149,30 +149,31 @@ class ControlLoop:
         now_ns = sample.timestamp_ns
         elapsed = (now_ns - self._last_ns) * 1e-9
         self._last_ns = now_ns
-        roll = self.roll = self._filter.update(sample)
-        drives = self.drives = self.io.measurement()
+        attitude = self._filter.update(sample)
+        lean = self.lean = self.kind.lean(attitude)
+        drives = self.drives = self.kind.measure()
         # A clock that was set, or a gap, must not throw the controller: its step stays near a period.
-        command = self._decide(min(max(elapsed, 0.5 * self._period), 4.0 * self._period), roll, drives)
+        command = self._decide(min(max(elapsed, 0.5 * self._period), 4.0 * self._period), lean, drives)
         self._late_cycles = self._late_cycles + 1 if late else 0
-        verdict = self._judge(now_ns, elapsed, roll, drives)
+        verdict = self._judge(now_ns, elapsed, lean, drives, command)
         if verdict is not OK:
             command = self._react(verdict, command)
         if not late:
             self._transmit(command, now_ns)
         if drives.timestamp_ns:
-            self._observer.offer(row(roll, drives, self.io, command.roll_reference, command.excitation, self._phase))
+            self._observer.offer(row(self.kind, attitude, drives, command, self._phase))
         self.cycles += 1
         if elapsed > 1.5 * self._period:
             self.missed_cycles += 1
         if self.cycles % self._watchdog_cycles == 0:
             self._notifier.watchdog()
 
-    def _decide(self, dt: float, roll: RollState, drives: Measurement) -> Command:
+    def _decide(self, dt: float, lean: Lean, drives: Measurement) -> Command:
         """What the drives shall do: follow the experiment, finish a stop, or nothing."""
         run = self.run
         if run is None:
             return self._after_run(dt)
-        command = run.step(dt, roll, drives, self.io.state)
+        command = run.step(dt, lean, drives, self.io.state)
         if run.phase is not self._phase:
             self._phase = run.phase
             self.on_change()
@@ -180,16 +181,18 @@ class ControlLoop:
             self._finish_run(Mode.DISARMED, "done", run.failure or run.end_reason)
         return command
 
-    def _judge(self, now_ns: int, elapsed: float, roll: RollState, drives: Measurement) -> Verdict:
+    def _judge(self, now_ns: int, elapsed: float, lean: Lean, drives: Measurement, command: Command) -> Verdict:
         seen, run = self._seen, self.run
         observe(seen, self.io, now_ns, drives)
         seen.imu_age = elapsed
-        seen.roll = roll.roll
-        seen.roll_rate = roll.roll_rate
+        seen.angle = lean.angle
+        seen.rate = lean.rate
+        seen.setpoint = command.setpoint
         seen.late_cycles = self._late_cycles
         seen.armed = run is not None and run.phase > Phase.REST
         seen.should_run = run is not None and run.phase in POWERED
         seen.balancing = run is not None and run.phase in BALANCING
+        seen.upright = run is not None and run.phase in UPRIGHT
         return self._safety.judge(seen)
 
     def _react(self, verdict: Verdict, command: Command) -> Command:
@@ -203,7 +206,7 @@ class ControlLoop:
 
     def _transmit(self, command: Command, now_ns: int) -> None:
         send = self._send
-        for can_id, data in self.io.command(command.target, command.precession_rate, 0.0):
+        for can_id, data in self.io.command(command.target, command.setpoint):
             send(can_id, data, now_ns)
         send(SYNC, b"", now_ns)
         if self.cycles >= self._heartbeat_due:
@@ -230,7 +233,7 @@ class ControlLoop:
 
     def start_experiment(self, name: str) -> ExperimentRun:
         """Begin an experiment and its recording. Only while `interlocks()` is empty."""
-        run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._design))
+        run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
         self._phase = run.phase
         self._reset_at_ns = self._last_ns + RECORDING_LEAD_NS
         if self._recording:
@@ -267,7 +270,9 @@ class ControlLoop:
             case Mode.DISARMED if not self._observer.ready:
                 return ["The observer process is not up yet: nothing would be recorded."]
             case Mode.DISARMED:
-                return interlocks(self.vehicle, self.io, self.roll, self.drives, self._last_ns, self._silence)
+                return interlocks(
+                    self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence
+                )
 
     def reset_fault(self) -> str:
         """Acknowledge a fault: the drives are set up again, their faults reset. The refusal in words, or ""."""

@@ -1,10 +1,12 @@
-"""Excitations: known test signals added to the roll reference or to the controller's output.
+"""Excitations: known test signals added to the controller's reference angle or to its output.
 
-`Excitation.value(t)` is pure: the value at `t` seconds after the start, in rad on the roll reference and in rad/s of
-precession rate on the controller output. Each one starts and ends at zero, smoothly, and stays within +-`peak`.
+`Excitation.value(t)` is pure: the value at `t` seconds after the start, in rad on a reference angle and in the unit of
+the controller's output there (rad/s of precession rate, V). Each one starts and ends at zero, smoothly, and stays
+within +-`peak`.
 
 - sweep: logarithmic chirp, sin(2 pi f0 T / ln(f1/f0) * ((f1/f0)^(t/T) - 1)): equal time for every octave, since the
   gravity stiffness shows at the low end and the inertia at the high one.
+- sine: of one frequency.
 - square: +1 and -1, half a period each, with short rounded edges.
 - doublet: +1, then -1, `width` seconds each; again every ten widths, mirrored each time so that nothing drifts.
 - sine_stream: one frequency after the other, each for whole periods and for about the same time.
@@ -24,7 +26,7 @@ from math import cos, expm1, log, pi, sin, sqrt
 
 import numpy as np
 
-from service.vehicle_file import ExperimentSection
+from service.vehicle_sections import ExperimentSection
 from telemetry.errors import UprightError
 
 LONGEST_RAMP = 1.0
@@ -49,6 +51,7 @@ class InjectionPoint(StrEnum):
 
     REST = "rest"
     ROLL_REFERENCE = "roll_reference"
+    TILT_REFERENCE = "tilt_reference"
     CONTROLLER_OUTPUT = "controller_output"
 
 
@@ -56,8 +59,8 @@ class InjectionPoint(StrEnum):
 class Excitation:
     """A signal of `duration` seconds and at most +-`peak` at an injection point, faded in and out over `ramp` seconds.
 
-    The step is one that happens before the vehicle is upright (`service.rise.RiseFromRest` plays it, `peak` being
-    its size), so its value here is zero.
+    The step is one that happens before the vehicle is upright (`service.monocab.rise.RiseFromRest` plays it, `peak`
+    being its size), so its value here is zero.
     """
 
     at: InjectionPoint
@@ -65,6 +68,11 @@ class Excitation:
     duration: float
     ramp: float
     waveform: Waveform
+
+    @property
+    def on_reference(self) -> bool:
+        """Whether it is added to the controller's reference, and not to its output."""
+        return self.at in (InjectionPoint.ROLL_REFERENCE, InjectionPoint.TILT_REFERENCE)
 
     def value(self, t: float) -> float:
         """The value at `t` seconds; zero before the start and after the end."""
@@ -104,6 +112,16 @@ class Sweep:
     def __call__(self, t: float) -> float:
         rate = log(self.stop / self.start) / self.duration
         return sin(2.0 * pi * self.start / rate * expm1(rate * t))
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """Sine of `frequency` Hz."""
+
+    frequency: float
+
+    def __call__(self, t: float) -> float:
+        return sin(2.0 * pi * self.frequency * t)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,10 +207,10 @@ def make_excitation(section: ExperimentSection, rate: float) -> Excitation:
         else:
             assert section.lines is not None
             waveform = _multisine(start, stop, section.lines, duration)
-    elif section.excitation == "square":
+    elif section.excitation in ("sine", "square"):
         assert section.frequency is not None
         _require_frequencies((section.frequency,), "frequency", duration, rate)
-        waveform = Square(section.frequency)
+        waveform = Sine(section.frequency) if section.excitation == "sine" else Square(section.frequency)
     elif section.excitation == "doublet":
         assert section.width is not None
         if duration < 4.0 * section.width:

@@ -1,27 +1,23 @@
 """The vehicle's own experiments as the diagnosis predicts them, and which of them to run next.
 
 Joins what the control loop runs (controller, excitation, limits of the vehicle file) to `diagnosis.next_experiment`,
-which knows no vehicle.
+which knows no vehicle. How the loop of one kind of vehicle is predicted is in its own package.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
-from math import degrees, expm1, radians
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from diagnosis.closed_loop import Controller, Experiment, Limit, simulate
+from diagnosis.closed_loop import Experiment, simulate
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals
-from estimators.segments import SUPPORT_MARGIN
-from models.control_design import RollDesign
 from models.model import Model, ModelError
-from service.controller import RollController, design
-from service.excitation import Excitation, ExcitationError, InjectionPoint, make_excitation
-from service.vehicle_file import ExperimentSection, VehicleFile
+from service.excitation import ExcitationError, InjectionPoint
+from service.monocab import predicted as monocab
+from service.vehicle_sections import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
@@ -29,9 +25,6 @@ UNTOLD = ("coulomb_friction", "viscous_friction")
 """What a record that is too poor for a diagnosis tells apart the least."""
 SMALL = 0.03
 """Share of its typical size at which an effect is looked at to find the size at which it just shows."""
-DRIVEN = {"precession_rate_setpoint", "precession_rate", "precession"}
-DRIVEN |= {"trim_position", "trim_rate", "trim_rate_setpoint"}
-"""Inputs of models that the loop gives."""
 MOST_RIVALS = 4
 MOST_UNSEEN = 3
 """Effects that might have been missed that are looked at."""
@@ -39,9 +32,29 @@ DETECTABLE = 10.8
 """nats that the smallest effect is worth that is found with 99 % probability at 1 % false alarms: (2 x 2.33)^2 / 2."""
 
 
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """How the loop of one kind of vehicle is predicted.
+
+    It needs these outputs of a model and gives these inputs; `of` a vehicle file makes what predicts an experiment of
+    it by name.
+    """
+
+    needs: frozenset[str]
+    gives: frozenset[str]
+    of: Callable[[Any], Callable[[str], Experiment]]
+
+
+PREDICTIONS = {"monocab": Prediction(monocab.NEEDS, monocab.GIVES, monocab.predictor)}
+"""By kind of vehicle."""
+
+
 def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, str]]:
     """The experiments of a vehicle file that can be predicted, and by name why the others are none."""
-    gains = design(vehicle)
+    prediction = PREDICTIONS.get(vehicle.vehicle.kind)
+    if prediction is None:
+        return [], dict.fromkeys(vehicle.experiments, f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet")
+    predict = prediction.of(vehicle)
     found, left_out = [], {}
     for name, section in vehicle.experiments.items():
         if section.excitation == "none":
@@ -50,7 +63,7 @@ def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, st
             left_out[name] = "begins on a support, which the models do not know"
         else:
             try:
-                found.append(_experiment(name, section, vehicle, gains))
+                found.append(predict(name))
             except ExcitationError as error:
                 left_out[name] = str(error)
     return found, left_out
@@ -134,8 +147,12 @@ def _as_json(choice: Choice) -> Mapping[str, Any] | None:
 
 def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
     """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
-    lacking = {"roll", "roll_rate"} - {each.name for each in model.outputs}
-    lacking |= {each.name for each in model.inputs} - DRIVEN
+    prediction = PREDICTIONS.get(vehicle.vehicle.kind)
+    if prediction is None:
+        what = f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet"
+        raise ModelError(f"model {model.name}", what, remedy="choose the next experiment by hand.")
+    lacking = prediction.needs - {each.name for each in model.outputs}
+    lacking |= {each.name for each in model.inputs} - prediction.gives
     if lacking:
         what = f"the loop with the vehicle's controller cannot be closed: {', '.join(sorted(lacking))}"
         raise ModelError(f"model {model.name}", what, remedy="use one of the vehicle's own models.")
@@ -169,73 +186,3 @@ def _just_visible(model: Model, effect: str, alone: Rival, experiments: Sequence
     if not nats or max(nats) <= 0.0:
         raise ModelError(f"effect {effect}", "no safe experiment shows it", remedy="give recordings of it.")
     return Rival.assumed(effect, _with(model, effect, size * (DETECTABLE / max(nats)) ** 0.5))
-
-
-def _experiment(name: str, section: ExperimentSection, vehicle: VehicleFile, gains: RollDesign) -> Experiment:
-    excitation = make_excitation(section, float(vehicle.control.rate))
-    limits = vehicle.limits
-    upright = min(vehicle.support - SUPPORT_MARGIN, radians(limits.roll_deg))
-    turn = degrees(1.0)
-
-    def shorter(duration: float) -> Experiment | None:
-        if duration >= section.duration:
-            return None
-        try:
-            return _experiment(name, section.model_copy(update={"duration": duration}), vehicle, gains)
-        except ExcitationError:
-            return None
-
-    return Experiment(
-        name=name,
-        parameters=section.model_dump(exclude_none=True, exclude={"title"}),
-        duration=excitation.duration,
-        period=vehicle.period,
-        controller=partial(_loop, vehicle, gains, excitation),
-        limits=(
-            Limit("roll", upright, "deg", "at which the supports carry", turn),
-            Limit("roll_rate", radians(limits.roll_rate_deg), "deg/s", "of limits.roll_rate_deg", turn),
-            Limit("precession", radians(limits.precession_budget_deg), "deg", "of limits.precession_budget_deg", turn),
-            Limit("precession_rate_setpoint", limits.precession_rate, "rad/s", "of limits.precession_rate"),
-            Limit("setpoint_slope", limits.precession_acceleration, "rad/s^2", "of limits.precession_acceleration"),
-        ),
-        shorter=shorter,
-    )
-
-
-def _loop(vehicle: VehicleFile, gains: RollDesign, excitation: Excitation) -> Controller:
-    """The vehicle's controller with the excitation in it, and the gimbals of models whose input is their motion."""
-    controller = RollController.from_design(gains, vehicle)
-    on_reference = excitation.at is InjectionPoint.ROLL_REFERENCE
-    period = vehicle.period
-    follows = -expm1(-period / gains.parameters.speed_loop_lag)
-    rate = precession = before = 0.0
-
-    def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
-        nonlocal rate, precession, before
-        rate = seen.get("precession_rate", rate)
-        precession = seen.get("precession", precession)
-        value = excitation.value(time)
-        setpoint = controller.step(
-            seen["roll"],
-            seen["roll_rate"],
-            rate,
-            precession,
-            value if on_reference else 0.0,
-            period,
-            0.0 if on_reference else value,
-        )
-        after = rate + follows * (setpoint - rate)
-        precession += 0.5 * period * (rate + after)
-        rate = after
-        slope, before = (setpoint - before) / period, setpoint
-        return {
-            "precession_rate_setpoint": setpoint,
-            "precession_rate": rate,
-            "precession": precession,
-            "trim_position": 0.0,
-            "trim_rate": 0.0,
-            "trim_rate_setpoint": 0.0,
-            "setpoint_slope": slope,
-        }
-
-    return step

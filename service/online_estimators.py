@@ -28,18 +28,22 @@ STARTING = {
 def online_estimators(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> EstimatorBank:
-    """The estimators of a vehicle `kind`, the preferred one last; none for a kind that has none.
+    """The estimators of a vehicle `kind`, the preferred one last; none for a kind that is identified afterwards only.
 
-    `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the roll angle on a support.
+    `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support.
     Raises EstimationError where a parameter is missing.
     """
-    if kind != "monocab":
-        return EstimatorBank(())
+    make = BANKS.get(kind)
+    return make(parameters, deviations, support) if make is not None else EstimatorBank(())
+
+
+def _monocab(parameters: Mapping[str, float], deviations: Mapping[str, float], support: float) -> EstimatorBank:
+    """The roll axis: its torque balance by regression, and the prediction error of its compiled model."""
     regressions = [
         torque_balance.make(parameters, support, method=method, deviations=deviations)
         for method in (torque_balance.Method.PLAIN, torque_balance.Method.INSTRUMENTAL)
     ]
-    late = {"recursive_prediction_error": partial(_prediction_error, kind, parameters, deviations, support)}
+    late = {"recursive_prediction_error": partial(_prediction_error, "monocab", parameters, deviations, support)}
     return EstimatorBank(regressions, late)
 
 
@@ -131,3 +135,8 @@ class EstimatorBank:
             "status": "failed",
             "reason": f"{type(error).__name__}: {error}",
         }
+
+
+BANKS: dict[str, Callable[[Mapping[str, float], Mapping[str, float], float], EstimatorBank]] = {"monocab": _monocab}
+"""What makes the estimators of a kind of vehicle. The balancing robot has none yet: every one of its equations holds
+several unknowns in products, which a regression cannot take apart (`models.library.twsbr`)."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from math import degrees
+from typing import Any
 
 from drivers.cia402.states import State
 from drivers.imu import ImuHealth
-from drivers.vehicle_io import Measurement, VehicleIo
-from estimators.roll_filter import RollState
+from drivers.vehicle_io import VehicleIo
+from service.kind import Kind, Lean, Measurement
 from service.safety import DriveObservation, Observation
-from service.sequence import AT_REST_RATE, AT_REST_ROLL
-from service.vehicle_file import VehicleFile
+from service.sequence import AT_REST_ANGLE, AT_REST_RATE
+from service.vehicle_sections import VehicleFile
 
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 
@@ -31,18 +32,21 @@ def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement
         entry.emergency = drive.emergency.text if drive.emergency is not None else ""
     seen.imu_health = io.imu.health(now_ns)
     seen.imu_text = io.imu.fault_text
-    seen.precession = measured.precession
-    seen.precession_rate = measured.precession_rate
-    seen.gimbal_mismatch = measured.gimbal_mismatch
-    seen.trim_position = measured.trim_position
+    seen.axes = measured
 
 
 def interlocks(
-    vehicle: VehicleFile, io: VehicleIo, roll: RollState | None, measured: Measurement, now_ns: int, silence: float
+    vehicle: VehicleFile,
+    kind: Kind[Any],
+    io: VehicleIo,
+    lean: Lean | None,
+    measured: Measurement,
+    now_ns: int,
+    silence: float,
 ) -> list[str]:
     """What keeps a run from being started, each as a sentence with what to do."""
     found = []
-    if roll is None or silence > 0.0:
+    if lean is None or silence > 0.0:
         found.append(
             f"No IMU frames on {vehicle.bus.imu}: check its supply, bit rate and imu.base_id."
             if not io.imu.fault_text
@@ -50,9 +54,9 @@ def interlocks(
         )
     elif io.imu.health(now_ns) is not ImuHealth.OK:
         found.append(io.imu.fault_text or f"The IMU is not usable: {io.imu.health(now_ns).value}.")
-    elif abs(abs(roll.roll) - vehicle.support) > AT_REST_ROLL or abs(roll.roll_rate) > AT_REST_RATE:
+    elif abs(abs(lean.angle) - vehicle.support) > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
         found.append(
-            f"The vehicle does not rest on a support: roll {degrees(roll.roll):.2f} deg, supports at "
+            f"The vehicle does not rest on a support: {kind.angle} {degrees(lean.angle):.2f} deg, supports at "
             f"+-{vehicle.limits.support_deg:g} deg. Set it down, or check imu.axes and limits.support_deg."
         )
     for drive in io.drives:
@@ -60,9 +64,7 @@ def interlocks(
             found.append(f"Drive {drive.condition}. Mend its cause, then `upright reset`.")
         elif measured.timestamp_ns == 0 or (now_ns - drive.timestamp_ns) * 1e-9 > 10 * vehicle.period:
             found.append(f"Drive {drive.last_wrong_length or drive.condition + ': no answer'}.")
-    if measured.gimbal_mismatch > 0.5 * vehicle.limits.gimbal_mismatch_deg * 0.0174533:
-        found.append(f"The gimbals differ by {degrees(measured.gimbal_mismatch):.1f} deg: turn them alike.")
-    return found
+    return found + kind.interlocks(measured)
 
 
 def drive_states(io: VehicleIo) -> list[dict[str, str]]:

@@ -1,7 +1,7 @@
 """Recordings again: from any file, from the raw frames, through the live estimators, into other formats.
 
 A recording begins at an agreed time at which the daemon forgot all that was measured before, so the raw log that begins
-at the same time rebuilds the same rows bit for bit. What was never on the bus (`NOT_ON_THE_BUS`) comes, instant by
+at the same time rebuilds the same rows bit for bit. What was never on the bus (`not_on_the_bus`) comes, instant by
 instant, from the recording that lies beside the log; without it, it is unknown (NaN).
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from service import assembly, export
+from service import assembly, export, kinds
 from service.online_estimators import EstimatorBank, online_estimators
 from service.rows import rows_from_frames
 from service.vehicle_file import VehicleFile
@@ -23,9 +23,8 @@ from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
-NOT_ON_THE_BUS = ("roll_reference", "excitation", "phase")
-
 AGE = "drive_age"
+"""The channels after this one, reference, excitation and phase, were never on the bus."""
 
 CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
 
@@ -64,7 +63,7 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
     channels = assembly.channels(vehicle)
     io = assembly.vehicle_io(vehicle)
     log = CandumpReader(path)
-    rows = list(rows_from_frames(log, io, assembly.roll_filter(vehicle)))
+    rows = list(rows_from_frames(log, io, kinds.of(vehicle, io), assembly.roll_filter(vehicle)))
     if not rows:
         raise RecordingError(str(path), "", f"no row can be made of its frames: {_missing(io)}", remedy=_CHECK)
     table = np.array([row.values for row in rows], dtype=np.float64)
@@ -84,8 +83,13 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
     try:
         return _completed(rebuilt, recordings.load(Path(path).with_suffix(".arrow")))
     except RecordingError as error:
-        notes = [rebuilt.truncated, f"{', '.join(NOT_ON_THE_BUS)} are unknown: {error}"]
+        notes = [rebuilt.truncated, f"{', '.join(not_on_the_bus(channels))} are unknown: {error}"]
         return replace(rebuilt, truncated="; ".join(filter(None, notes)))
+
+
+def not_on_the_bus(channels: ChannelTable) -> tuple[str, ...]:
+    """The channels that no frame tells: what was aimed at, the excitation and the phase."""
+    return channels.names[channels.index_of(AGE) + 1 :]
 
 
 def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
@@ -153,7 +157,7 @@ def _completed(rebuilt: Recording, beside: Recording) -> Recording:
     """`rebuilt` with what only the recording beside it knows."""
     _, here, there = np.intersect1d(rebuilt.timestamp_ns, beside.timestamp_ns, return_indices=True)
     values = dict(rebuilt.values)
-    for name in set(NOT_ON_THE_BUS).intersection(beside.channels.names):
+    for name in set(not_on_the_bus(rebuilt.channels)).intersection(beside.channels.names):
         values[name] = np.full(len(rebuilt), np.nan)
         values[name][here] = beside.values[name][there]
     return replace(rebuilt, values=values, metadata={**rebuilt.metadata, **beside.metadata})

@@ -6,28 +6,29 @@ read, the reason in words with numbers and units, and the reaction.
     END_EXPERIMENT   in order: the excitation stops, the controller lowers the vehicle onto a support
     STOP_NOW         quick stop of every drive: the vehicle falls onto its supports
 
-What can still be controlled ends in order; what cannot (no roll angle, no drive, no room left) stops now, since a
+What can still be controlled ends in order; what cannot (no angle, no drive, no room left) stops now, since a
 quick stop leaves a fall of a few degrees at most. The worst is judged first: a later check may rest on the earlier.
 
-    always           IMU alive and sane, roll and roll rate finite and within limits
-    armed            drives answer, no emergency, no restart, gimbals and trim mass within limits, cycles in time
+    always           IMU alive and sane, the angles of the fall finite and within bounds
+    armed            drives answer, no emergency, no restart, every axis and the setpoint within bounds, cycles in time
     should_run       every drive is in Operation enabled
-    balancing        precession budget left, observer alive
+    balancing        budgets left, observer alive
+    upright          not fallen
 
-Every comparison is written so that a NaN fails it.
+IMU and drives are the same for every vehicle. What else is watched is data: `Bound`s, which each kind of vehicle makes
+of its limits (`service.monocab.kind`, `service.twsbr.kind`). Every comparison is written so that a NaN fails it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import Enum, StrEnum
-from math import degrees, isfinite, radians
+from math import degrees, isfinite
+from operator import attrgetter
+from typing import Any
 
 from drivers.imu import ImuHealth
-from service.vehicle_file import VehicleFile
-
-RATE_MARGIN = 1.5
-"""How far the measured precession rate may exceed the setpoint's limit: the speed loop overshoots a little."""
 
 
 class Reaction(Enum):
@@ -39,7 +40,7 @@ class Reaction(Enum):
 
 
 class Code(StrEnum):
-    """Why, for programs."""
+    """Why, for programs. Some are of one kind of vehicle only."""
 
     OK = "ok"
     IMU_SILENT = "imu_silent"
@@ -49,16 +50,23 @@ class Code(StrEnum):
     NOT_FINITE = "not_finite"
     ROLL = "roll"
     ROLL_RATE = "roll_rate"
+    TILT = "tilt"
+    TILT_RATE = "tilt_rate"
+    FALLEN = "fallen"
     DRIVE_SILENT = "drive_silent"
     DRIVE_EMERGENCY = "drive_emergency"
     DRIVE_RESTARTED = "drive_restarted"
     DRIVE_NOT_ENABLED = "drive_not_enabled"
+    SETPOINT = "setpoint"
     PRECESSION = "precession"
     PRECESSION_RATE = "precession_rate"
     GIMBAL_MISMATCH = "gimbal_mismatch"
     TRIM_POSITION = "trim_position"
+    WHEEL_RATE = "wheel_rate"
+    TRAVEL = "travel"
     DEADLINE = "deadline"
     PRECESSION_BUDGET = "precession_budget"
+    TRAVEL_BUDGET = "travel_budget"
     OBSERVER_GONE = "observer_gone"
 
 
@@ -75,34 +83,56 @@ OK = Verdict(Code.OK, Reaction.CONTINUE, "")
 """All is well: always this very object."""
 
 
+class When(Enum):
+    """In which part of a run a bound holds; each is within the one before."""
+
+    ALWAYS = "always"
+    ARMED = "armed"
+    BALANCING = "balancing"
+    UPRIGHT = "upright"
+
+
 @dataclass(frozen=True, slots=True)
-class SafetyLimits:
-    """SI units; `missed_cycles` consecutive cycles of `period` s are what an IMU, a drive or the loop may miss."""
+class Unit:
+    """How people read a quantity: `per_si` of it make one SI unit."""
 
-    roll: float
-    roll_rate: float
-    precession: float
-    precession_budget: float
-    precession_rate: float
-    gimbal_mismatch: float
-    trim_position: float
-    missed_cycles: int
-    period: float
+    name: str
+    per_si: float = 1.0
+    digits: int = 2
 
-    @classmethod
-    def of(cls, vehicle: VehicleFile) -> SafetyLimits:
-        """Those of a vehicle file."""
-        limits = vehicle.limits
-        return cls(
-            roll=radians(limits.roll_deg),
-            roll_rate=radians(limits.roll_rate_deg),
-            precession=radians(limits.precession_deg),
-            precession_budget=radians(limits.precession_budget_deg),
-            precession_rate=RATE_MARGIN * limits.precession_rate,
-            gimbal_mismatch=radians(limits.gimbal_mismatch_deg),
-            trim_position=limits.trim_position,
-            missed_cycles=limits.missed_cycles,
-            period=vehicle.period,
+
+DEGREES = Unit("deg", degrees(1.0))
+DEGREES_A_SECOND = Unit("deg/s", degrees(1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A quantity of an `Observation` (a dotted name, as in "axes.precession") that must stay within +-`limit` (SI).
+
+    Beyond a bound with `advice` the experiment ends in order, which leaves time to follow it; beyond any other one the
+    vehicle is stopped.
+    """
+
+    code: Code
+    what: str
+    of: str
+    limit: float
+    unit: Unit
+    when: When = When.ARMED
+    advice: str = ""
+
+    def verdict(self, value: float) -> Verdict:
+        """On a `value` (SI) that is not within it."""
+        if not isfinite(value):
+            return _stop(Code.NOT_FINITE, f"{self.what} is {value}, not a number")
+        unit, limit = self.unit, self.limit * self.unit.per_si
+        if self.advice:
+            text = f"{self.what} used up: {value * unit.per_si:.1f} of {limit:g} {unit.name}; {self.advice}"
+            return Verdict(self.code, Reaction.END_EXPERIMENT, text)
+        return _stop(
+            self.code,
+            f"{self.what} of {value * unit.per_si:.{unit.digits}f} {unit.name} is beyond the limit of "
+            f"{limit:.{unit.digits}f} {unit.name}",
         )
 
 
@@ -123,23 +153,23 @@ class Observation:
     """What is judged. One object, refilled every cycle.
 
     `imu_age` s since the IMU sample before this one, or since the last one where none came; `imu_text` is the IMU
-    driver's own explanation; `late_cycles` in a row that came too late to command the drives. Angles in rad, rates in
-    rad/s, `trim_position` in m. See the module docstring for `armed`, `should_run` and `balancing`.
+    driver's own explanation; `late_cycles` in a row that came too late to command the drives; `angle` (rad) and `rate`
+    (rad/s) are those of the fall, `setpoint` is what the drives are about to get, and `axes` what they reported, in the
+    words of the kind of vehicle. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
     """
 
     drives: tuple[DriveObservation, ...] = ()
     armed: bool = False
     should_run: bool = False
     balancing: bool = False
+    upright: bool = False
     imu_age: float = 0.0
     imu_health: ImuHealth = ImuHealth.OK
     imu_text: str = ""
-    roll: float = 0.0
-    roll_rate: float = 0.0
-    precession: float = 0.0
-    precession_rate: float = 0.0
-    gimbal_mismatch: float = 0.0
-    trim_position: float = 0.0
+    angle: float = 0.0
+    rate: float = 0.0
+    setpoint: float = 0.0
+    axes: Any = None
     late_cycles: int = 0
     observer_alive: bool = True
 
@@ -151,35 +181,40 @@ _IMU_CODES = {
     ImuHealth.WRONG_LENGTH: Code.IMU_FORMAT,
 }
 
+_Check = tuple[Callable[[Observation], float], float, Bound]
 
-@dataclass(frozen=True, slots=True)
+
 class Safety:
-    """Judges the cycles of a vehicle with these limits."""
+    """Judges the cycles of a vehicle by its `bounds`, in their order.
 
-    limits: SafetyLimits
-    _longest_silence: float = field(init=False)
+    `missed_cycles` consecutive cycles of `period` s are what an IMU, a drive or the loop may miss.
+    """
 
-    def __post_init__(self) -> None:
+    def __init__(self, bounds: Sequence[Bound], *, missed_cycles: int, period: float) -> None:
+        self.missed_cycles = missed_cycles
+        self.period = period
         # Half a period of tolerance: `missed_cycles` whole periods without an answer, jitter included.
-        object.__setattr__(self, "_longest_silence", (self.limits.missed_cycles + 0.5) * self.limits.period)
+        self._longest_silence = (missed_cycles + 0.5) * period
+        checks: dict[When, list[_Check]] = {when: [] for when in When}
+        for bound in bounds:
+            checks[bound.when].append((attrgetter(bound.of), bound.limit, bound))
+        self._always, self._armed, self._balancing, self._upright = (tuple(checks[when]) for when in When)
 
     def judge(self, seen: Observation) -> Verdict:
         """The verdict on one cycle; `OK` itself, without any allocation, when all is well."""
-        limits = self.limits
         if not seen.imu_age <= self._longest_silence:
             return _stop(
                 Code.IMU_SILENT,
-                f"no complete IMU frame set for {seen.imu_age * 1e3:.1f} ms, longer than {limits.missed_cycles} cycles "
-                f"of {limits.period * 1e3:g} ms",
+                f"no complete IMU frame set for {seen.imu_age * 1e3:.1f} ms, longer than {self.missed_cycles} cycles "
+                f"of {self.period * 1e3:g} ms",
             )
         if seen.imu_health is not ImuHealth.OK:
             return _stop(
                 _IMU_CODES[seen.imu_health], seen.imu_text or f"the IMU is not usable: {seen.imu_health.value}"
             )
-        if not -limits.roll <= seen.roll <= limits.roll:
-            return _beyond(Code.ROLL, "roll", seen.roll, limits.roll)
-        if not -limits.roll_rate <= seen.roll_rate <= limits.roll_rate:
-            return _beyond(Code.ROLL_RATE, "roll rate", seen.roll_rate, limits.roll_rate, "deg/s")
+        for read, limit, bound in self._always:
+            if not -limit <= read(seen) <= limit:
+                return bound.verdict(read(seen))
         if not seen.armed:
             return OK
         for drive in seen.drives:
@@ -190,43 +225,28 @@ class Safety:
                 or (seen.should_run and not drive.enabled)
             ):
                 return self._drive_fault(drive)
-        if not -limits.precession <= seen.precession <= limits.precession:
-            return _beyond(Code.PRECESSION, "precession angle", seen.precession, limits.precession)
-        if not -limits.precession_rate <= seen.precession_rate <= limits.precession_rate:
-            return _beyond(
-                Code.PRECESSION_RATE, "precession rate", seen.precession_rate, limits.precession_rate, "deg/s"
-            )
-        if not seen.gimbal_mismatch <= limits.gimbal_mismatch:
-            return _beyond(
-                Code.GIMBAL_MISMATCH, "difference between the gimbals", seen.gimbal_mismatch, limits.gimbal_mismatch
-            )
-        if not -limits.trim_position <= seen.trim_position <= limits.trim_position:
-            text = f"trim mass at {seen.trim_position:.3f} m is beyond the limit of {limits.trim_position:g} m"
-            return _stop(Code.TRIM_POSITION if isfinite(seen.trim_position) else Code.NOT_FINITE, text)
-        if seen.late_cycles >= limits.missed_cycles:
+        for read, limit, bound in self._armed:
+            if not -limit <= read(seen) <= limit:
+                return bound.verdict(read(seen))
+        if seen.late_cycles >= self.missed_cycles:
             return _stop(
                 Code.DEADLINE,
-                f"{seen.late_cycles} control cycles in a row were late for their {limits.period * 1e3:g} ms",
+                f"{seen.late_cycles} control cycles in a row were late for their {self.period * 1e3:g} ms",
             )
         if not seen.balancing:
             return OK
-        if not -limits.precession_budget <= seen.precession <= limits.precession_budget:
-            return Verdict(
-                Code.PRECESSION_BUDGET,
-                Reaction.END_EXPERIMENT,
-                f"precession budget used up: {degrees(seen.precession):.1f} of "
-                f"{degrees(limits.precession_budget):g} deg; a static torque turns the gimbals: balance the vehicle, "
-                "or make the excitation smaller",
-            )
+        if seen.upright:
+            for read, limit, bound in self._upright:
+                if not -limit <= read(seen) <= limit:
+                    return bound.verdict(read(seen))
+        for read, limit, bound in self._balancing:
+            if not -limit <= read(seen) <= limit:
+                return bound.verdict(read(seen))
         if not seen.observer_alive:
             return Verdict(
                 Code.OBSERVER_GONE, Reaction.END_EXPERIMENT, "the observer process ended: nothing is recorded any more"
             )
         return OK
-
-    def budget_used(self, precession: float) -> float:
-        """Share of the precession budget in use at this angle (rad): 0 in the middle, 1 where the experiment ends."""
-        return abs(precession) / self.limits.precession_budget
 
     def _drive_fault(self, drive: DriveObservation) -> Verdict:
         if drive.emergency:
@@ -237,17 +257,10 @@ class Safety:
             return _stop(
                 Code.DRIVE_SILENT,
                 f"drive {drive.name} has not answered for {drive.age * 1e3:.1f} ms, longer than "
-                f"{self.limits.missed_cycles} cycles of {self.limits.period * 1e3:g} ms",
+                f"{self.missed_cycles} cycles of {self.period * 1e3:g} ms",
             )
         return _stop(Code.DRIVE_NOT_ENABLED, f"drive {drive.name} left Operation enabled: it is in {drive.state}")
 
 
 def _stop(code: Code, text: str) -> Verdict:
     return Verdict(code, Reaction.STOP_NOW, text)
-
-
-def _beyond(code: Code, what: str, value: float, limit: float, unit: str = "deg") -> Verdict:
-    """`value` and `limit` in rad or rad/s, said in degrees."""
-    if not isfinite(value):
-        return _stop(Code.NOT_FINITE, f"{what} is {value}, not a number")
-    return _stop(code, f"{what} of {degrees(value):.2f} {unit} is beyond the limit of {degrees(limit):.2f} {unit}")

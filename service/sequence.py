@@ -4,36 +4,27 @@
 
 Every experiment is the whole way, so that each has one verb, one recording, and ends where a person may touch the
 vehicle. `ExperimentRun.step` is called once a control cycle and answers with what the drives shall do now; it knows
-no bus and no clock, only the time that the samples carry.
+no bus and no clock, only the time that the samples carry. The phases are those of every vehicle; how one gets up,
+balances and gets down is its kind's own (`service.kind.Handling`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from math import copysign, degrees, radians
+from math import degrees
+from typing import Any
 
 from drivers.cia402.states import State
-from drivers.vehicle_io import Measurement
-from estimators.roll_filter import RollState
-from models.control_design import RollDesign
-from models.monocab import MonocabParameters
-from service.controller import RollController
-from service.excitation import Excitation, InjectionPoint, make_excitation
-from service.rise import Lowering, RiseFromRest, lowering_side, lowering_travel, rise_rate
-from service.vehicle_file import VehicleFile
+from service.excitation import Excitation, make_excitation
+from service.kind import HOLD, IDLE, Command, Handling, Lean, Pilot
+from service.vehicle_sections import VehicleFile
 
-AT_REST_ROLL = 0.0175
+AT_REST_ANGLE = 0.0175
 """rad (1 deg): how near to a support's angle counts as resting on it."""
 
 AT_REST_RATE = 0.01
-"""rad/s of roll."""
-
-CENTRE_RATE = 0.08
-"""rad/s: 264 N m at 3300 N m s, a quarter of what would lift the vehicle off the support."""
-
-CENTRED = 0.005
-"""rad of precession that counts as the middle."""
+"""rad/s of that angle."""
 
 
 class Phase(IntEnum):
@@ -61,13 +52,13 @@ _TEXTS = {
     Phase.NONE: "nothing runs",
     Phase.REST: "at rest: the roll filter settles",
     Phase.ENABLE: "enabling the drives",
-    Phase.CENTRE: "turning the gimbals to the middle",
+    Phase.CENTRE: "on the support: bringing the drives to the middle",
     Phase.RISE: "rising from the support",
     Phase.SETTLE: "upright: settling",
     Phase.EXCITE: "exciting",
     Phase.FADE: "excitation over: settling",
     Phase.LOWER: "lowering onto the support",
-    Phase.CENTRE_BACK: "on the support: turning the gimbals back",
+    Phase.CENTRE_BACK: "on the support: bringing the drives back",
     Phase.DISABLE: "disabling the drives",
 }
 
@@ -84,52 +75,29 @@ BALANCING = frozenset({Phase.RISE, Phase.SETTLE, Phase.EXCITE, Phase.FADE, Phase
 """Phases off the support."""
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """What the drives shall do in this cycle, and what led to it."""
-
-    target: State
-    precession_rate: float
-    roll_reference: float = 0.0
-    excitation: float = 0.0
-
+UPRIGHT = frozenset({Phase.SETTLE, Phase.EXCITE, Phase.FADE})
+"""Phases in which the vehicle is to stay up."""
 
 _NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase.LOWER}
-
-IDLE = Command(State.SWITCH_ON_DISABLED, 0.0)
-QUICK_STOP = Command(State.QUICK_STOP_ACTIVE, 0.0)
-HOLD = Command(State.OPERATION_ENABLED, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What one experiment is made of. `support` and `precession_budget` in rad; see `plan`."""
+    """What one experiment is made of. `support` in rad; `angle` is what the angle of the fall is called."""
 
     excitation: Excitation
-    controller: RollController
-    rise: RiseFromRest
-    parameters: MonocabParameters
+    handling: Handling[Any]
     support: float
-    precession_budget: float
+    angle: str
 
 
-def plan(vehicle: VehicleFile, experiment: str, design: RollDesign) -> Plan:
-    """The plan of a vehicle file's experiment. The step sets its own rate of rising; the others take a sure one.
+def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -> Plan:
+    """The plan of a vehicle file's experiment.
 
     Raises ExcitationError where the experiment's signal cannot be played.
     """
-    section = vehicle.experiments[experiment]
-    excitation = make_excitation(section, float(vehicle.control.rate))
-    by_step = excitation.at is InjectionPoint.REST and excitation.peak > 0.0
-    rate = excitation.peak if by_step else rise_rate(design.parameters, vehicle.support)
-    return Plan(
-        excitation=excitation,
-        controller=RollController.from_design(design, vehicle),
-        rise=RiseFromRest(rate, acceleration=vehicle.limits.precession_acceleration),
-        parameters=design.parameters,
-        support=vehicle.support,
-        precession_budget=radians(vehicle.limits.precession_budget_deg),
-    )
+    excitation = make_excitation(vehicle.experiments[experiment], float(vehicle.control.rate))
+    return Plan(excitation, pilot.handling(excitation), vehicle.support, angle)
 
 
 class ExperimentRun:
@@ -142,11 +110,8 @@ class ExperimentRun:
         self.end_reason = ""
         self.done = False
         self._plan = plan
-        self._controller = plan.controller
-        self._rise = plan.rise
-        self._lowering: Lowering | None = None
+        self._handling = plan.handling
         self._phase_time = 0.0
-        self._side = 1.0
 
     @property
     def fraction(self) -> float:
@@ -174,18 +139,21 @@ class ExperimentRun:
         self.end_reason = reason
         if self.phase in (Phase.REST, Phase.ENABLE, Phase.CENTRE):
             self._enter(Phase.DISABLE)
-        elif self.phase in (Phase.SETTLE, Phase.EXCITE, Phase.FADE):
+        elif self.phase in UPRIGHT:
             self._enter(Phase.LOWER)
 
-    def step(self, dt: float, roll: RollState, drives: Measurement, state: State | None) -> Command:
-        """The command of this cycle. `dt` s since the last; `state` is the one all drives are in, if they agree."""
+    def step(self, dt: float, lean: Lean, drives: Any, state: State | None) -> Command:
+        """The command of this cycle. `dt` s since the last; `state` is the one all drives are in, if they agree.
+
+        `drives` are the measurements of this kind of vehicle.
+        """
         self._phase_time += dt
         timeout = TIMEOUTS.get(self.phase)
         if timeout is not None and self._phase_time > timeout:
             self._time_out(timeout)
         match self.phase:
             case Phase.REST:
-                return self._rest(roll)
+                return self._rest(lean)
             case Phase.ENABLE:
                 if state is State.OPERATION_ENABLED:
                     self._enter(Phase.CENTRE)
@@ -193,11 +161,11 @@ class ExperimentRun:
             case Phase.CENTRE:
                 return self._centre(drives, then=Phase.RISE)
             case Phase.RISE:
-                return self._get_up(dt, roll)
+                return self._get_up(dt, lean, drives)
             case Phase.SETTLE | Phase.EXCITE | Phase.FADE:
-                return self._balance(dt, roll, drives)
+                return self._balance(dt, lean, drives)
             case Phase.LOWER:
-                return self._lower(dt, roll, drives)
+                return self._lower(dt, lean, drives)
             case Phase.CENTRE_BACK:
                 return self._centre(drives, then=Phase.DISABLE)
             case _:
@@ -221,61 +189,45 @@ class ExperimentRun:
         else:
             self._fail(reason, go_on=Phase.CENTRE_BACK if self.phase is Phase.LOWER else Phase.DISABLE)
 
-    def _rest(self, roll: RollState) -> Command:
+    def _rest(self, lean: Lean) -> Command:
         if self._phase_time >= DURATIONS[Phase.REST]:
-            off = abs(abs(roll.roll) - self._plan.support)
-            if off > AT_REST_ROLL or abs(roll.roll_rate) > AT_REST_RATE:
+            off = abs(abs(lean.angle) - self._plan.support)
+            if off > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
                 self._fail(
-                    f"the vehicle does not rest on a support: roll is {degrees(roll.roll):.2f} deg at "
-                    f"{degrees(roll.roll_rate):.2f} deg/s, the supports are at +-{degrees(self._plan.support):.2f} "
+                    f"the vehicle does not rest on a support: {self._plan.angle} is {degrees(lean.angle):.2f} deg at "
+                    f"{degrees(lean.rate):.2f} deg/s, the supports are at +-{degrees(self._plan.support):.2f} "
                     "deg. Check the supports, imu.axes and limits.support_deg",
                     go_on=Phase.DISABLE,
                 )
             else:
-                self._side = copysign(1.0, roll.roll)
                 self._enter(Phase.ENABLE)
         return IDLE
 
-    def _centre(self, drives: Measurement, then: Phase) -> Command:
-        """Slowly, so that the torque stays well below what would lift the vehicle off its support."""
-        if abs(drives.precession) < CENTRED:
+    def _centre(self, drives: Any, then: Phase) -> Command:
+        command = self._handling.centre(drives)
+        if command is None:
             self._enter(then)
             return HOLD
-        return Command(State.OPERATION_ENABLED, max(-CENTRE_RATE, min(CENTRE_RATE, -2.0 * drives.precession)))
+        return command
 
-    def _get_up(self, dt: float, roll: RollState) -> Command:
-        rise = self._rise
-        rate = rise.step(dt, roll.roll, roll.roll_rate)
-        if rise.done:
-            self._controller.reset(rate)
+    def _get_up(self, dt: float, lean: Lean, drives: Any) -> Command:
+        handling = self._handling
+        command = handling.rise(dt, lean, drives)
+        if handling.risen:
             self._enter(Phase.LOWER if self.end_reason else Phase.SETTLE)
-        elif rise.failure:
-            self._fail(rise.failure, go_on=Phase.CENTRE_BACK)
-        return Command(State.OPERATION_ENABLED, rate, 0.0, rate)
+        elif handling.failure:
+            self._fail(handling.failure, go_on=Phase.CENTRE_BACK)
+        return command
 
-    def _balance(self, dt: float, roll: RollState, drives: Measurement) -> Command:
+    def _balance(self, dt: float, lean: Lean, drives: Any) -> Command:
         value = self._plan.excitation.value(self._phase_time) if self.phase is Phase.EXCITE else 0.0
-        on_reference = self._plan.excitation.at is InjectionPoint.ROLL_REFERENCE
-        rate = self._controller.step(
-            roll.roll,
-            roll.roll_rate,
-            drives.precession_rate,
-            drives.precession,
-            value if on_reference else 0.0,
-            dt,
-            0.0 if on_reference else value,
-        )
+        command = self._handling.balance(dt, lean, drives, value)
         if self._phase_time >= self._duration(self.phase):
             self._enter(_NEXT[self.phase])
-        return Command(State.OPERATION_ENABLED, rate, self._controller.reference, value)
+        return command
 
-    def _lower(self, dt: float, roll: RollState, drives: Measurement) -> Command:
-        if self._lowering is None:
-            plan = self._plan
-            travel = lowering_travel(plan.parameters, plan.support)
-            side = lowering_side(self._side, drives.precession, travel, plan.precession_budget)
-            self._lowering = Lowering(side * plan.support, self._controller)
-        rate = self._lowering.step(dt, roll.roll, roll.roll_rate, drives.precession_rate, drives.precession)
-        if self._lowering.done:
+    def _lower(self, dt: float, lean: Lean, drives: Any) -> Command:
+        command = self._handling.lower(dt, lean, drives)
+        if self._handling.lowered:
             self._enter(Phase.CENTRE_BACK)
-        return Command(State.OPERATION_ENABLED, rate, self._lowering.reference)
+        return command

@@ -10,6 +10,7 @@ are left out. Nothing here asks a clock, so that a seed gives the same bits ever
 from __future__ import annotations
 
 import difflib
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
@@ -118,7 +119,7 @@ class ClosedLoop:
         self.plant_side.boot()
         self.advance(BOOT_TIME)
         for drive in vehicle.drive:
-            self._to_vehicle(0x600 + drive.node, MODES_OF_OPERATION + bytes((drive.mode, 0, 0, 0)), 0)
+            self._to_vehicle(0x600 + drive.node, MODES_OF_OPERATION + struct.pack("<i", drive.mode), 0)
             self._to_vehicle(*command_frame(NmtCommand.START, drive.node), 0)
         self.loop.set_up_done()
         self.advance(SETTLING_TIME)

@@ -1,6 +1,7 @@
 """The virtual vehicle of a vehicle file: its configuration, and running it on the buses of the command line.
 
-The simulation knows no vehicle files and no bus addresses; this is where it gets both.
+The simulation knows no vehicle files and no bus addresses; this is where it gets both, and where the kind of vehicle
+chooses the physics (`TWINS`).
 """
 
 from __future__ import annotations
@@ -8,15 +9,31 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 from drivers.bus_address import connect
 from drivers.cia402.config import find_eds
-from service.vehicle_file import VehicleFile
+from service.vehicle_sections import VehicleFile
 from simulation import runner
-from simulation.config import DriveNode, ImuNode, SimulationConfig
+from simulation.config import DriveNode, ImuNode, PlantTruth, SimulationConfig, Truth
 from simulation.faults import Fault
 from simulation.hidden import parse_hidden
 from simulation.runner import RunStatistics
+from simulation.twsbr.truth import TwsbrTruth
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow."""
+
+    truth: Truth
+    eds: str
+
+
+TWINS = {
+    "monocab": Twin(PlantTruth(), "upright_servo.eds"),
+    "twsbr": Twin(TwsbrTruth(), "upright_motor.eds"),
+}
 
 
 def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> SimulationConfig:
@@ -24,7 +41,7 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
 
     Raises UnknownEffectError for a `hide` that names no hidden effect.
     """
-    imu = vehicle.imu
+    imu, twin = vehicle.imu, TWINS[vehicle.vehicle.kind]
     drives = [
         DriveNode(
             name=drive.name,
@@ -35,7 +52,7 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
             increments_per_turn=drive.increments_per_turn,
             velocity_unit_rpm=drive.velocity_unit_rpm,
             rated_torque=drive.rated_torque,
-            eds=find_eds("upright_servo.eds", drive=drive.name),
+            eds=find_eds(twin.eds, drive=drive.name),
             mode=drive.mode,
             vendor_id=drive.vendor_id,
             product_code=drive.product_code,
@@ -54,8 +71,16 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         angular_rate_unit=imu.angular_rate_unit,
         position=imu.position,
     )
-    hidden, onsets = parse_hidden(hide)
-    return SimulationConfig(drives=drives, imu=node, rate=vehicle.control.rate, seed=seed, hidden=hidden, onsets=onsets)
+    hidden, onsets = parse_hidden(hide, twin.truth.registry)
+    return SimulationConfig(
+        drives=drives,
+        imu=node,
+        plant=twin.truth,
+        rate=vehicle.control.rate,
+        seed=seed,
+        hidden=hidden,
+        onsets=onsets,
+    )
 
 
 def run(

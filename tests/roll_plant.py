@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from models.control_design import RollDesign
-from service.controller import RollController, design
 from service.excitation import Excitation, InjectionPoint
-from service.rise import Lowering, RiseFromRest, rise_rate
+from service.monocab.controller import RollController, design
+from service.monocab.rise import Lowering, RiseFromRest, rise_rate
 from service.vehicle_file import VehicleFile, load
 
 RATES = (100, 250, 500)

@@ -11,7 +11,7 @@ import pytest
 from roll_plant import RATES, SETTLE, Log, Plant, balance, designed, get_down, get_up, peak, vehicle_at
 
 from service.excitation import make_excitation
-from service.rise import RiseState, lowering_side, lowering_travel
+from service.monocab.rise import RiseState, lowering_side, lowering_travel
 from service.vehicle_file import load
 
 

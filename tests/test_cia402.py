@@ -374,9 +374,9 @@ def test_without_a_statusword_the_word_is_disable_voltage(target: State) -> None
 def test_setpoint_is_sent_within_half_a_step_and_read_back_bit_for_bit(config: DriveConfig, velocity: float) -> None:
     drive, reader = drive_in(State.OPERATION_ENABLED, config), Drive(config)
     ((cob_id, data),) = drive.command(State.OPERATION_ENABLED, velocity)
-    assert abs(drive.velocity_setpoint - velocity) <= abs(config.setpoint_unit) * 0.5000001
+    assert abs(drive.setpoint - velocity) <= abs(config.setpoint_unit) * 0.5000001
     reader.handle(CanFrame(1, cob_id, data))
-    assert struct.pack("<d", reader.velocity_setpoint) == struct.pack("<d", drive.velocity_setpoint)
+    assert struct.pack("<d", reader.setpoint) == struct.pack("<d", drive.setpoint)
     assert reader.controlword == drive.controlword
     # Back by the units of the objects alone: rpm, 1/8192 rpm.
     if config.mode == 9:
@@ -388,7 +388,7 @@ def test_setpoint_is_sent_within_half_a_step_and_read_back_bit_for_bit(config: D
         rpm += fine / 8192
         assert word == 0x7F
         assert abs(fine) <= 4096, "the coarse part alone is right within half a revolution a minute"
-    assert drive.velocity_setpoint == pytest.approx(config.direction * rpm / 60 * config.axis_per_turn, abs=1e-12)
+    assert drive.setpoint == pytest.approx(config.direction * rpm / 60 * config.axis_per_turn, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -409,7 +409,7 @@ def test_a_setpoint_that_does_not_fit_is_limited_and_counted(
     ((_, data),) = drive.command(State.OPERATION_ENABLED, velocity)
     assert struct.unpack({6: "<hh", 4: "<h"}[len(data)] if config.mode == 2 else "<i", data[2:]) == expected
     assert drive.clipped == 1
-    assert math.isfinite(drive.velocity_setpoint)
+    assert math.isfinite(drive.setpoint)
 
 
 @pytest.mark.parametrize("state", [state for state in WORDS if state is not State.OPERATION_ENABLED])
@@ -417,7 +417,7 @@ def test_a_velocity_goes_only_to_an_enabled_drive(state: State) -> None:
     drive = drive_in(state)
     ((_, data),) = drive.command(State.OPERATION_ENABLED, 0.7)
     assert data[2:] == bytes(4)
-    assert math.copysign(1.0, drive.velocity_setpoint) == 1.0, "zero, and not minus zero"
+    assert math.copysign(1.0, drive.setpoint) == 1.0, "zero, and not minus zero"
 
 
 def test_controlword_and_setpoint_may_be_in_different_pdos() -> None:
@@ -427,7 +427,7 @@ def test_controlword_and_setpoint_may_be_in_different_pdos() -> None:
     assert [cob_id for cob_id, _ in frames] == [0x201, 0x301]
     for cob_id, data in frames:
         reader.handle(CanFrame(1, cob_id, data))
-    assert reader.velocity_setpoint == drive.velocity_setpoint != 0.0
+    assert reader.setpoint == drive.setpoint != 0.0
 
 
 # Measured values
@@ -495,7 +495,7 @@ def test_reset_forgets_what_was_measured_and_keeps_the_state_machine() -> None:
     assert math.isnan(drive.position)
     assert math.isnan(drive.velocity)
     assert drive.timestamp_ns == 0
-    assert drive.velocity_setpoint == 0.0
+    assert drive.setpoint == 0.0
     assert controlword(drive, State.OPERATION_ENABLED) == 0x7F, "a running drive runs on"
     assert not drive.tripped
 
@@ -596,7 +596,7 @@ def test_nmt_frames() -> None:
     [
         ({"node": 0}, "node", "node id"),
         ({"direction": 0}, "direction", "sign"),
-        ({"mode": 3}, "mode", "Use 2 or 9"),
+        ({"mode": 3}, "mode", "Use 2, 9 or -1"),
         ({"rated_torque": math.nan}, "rated_torque", "positive"),
         ({"axis_per_turn": 0.0}, "axis_per_turn", "positive"),
         ({"rpdo": (("controlword",),)}, "rpdo", "'target_velocity' is not mapped"),

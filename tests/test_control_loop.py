@@ -8,7 +8,7 @@ import pytest
 from closed_loop import ClosedLoop
 
 from drivers.cia402.states import State
-from service import assembly
+from service import assembly, kinds
 from service.control_loop import Mode
 from service.rows import rows_from_frames
 from service.sequence import Phase
@@ -28,9 +28,9 @@ def at_rate(rate: int) -> VehicleFile:
 def assert_rests_disarmed(closed: ClosedLoop) -> None:
     closed.advance(1.0)
     assert closed.loop.io.state is State.SWITCH_ON_DISABLED
-    assert closed.loop.roll is not None
-    assert abs(closed.loop.roll.roll) == pytest.approx(closed.vehicle.support, abs=math.radians(0.3))
-    assert abs(closed.loop.roll.roll_rate) < 0.005
+    assert closed.loop.lean is not None
+    assert abs(closed.loop.lean.angle) == pytest.approx(closed.vehicle.support, abs=math.radians(0.3))
+    assert abs(closed.loop.lean.rate) < 0.005
 
 
 @pytest.mark.parametrize("name", list(load("monocab").experiments))
@@ -73,7 +73,8 @@ def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
     live = [frame for frame in closed.witness.frames if start_ns <= frame.timestamp_ns <= end_ns]
     raw = [frame for frame in closed.raw if start_ns <= frame.timestamp_ns]
     io, roll_filter = assembly.vehicle_io(closed.vehicle), assembly.roll_filter(closed.vehicle)
-    rebuilt = [row for row in rows_from_frames(raw, io, roll_filter, start_ns) if row.timestamp_ns <= end_ns]
+    rows = rows_from_frames(raw, io, kinds.of(closed.vehicle, io), roll_filter, start_ns)
+    rebuilt = [row for row in rows if row.timestamp_ns <= end_ns]
     measured = MONOCAB.index_of("drive_age") + 1
     assert len(live) > 4000
     assert [(f.timestamp_ns, f.values[:measured]) for f in rebuilt] == [

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from models.control_design import LqiGains
 from models.monocab import MonocabParameters
-from service.controller import PrecessionReturn, RollController, SetpointLimits, design
+from service.monocab.controller import PrecessionReturn, RollController, SetpointLimits, design
 from service.vehicle_file import load
 
 GAINS = LqiGains((100.0, 16.0, 1.0), 0.1, 180.0, 0.004)

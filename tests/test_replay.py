@@ -71,8 +71,8 @@ def test_the_raw_log_rebuilds_every_row_and_every_estimate(run: Path) -> None:
 def test_a_log_alone_gives_all_that_was_on_the_bus(run: Path, tmp_path: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     rebuilt = replay.load(alone(run, tmp_path), VEHICLE)
-    assert_same(recorded, rebuilt, tuple(name for name in MONOCAB.names if name not in replay.NOT_ON_THE_BUS))
-    for name in replay.NOT_ON_THE_BUS:
+    assert_same(recorded, rebuilt, tuple(name for name in MONOCAB.names if name not in replay.not_on_the_bus(MONOCAB)))
+    for name in replay.not_on_the_bus(MONOCAB):
         assert np.isnan(rebuilt[name]).all()
         assert name in rebuilt.truncated
 

@@ -280,3 +280,17 @@ def test_whatever_comes_the_estimate_stays_finite(readings: list[tuple[int, Vect
         state = roll_filter.update(ImuSample(time_ns, acceleration, angular_rate))
         assert all(map(math.isfinite, (state.roll, state.pitch, state.roll_rate, *state.bias)))
         assert 0.0 <= state.roll_std <= math.pi
+
+
+def test_a_pitching_vehicle_is_read_like_a_rolling_one() -> None:
+    """The same motion about y: the same estimates, rates and standard deviations, to the last digits."""
+    rolls = Motion(sine(0.05, 0.7), position=(0.0, 0.0, 0.06))
+    pitches = replace(rolls, axis=(0.0, 1.0, 0.0))
+    config = replace(MONOCAB, position=(0.0, 0.0, 0.06))
+    one, other = RollFilter(config), RollFilter(config)
+    for rolling, pitching in zip(rolls.samples(6.0, seed=None), pitches.samples(6.0, seed=None), strict=True):
+        about_x, about_y = one.update(rolling), other.update(pitching)
+        assert about_y.pitch == pytest.approx(about_x.roll, abs=1e-9)
+        assert about_y.pitch_rate == pytest.approx(about_x.roll_rate, abs=1e-9)
+        assert about_y.pitch_std == pytest.approx(about_x.roll_std, rel=1e-6)
+    assert abs(about_y.pitch) > 1e-3, "or it has not moved"

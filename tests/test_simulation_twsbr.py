@@ -359,6 +359,13 @@ def test_at_the_same_motion_twice_the_level_is_twice_the_torque(name: str) -> No
     assert twice == pytest.approx(2.0 * once, rel=1e-9, abs=1e-12)
 
 
+def test_a_cable_that_holds_it_upright_lets_it_lie_on_its_bumper() -> None:
+    """A cubic spring that grew on to 12 deg would lift it off: 1.8 N m against 0.07 N m of gravity."""
+    plant = robot(hide=["cubic_stiffness=2"])
+    run_for(plant, 2.0)
+    assert math.degrees(plant.tilt) == pytest.approx(FLOOR_DEG, abs=0.1)
+
+
 def test_a_slope_pulls_it_back_by_its_weight() -> None:
     """Held on wheels that turn freely: acceleration r (m_b + 2 m_w) g r sin(slope) over the inertia of travel."""
     plant = robot(replace(LOSSLESS, start="held"), ["slope"])

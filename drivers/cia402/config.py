@@ -2,16 +2,19 @@
 
 velocity (axis) = direction * axis_per_turn * rpm / 60,  position (axis) = direction * axis_per_turn * increments /
 increments_per_turn; torque is the motor's, in N m, positive where it accelerates the axis in its positive direction.
+A voltage is direction * units, positive where it drives the axis in its positive direction.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from drivers.cia402 import pdo
+from drivers.cia402.modes import MODES, Mode
 from drivers.cia402.objects import ObjectEntry
 from drivers.cia402.pdo import PdoCodec
 from telemetry.errors import UprightError
@@ -38,14 +41,14 @@ class DriveConfig:
     """
 
     name: str
-    role: Literal["gimbal", "trim"]
+    role: Literal["gimbal", "trim", "wheel"]
     node: int
     direction: int
     """+1 or -1: sign of the axis for a positive motor speed."""
     axis_per_turn: float
     """rad or m of the axis a motor turn."""
     mode: int
-    """CiA 402 mode: 2 (6042h in rpm, with an optional fine part) or 9 (60FFh)."""
+    """CiA 402 mode, one of `modes.MODES`: 2 or 9 (velocity), -1 (voltage)."""
     increments_per_turn: int
     """Of 6064h, a motor turn."""
     velocity_unit_rpm: float
@@ -70,13 +73,13 @@ class DriveConfig:
             self._refuse("node", f"{self.node} is not a CANopen node id", "Use 1 to 127.")
         if self.direction not in (1, -1):
             self._refuse("direction", f"{self.direction} is not a sign", "Use 1 or -1.")
-        if self.mode not in (2, 9):
-            self._refuse("mode", f"mode {self.mode} is not a velocity mode of this driver", "Use 2 or 9.")
+        if self.mode not in MODES:
+            self._refuse("mode", f"mode {self.mode} is not one of this driver", f"Use {_either(MODES)}.")
         for key in ("axis_per_turn", "increments_per_turn", "velocity_unit_rpm", "rated_torque"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0):
                 self._refuse(key, f"{value} is not a positive number", "Take it from the drive's data sheet.")
-        self._check_pdos("rpdo", self.rpdo, self._rpdo_objects, needed=("controlword", "target_velocity"))
+        self._check_pdos("rpdo", self.rpdo, self._rpdo_objects, needed=("controlword", self.operation.target.name))
         self._check_pdos("tpdo", self.tpdo, pdo.tpdo_objects(), needed=("statusword", "position_actual"))
         velocities = [name for pdo_names in self.tpdo for name in pdo_names if name.startswith("velocity_actual")]
         if len(velocities) != 1:
@@ -138,16 +141,19 @@ class DriveConfig:
         return self.direction * self.axis_per_turn * self.velocity_unit_rpm / 60.0
 
     @property
+    def operation(self) -> Mode:
+        """What hangs on the mode."""
+        return MODES[self.mode]
+
+    @property
     def setpoint_unit(self) -> float:
-        """axis unit/s of the smallest step of the target velocity, direction included."""
-        if self.mode == 9:
-            return self.velocity_unit
-        return self.direction * self.axis_per_turn / (60.0 * (pdo.FINE_UNITS_PER_RPM if self.has_fine_part else 1))
+        """axis unit/s, or V, of the smallest step of the setpoint, direction included."""
+        return self.operation.step(self)
 
     @property
     def has_fine_part(self) -> bool:
-        """Whether the target velocity is sent in two parts."""
-        return any("target_velocity_fine" in names for names in self.rpdo)
+        """Whether the setpoint is sent in two parts."""
+        return any(self.operation.fine in names for names in self.rpdo)
 
 
 def find_eds(eds: str, *, drive: str, folder: Path | None = None) -> Path:
@@ -164,3 +170,9 @@ def find_eds(eds: str, *, drive: str, folder: Path | None = None) -> Path:
             return place
     shipped = ", ".join(sorted(path.name for path in SHIPPED_EDS.glob("*.eds")))
     raise DriveConfigError(drive, "eds", f"there is no file {eds!r}", remedy=f"Give a path, or one of: {shipped}.")
+
+
+def _either(numbers: Iterable[int]) -> str:
+    """`2, 9 or -1`."""
+    *first, last = map(str, numbers)
+    return f"{', '.join(first)} or {last}"

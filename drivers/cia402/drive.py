@@ -1,4 +1,4 @@
-"""One servo inverter at run time: its frames in, its state and motion in SI; target and speed in, its frames out.
+"""One drive at run time: its frames in, its state and motion in SI; target state and setpoint in, its frames out.
 
 Synchronous, no I/O, no clock. Every value has the receive time of its frame. The drive sends its TPDOs after each
 SYNC and takes our RPDOs over at the next one, so what is read here was sampled at the SYNC before.
@@ -13,8 +13,9 @@ from drivers.cia402 import emergency as emcy
 from drivers.cia402 import nmt, states
 from drivers.cia402.config import DriveConfig
 from drivers.cia402.emergency import Emergency
+from drivers.cia402.modes import FINE_UNITS_PER_RPM
 from drivers.cia402.nmt import NmtState
-from drivers.cia402.pdo import FINE_UNITS_PER_RPM, PdoCodec
+from drivers.cia402.pdo import PdoCodec
 from drivers.cia402.states import FaultReset, FaultResetOutcome, State
 from telemetry.samples import CanFrame
 
@@ -22,7 +23,7 @@ NAN = float("nan")
 
 
 class Drive:
-    """A drive of CiA 402 in velocity mode 2 or 9.
+    """A drive of CiA 402 in one of `modes.MODES`: its setpoint is a velocity (axis unit/s) or a voltage (V).
 
     It never enables by itself: a drive that leaves Operation enabled uncommanded, or has a fault under the target
     Operation enabled, is `tripped`. It is then held in quick stop until the fault is reset (`request_fault_reset`), the
@@ -32,7 +33,7 @@ class Drive:
     Attributes, for others to read:
         state, statusword: as reported last; UNKNOWN and None before.
         position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first.
-        velocity_setpoint: axis unit/s as quantised in the frame that was sent (in replay: read) last.
+        setpoint: axis unit/s or V, as quantised in the frame that was sent (in replay: read) last.
         controlword: as sent (in replay: read) last.
         *_timestamp_ns: receive time of the frame that a value came with, 0 before the first.
         nmt_state: of the last heartbeat, None before.
@@ -69,8 +70,10 @@ class Drive:
         self._rpm_unit = config.direction * config.axis_per_turn / 60.0
         self._torque_unit = config.direction * config.rated_torque / 1000.0
         self._setpoint_unit = config.setpoint_unit
+        self._enable_bits = config.operation.enable_bits
         self._split = FINE_UNITS_PER_RPM if config.has_fine_part else 1
-        bits = 16 if config.mode == 2 else 32
+        operation = config.operation
+        bits = 8 * operation.target.size
         self._lowest = -(1 << bits - 1) * self._split - self._split // 2
         self._highest = (1 << bits - 1) * self._split - self._split // 2 - 1
 
@@ -85,7 +88,7 @@ class Drive:
         self._tpdos = {
             cob_id: (codec, tuple(takes[name] for name in codec.names)) for cob_id, codec in config.tpdo_codecs.items()
         }
-        places = {"controlword": 0, "target_velocity": 1, "target_velocity_fine": 2}
+        places = {"controlword": 0, operation.target.name: 1, operation.fine: 2}
         self._rpdos: dict[int, tuple[PdoCodec, tuple[int, ...]]] = {
             cob_id: (codec, tuple(places[name] for name in codec.names)) for cob_id, codec in config.rpdo_codecs.items()
         }
@@ -101,7 +104,7 @@ class Drive:
         """Forget the measured values and the setpoint, for a recording that starts here; the state machine goes on."""
         self.position = self.velocity = self.torque = NAN
         self.position_timestamp_ns = self.velocity_timestamp_ns = self.torque_timestamp_ns = 0
-        self.velocity_setpoint = 0.0
+        self.setpoint = 0.0
         self._sent = [self.controlword, 0, 0]
 
     def configured(self) -> None:
@@ -151,17 +154,17 @@ class Drive:
 
     # Frames out
 
-    def command(self, target: State, velocity: float) -> tuple[tuple[int, bytes], ...]:
-        """The RPDOs of one cycle as (COB-ID, data): one step towards `target`, moving at `velocity` (axis unit/s).
+    def command(self, target: State, setpoint: float) -> tuple[tuple[int, bytes], ...]:
+        """The RPDOs of one cycle as (COB-ID, data): one step towards `target`, with `setpoint` (axis unit/s, or V).
 
-        The velocity is sent only to a drive that reports Operation enabled and is to stay there; else it is 0.
+        The setpoint is sent only to a drive that reports Operation enabled and is to stay there; else it is 0.
 
         Raises:
             ValueError: `target` is not a state that a master can ask for.
         """
         word = self._next_controlword(target)
         enabled = word & states.ENABLE_OPERATION == states.ENABLE_OPERATION and self.state is State.OPERATION_ENABLED
-        units = self._quantise(velocity) if enabled else 0
+        units = self._quantise(setpoint) if enabled else 0
         coarse, fine = divmod(units + self._split // 2, self._split)
         self._sent = sent = [word, coarse, fine - self._split // 2]
         self._remember_sent()
@@ -200,17 +203,15 @@ class Drive:
         if target is State.OPERATION_ENABLED and (self.tripped or self.restarted):
             target = State.QUICK_STOP_ACTIVE
         word = states.controlword_towards(state, target)
-        if word == states.ENABLE_OPERATION and self.config.mode == 2:
-            word |= states.RAMP_BITS
-        return word
+        return word | self._enable_bits if word == states.ENABLE_OPERATION else word
 
     def _trip(self, reason: str) -> None:
         self.tripped = True
         self.trip_reason = reason
 
-    def _quantise(self, velocity: float) -> int:
-        """Axis unit/s to the smallest steps of the target velocity, limited to what its object can hold."""
-        units = velocity / self._setpoint_unit
+    def _quantise(self, setpoint: float) -> int:
+        """Axis unit/s or V to the smallest steps of the target's object, limited to what it can hold."""
+        units = setpoint / self._setpoint_unit
         if self._lowest <= units <= self._highest:
             return round(units)
         self.clipped += 1
@@ -222,7 +223,7 @@ class Drive:
         """Set what is known of our own frames from their integers, alike for frames sent and frames replayed."""
         word, coarse, fine = self._sent
         self.controlword = word
-        self.velocity_setpoint = (coarse * self._split + fine) * self._setpoint_unit + 0.0  # never -0.0
+        self.setpoint = (coarse * self._split + fine) * self._setpoint_unit + 0.0  # never -0.0
 
     # Frames in
 

@@ -9,27 +9,21 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from drivers.cia402.modes import MODES
 from drivers.cia402.objects import CONTROLWORD, MODE_DISPLAY, STATUSWORD, ObjectEntry
 
 MAX_PDOS = 4
 """PDOs of each direction that have a predefined COB-ID."""
 
-FINE_UNITS_PER_RPM = 8192
-"""Resolution of `target_velocity_fine`."""
-
 
 def rpdo_objects(mode: int, fine_index: int) -> dict[str, ObjectEntry]:
-    """What can be sent to the drive in `mode` (2 or 9), by name.
+    """What can be sent to the drive in `mode`, one of `modes.MODES`, by name.
 
-    `fine_index` is the vendor object of the fine part of the target velocity (1/8192 rpm, mode 2).
+    `fine_index` is the vendor object of the fine part of the target, where the mode has one.
     """
-    if mode == 9:
-        return _by_name(CONTROLWORD, ObjectEntry("target_velocity", 0x60FF, 0, "i"))
-    return _by_name(
-        CONTROLWORD,
-        ObjectEntry("target_velocity", 0x6042, 0, "h"),
-        ObjectEntry("target_velocity_fine", fine_index, 0, "h"),
-    )
+    chosen = MODES[mode]
+    fine = (ObjectEntry(chosen.fine, fine_index, 0, "h"),) if chosen.fine else ()
+    return _by_name(CONTROLWORD, chosen.target, *fine)
 
 
 def tpdo_objects() -> dict[str, ObjectEntry]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import canopen
 
-from drivers.cia402 import eds, emergency, nmt, states
+from drivers.cia402 import eds, emergency, modes, nmt, states
 from drivers.cia402 import objects as od
 from drivers.cia402.config import DriveConfig
 from drivers.cia402.nmt import NmtCommand
@@ -179,14 +179,14 @@ def _switch_off(sdo: SdoDialogue) -> tuple[State, int | None]:
 def _select_mode(sdo: SdoDialogue) -> tuple[int, ...] | None:
     mode = sdo.config.mode
     bits = sdo.find(od.SUPPORTED_MODES)
-    supported = None if bits is None else tuple(bit + 1 for bit in range(16) if bits >> bit & 1)
+    supported = None if bits is None else modes.supported(bits)
     if supported is None:
         sdo.warnings.append(f"no {od.SUPPORTED_MODES}: whether it has mode {mode} shows in 6061h alone")
     elif mode not in supported:
         raise sdo.refuse(
             f"the drive has modes {', '.join(map(str, supported)) or 'none'}, and not mode {mode}",
             entry=od.SUPPORTED_MODES,
-            remedy="Choose one of them under mode in the vehicle file (2 or 9), or set the drive up for this one.",
+            remedy="Choose another one under mode in the vehicle file, or set the drive up for this one.",
         )
     sdo.write(od.MODE, mode)
     deadline = time.monotonic() + PATIENCE
@@ -202,9 +202,9 @@ def _select_mode(sdo: SdoDialogue) -> tuple[int, ...] | None:
 
 
 def _set_sync(sdo: SdoDialogue, supervision: Supervision) -> None:
-    """The drive shall take SYNC from 080h and not make one; in mode 9 it must also know the cycle."""
+    """The drive shall take SYNC from 080h and not make one; in a cyclic mode it must also know the cycle."""
     sdo.set_where_present(od.SYNC_COB_ID, 0x80, without="assumed to be 080h")
-    if sdo.config.mode == 9:
+    if sdo.config.operation.cyclic:
         exponent = -3 if math.isclose(supervision.cycle_period % 1e-3, 0.0, abs_tol=1e-9) else -4
         value = round(supervision.cycle_period * 10.0**-exponent)
         without = "the drive must find out the cycle of the setpoints by itself"

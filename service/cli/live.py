@@ -13,7 +13,7 @@ from service.cli.output import page, people
 if TYPE_CHECKING:
     from service.vehicle_file import VehicleFile
 
-VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab) or a path to a vehicle file.")]
+VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
 BusOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -10,7 +10,7 @@ from service.cli.output import page, print_json
 
 config = typer.Typer(help="Vehicle files: check them, show them, list every key.", no_args_is_help=True)
 
-FileArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab) or a path to a vehicle file.")]
+FileArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
@@ -25,31 +25,22 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 
     Exit code 1 names the first key that is wrong and the remedy.
     """
-    from math import degrees
-
-    from service import assembly
-    from service.controller import design
+    from service import assembly, kinds
     from service.sequence import plan
     from service.vehicle_file import load
 
     vehicle = load(file)
-    assembly.vehicle_io(vehicle)
-    controller = design(vehicle)
-    plans = {name: plan(vehicle, name, controller) for name in vehicle.experiments}
+    kind = kinds.of(vehicle, assembly.vehicle_io(vehicle))
+    pilot = kind.pilot()
+    plans = {name: plan(vehicle, name, pilot, kind.angle) for name in vehicle.experiments}
     load_percent = assembly.bus_load(vehicle)
-    margins, worst = controller.margins, controller.worst
     if json:
         print_json({
             "file": vehicle.path,
             "vehicle": vehicle.vehicle.id,
             "configuration_hash": vehicle.configuration_hash,
             "bus_load_percent": load_percent,
-            "controller": {
-                "gain_margin": [margins.gain_decrease, margins.gain_increase],
-                "phase_margin": margins.phase,
-                "delay_margin": margins.delay,
-                "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
-            },
+            "controller": pilot.findings(),
             "experiments": {name: {"title": vehicle.experiments[name].title} for name in plans},
         })  # fmt: skip
         return
@@ -57,11 +48,8 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
     for bus, percent in load_percent.items():
         note = "  [yellow]too much: use a second bus, or fewer IMU slots[/yellow]" if percent > 70 else ""
         page.print(f"  bus {bus}: {percent:.0f} % of {vehicle.bus.bitrate / 1e3:.0f} kbit/s{note}")
-    page.print(
-        f"  controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
-        f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms"
-    )
-    page.print(f"  worst within 20 % of the CAD values: {worst}")
+    for line in pilot.words():
+        page.print(f"  {line}")
     for name, each in plans.items():
         seconds = each.excitation.duration
         page.print(f"  experiment {name}: {vehicle.experiments[name].title}, {seconds:.0f} s of excitation")
@@ -86,6 +74,6 @@ def show(file: FileArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config schema > vehicle.schema.json`")
 def schema() -> None:
     """Print the JSON Schema of vehicle files: every key, its meaning and unit."""
-    from service.vehicle_file import VehicleFile
+    from service import vehicle_file
 
-    print_json(VehicleFile.model_json_schema())
+    print_json(vehicle_file.schema())

@@ -16,6 +16,9 @@ STRIBECK_RATE = 0.5
 TYPICAL_TORQUE = 0.2
 """N m of a motor, at the wheel."""
 
+PULL = 0.05
+"""rad (3 deg) of tilt from which on a cable gives way and pulls no harder: or the robot could not lie on its bumper."""
+
 TiltEffect = Callable[[float, float, float], float]
 """Tilt, time and event clock to the torque on the tilt."""
 WheelEffect = Callable[[Motor, float], float]
@@ -23,7 +26,7 @@ WheelEffect = Callable[[Motor, float], float]
 
 _TILT: dict[str, Callable[[float], TiltEffect]] = {
     "static_torque": lambda size: lambda tilt, time, clock: size,
-    "cubic_stiffness": lambda size: lambda tilt, time, clock: -size * tilt**3,
+    "cubic_stiffness": lambda size: lambda tilt, time, clock: -size * min(PULL, max(-PULL, tilt)) ** 3,
     "periodic_disturbance": lambda size: lambda tilt, time, clock: size * math.sin(2.0 * math.pi * 1.3 * time),
     "torque_drift": lambda size: lambda tilt, time, clock: size * -math.expm1(-max(0.0, clock) / 45.0),
     "test_varying_stiffness": lambda size: lambda tilt, time, clock: size * tilt * math.sin(2.0 * math.pi * 0.7 * time),

@@ -29,7 +29,7 @@ from math import radians
 
 from models.control_design import LqiGains, LqiWeights, RollDesign, design_roll_controller
 from models.monocab import MonocabParameters
-from service.vehicle_file import VehicleFile
+from service.monocab.file import MonocabFile
 
 WINDUP_TIME = 0.1
 """s in which back-calculation takes from the integral what the limits keep from the setpoint."""
@@ -43,7 +43,7 @@ class SetpointLimits:
     acceleration: float
 
 
-def design(vehicle: VehicleFile, *, spread: float = 0.2) -> RollDesign:
+def design(vehicle: MonocabFile, *, spread: float = 0.2) -> RollDesign:
     """The roll controller of a vehicle file, designed from its CAD values and checked `spread` (20 %) around them.
 
     Raises ControlDesignError; see `models.control_design`.
@@ -129,7 +129,7 @@ class RollController:
         self.reset(0.0)
 
     @classmethod
-    def from_design(cls, design: RollDesign, vehicle: VehicleFile) -> RollController:
+    def from_design(cls, design: RollDesign, vehicle: MonocabFile) -> RollController:
         """The controller of a vehicle file, with the gains of its design."""
         limits, section = vehicle.limits, vehicle.controller
         return cls(

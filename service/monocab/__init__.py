@@ -1,0 +1,1 @@
+"""The monorail vehicle held up by gyroscopes: its vehicle file, controller, and way of getting up and down."""

@@ -1,0 +1,87 @@
+"""What the vehicle file of a MONOCAB holds beyond the sections that all vehicles share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+from pydantic import model_validator
+
+from service.vehicle_sections import (
+    ControllerSection,
+    LimitsSection,
+    NotNegative,
+    ParameterEntry,
+    ParametersSection,
+    Positive,
+    VehicleFile,
+)
+
+
+class MonocabLimits(LimitsSection):
+    """Of roll, of the gimbals and of the trim mass."""
+
+    roll_deg: Positive
+    roll_rate_deg: Positive
+    precession_deg: Positive
+    precession_budget_deg: Positive
+    precession_rate: Positive
+    precession_acceleration: Positive
+    gimbal_mismatch_deg: Positive
+    trim_position: Positive
+    trim_rate: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.support_deg >= self.roll_deg:
+            raise ValueError("support_deg must be below roll_deg, or resting on a support is a fault")
+        if self.precession_budget_deg >= self.precession_deg:
+            raise ValueError("precession_budget_deg must be below precession_deg, or a run cannot end in order")
+        if self.precession_deg >= 90:
+            raise ValueError("precession_deg must be below 90: there the gyro has no roll torque left")
+        return self
+
+
+class MonocabCad(ParametersSection):
+    """The roll motion's parameters; see `models.monocab`."""
+
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "inertia": "kg m^2",
+        "gravity_stiffness": "N m/rad",
+        "angular_momentum": "N m s",
+        "speed_loop_lag": "s",
+        "trim_mass": "kg",
+        "trim_height": "m",
+        "gimbal_inertia": "kg m^2",
+    }
+
+    inertia: ParameterEntry
+    gravity_stiffness: ParameterEntry
+    angular_momentum: ParameterEntry
+    speed_loop_lag: ParameterEntry
+    trim_mass: ParameterEntry
+    trim_height: ParameterEntry
+    gimbal_inertia: ParameterEntry | None = None
+    """Of both gimbals with their rotors, about the precession axes; for the apparent inertia alone."""
+
+
+class MonocabController(ControllerSection):
+    """Weights of the LQI design, and the lean that brings the gimbals back; see `service.monocab.controller`."""
+
+    roll_weight: Positive
+    roll_rate_weight: NotNegative
+    integral_weight: Positive
+    effort_weight: Positive
+    precession_return_time: NotNegative
+    precession_return_limit_deg: NotNegative
+
+
+class MonocabFile(VehicleFile):
+    """A monorail vehicle that two or more gimbals hold up, with or without a trim mass."""
+
+    ROLES: ClassVar[Mapping[str, tuple[int, int]]] = {"gimbal": (1, 16), "trim": (0, 1)}
+    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("rest", "roll_reference", "controller_output")
+
+    limits: MonocabLimits
+    parameters: MonocabCad
+    controller: MonocabController

@@ -1,0 +1,90 @@
+"""How a MONOCAB gets up, balances and gets down: gimbals to the middle, the step from rest, the LQI, the lowering."""
+
+from __future__ import annotations
+
+from math import copysign
+
+from drivers.cia402.states import State
+from models.monocab import MonocabParameters
+from service.kind import Command, Lean
+from service.monocab.axes import GimbalMeasurement
+from service.monocab.controller import RollController
+from service.monocab.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
+
+CENTRE_RATE = 0.08
+"""rad/s: 264 N m at 3300 N m s, a quarter of what would lift the vehicle off the support."""
+
+CENTRED = 0.005
+"""rad of precession that counts as the middle."""
+
+
+class GimbalHandling:
+    """Setpoints are precession rates, rad/s. `support` and `budget` (of precession) in rad."""
+
+    def __init__(
+        self,
+        controller: RollController,
+        rise: RiseFromRest,
+        parameters: MonocabParameters,
+        *,
+        support: float,
+        budget: float,
+        on_reference: bool,
+    ) -> None:
+        self._controller = controller
+        self._rise = rise
+        self._parameters = parameters
+        self._support = support
+        self._budget = budget
+        self._on_reference = on_reference
+        self._side = 0.0
+        self._lowering: Lowering | None = None
+
+    @property
+    def risen(self) -> bool:
+        return self._rise.done
+
+    @property
+    def failure(self) -> str:
+        return self._rise.failure
+
+    @property
+    def lowered(self) -> bool:
+        return self._lowering is not None and self._lowering.done
+
+    def centre(self, drives: GimbalMeasurement) -> Command | None:
+        """Slowly, so that the torque stays well below what would lift the vehicle off its support."""
+        if abs(drives.precession) < CENTRED:
+            return None
+        return Command(State.OPERATION_ENABLED, max(-CENTRE_RATE, min(CENTRE_RATE, -2.0 * drives.precession)))
+
+    def rise(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
+        """The paper's step from rest, which is an excitation of its own."""
+        if self._side == 0.0:
+            self._side = copysign(1.0, lean.angle)
+        rate = self._rise.step(dt, lean.angle, lean.rate)
+        if self._rise.done:
+            self._controller.reset(rate)
+        return Command(State.OPERATION_ENABLED, rate, 0.0, rate)
+
+    def balance(self, dt: float, lean: Lean, drives: GimbalMeasurement, excitation: float) -> Command:
+        """The LQI, with the excitation on the roll reference or on the precession rate."""
+        rate = self._controller.step(
+            lean.angle,
+            lean.rate,
+            drives.precession_rate,
+            drives.precession,
+            excitation if self._on_reference else 0.0,
+            dt,
+            0.0 if self._on_reference else excitation,
+        )
+        return Command(State.OPERATION_ENABLED, rate, self._controller.reference, excitation)
+
+    def lower(self, dt: float, lean: Lean, drives: GimbalMeasurement) -> Command:
+        """Onto the support it came from, unless that would turn the gimbals too far."""
+        if self._lowering is None:
+            travel = lowering_travel(self._parameters, self._support)
+            side = lowering_side(self._side, drives.precession, travel, self._budget)
+            self._lowering = Lowering(side * self._support, self._controller)
+        rate = self._lowering.step(dt, lean.angle, lean.rate, drives.precession_rate, drives.precession)
+        return Command(State.OPERATION_ENABLED, rate, self._lowering.reference)

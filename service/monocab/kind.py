@@ -1,0 +1,145 @@
+"""The MONOCAB as the shared code sees it: what is measured, recorded and watched, and how its controller is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import degrees, radians
+from typing import Any
+
+from drivers.vehicle_io import VehicleIo
+from estimators.roll_filter import RollState
+from models.control_design import RollDesign
+from service.excitation import Excitation, InjectionPoint
+from service.kind import Command, Lean
+from service.monocab.axes import GimbalMeasurement, Gimbals
+from service.monocab.controller import RollController, design
+from service.monocab.file import MonocabFile
+from service.monocab.handling import GimbalHandling
+from service.monocab.rise import RiseFromRest, rise_rate
+from service.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
+from telemetry.channels import MONOCAB, ChannelTable
+
+RATE_MARGIN = 1.5
+"""How far the measured precession rate may exceed the setpoint's limit: the speed loop overshoots a little."""
+
+
+def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
+    """What is watched of roll, gimbals and trim mass."""
+    limits = vehicle.limits
+    precession, budget = radians(limits.precession_deg), radians(limits.precession_budget_deg)
+    return (
+        Bound(Code.ROLL, "roll", "angle", radians(limits.roll_deg), DEGREES, When.ALWAYS),
+        Bound(Code.ROLL_RATE, "roll rate", "rate", radians(limits.roll_rate_deg), DEGREES_A_SECOND, When.ALWAYS),
+        Bound(Code.PRECESSION, "precession angle", "axes.precession", precession, DEGREES),
+        Bound(
+            Code.PRECESSION_RATE,
+            "precession rate",
+            "axes.precession_rate",
+            RATE_MARGIN * limits.precession_rate,
+            DEGREES_A_SECOND,
+        ),
+        Bound(
+            Code.GIMBAL_MISMATCH,
+            "difference between the gimbals",
+            "axes.gimbal_mismatch",
+            radians(limits.gimbal_mismatch_deg),
+            DEGREES,
+        ),
+        Bound(
+            Code.TRIM_POSITION, "trim mass position", "axes.trim_position", limits.trim_position, Unit("m", digits=3)
+        ),
+        Bound(
+            Code.PRECESSION_BUDGET,
+            "precession budget",
+            "axes.precession",
+            budget,
+            DEGREES,
+            When.BALANCING,
+            advice="a static torque turns the gimbals: balance the vehicle, or make the excitation smaller",
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class GimbalPilot:
+    """The LQI of a vehicle file, as designed."""
+
+    vehicle: MonocabFile
+    design: RollDesign
+
+    def handling(self, excitation: Excitation) -> GimbalHandling:
+        """The step sets its own rate of rising; the other experiments take a sure one."""
+        vehicle, parameters = self.vehicle, self.design.parameters
+        by_step = excitation.at is InjectionPoint.REST and excitation.peak > 0.0
+        rate = excitation.peak if by_step else rise_rate(parameters, vehicle.support)
+        return GimbalHandling(
+            RollController.from_design(self.design, vehicle),
+            RiseFromRest(rate, acceleration=vehicle.limits.precession_acceleration),
+            parameters,
+            support=vehicle.support,
+            budget=radians(vehicle.limits.precession_budget_deg),
+            on_reference=excitation.on_reference,
+        )
+
+    def findings(self) -> dict[str, Any]:
+        margins, worst = self.design.margins, self.design.worst
+        return {
+            "gain_margin": [margins.gain_decrease, margins.gain_increase],
+            "phase_margin": margins.phase,
+            "delay_margin": margins.delay,
+            "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
+        }
+
+    def words(self) -> list[str]:
+        margins = self.design.margins
+        return [
+            f"controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
+            f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms",
+            f"worst within 20 % of the CAD values: {self.design.worst}",
+        ]
+
+
+class Monocab:
+    """One MONOCAB: its vehicle file and its drivers."""
+
+    channels: ChannelTable = MONOCAB
+    angle = "roll"
+
+    def __init__(self, vehicle: MonocabFile, io: VehicleIo) -> None:
+        self.bounds = bounds(vehicle)
+        self._vehicle = vehicle
+        self._gimbals = Gimbals(io)
+        self.measure = self._gimbals.measure
+
+    def lean(self, attitude: RollState) -> Lean:
+        return Lean(attitude.roll, attitude.roll_rate)
+
+    def values(
+        self, attitude: RollState, drives: GimbalMeasurement, command: Command, phase: float
+    ) -> tuple[float, ...]:
+        gimbals = self._gimbals
+        return (
+            attitude.roll,
+            attitude.roll_rate,
+            attitude.roll_std,
+            attitude.pitch,
+            drives.precession,
+            drives.precession_rate,
+            gimbals.precession_rate_setpoint,
+            drives.trim_position,
+            drives.trim_rate,
+            gimbals.trim_rate_setpoint,
+            (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
+            command.reference,
+            command.excitation,
+            phase,
+        )
+
+    def interlocks(self, drives: GimbalMeasurement) -> list[str]:
+        mismatch = degrees(drives.gimbal_mismatch)
+        if mismatch > 0.5 * self._vehicle.limits.gimbal_mismatch_deg:
+            return [f"The gimbals differ by {mismatch:.1f} deg: turn them alike."]
+        return []
+
+    def pilot(self) -> GimbalPilot:
+        return GimbalPilot(self._vehicle, design(self._vehicle))

@@ -1,0 +1,105 @@
+"""The MONOCAB's experiments as the diagnosis predicts them: its controller, excitation and limits around a model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from math import degrees, expm1, radians
+
+from diagnosis.closed_loop import Controller, Experiment, Limit
+from estimators.segments import SUPPORT_MARGIN
+from models.control_design import RollDesign
+from service.excitation import Excitation, ExcitationError, make_excitation
+from service.monocab.controller import RollController, design
+from service.monocab.file import MonocabFile
+from service.vehicle_sections import ExperimentSection
+
+NEEDS = frozenset({"roll", "roll_rate"})
+"""Outputs of a model that the controller needs."""
+GIVES = frozenset(
+    {
+        "precession_rate_setpoint",
+        "precession_rate",
+        "precession",
+        "trim_position",
+        "trim_rate",
+        "trim_rate_setpoint",
+    }
+)
+"""Inputs of a model that the loop gives."""
+
+
+def predictor(vehicle: MonocabFile) -> Callable[[str], Experiment]:
+    """Makes the experiment of this name, as predicted. It raises ExcitationError where that cannot be played."""
+    gains = design(vehicle)
+    return lambda name: _experiment(name, vehicle.experiments[name], vehicle, gains)
+
+
+def _experiment(name: str, section: ExperimentSection, vehicle: MonocabFile, gains: RollDesign) -> Experiment:
+    excitation = make_excitation(section, float(vehicle.control.rate))
+    limits = vehicle.limits
+    upright = min(vehicle.support - SUPPORT_MARGIN, radians(limits.roll_deg))
+    turn = degrees(1.0)
+
+    def shorter(duration: float) -> Experiment | None:
+        if duration >= section.duration:
+            return None
+        try:
+            return _experiment(name, section.model_copy(update={"duration": duration}), vehicle, gains)
+        except ExcitationError:
+            return None
+
+    return Experiment(
+        name=name,
+        parameters=section.model_dump(exclude_none=True, exclude={"title"}),
+        duration=excitation.duration,
+        period=vehicle.period,
+        controller=partial(_loop, vehicle, gains, excitation),
+        limits=(
+            Limit("roll", upright, "deg", "at which the supports carry", turn),
+            Limit("roll_rate", radians(limits.roll_rate_deg), "deg/s", "of limits.roll_rate_deg", turn),
+            Limit("precession", radians(limits.precession_budget_deg), "deg", "of limits.precession_budget_deg", turn),
+            Limit("precession_rate_setpoint", limits.precession_rate, "rad/s", "of limits.precession_rate"),
+            Limit("setpoint_slope", limits.precession_acceleration, "rad/s^2", "of limits.precession_acceleration"),
+        ),
+        shorter=shorter,
+    )
+
+
+def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation) -> Controller:
+    """The vehicle's controller with the excitation in it, and the gimbals of models whose input is their motion."""
+    controller = RollController.from_design(gains, vehicle)
+    on_reference = excitation.on_reference
+    period = vehicle.period
+    follows = -expm1(-period / gains.parameters.speed_loop_lag)
+    rate = precession = before = 0.0
+
+    def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
+        nonlocal rate, precession, before
+        rate = seen.get("precession_rate", rate)
+        precession = seen.get("precession", precession)
+        value = excitation.value(time)
+        setpoint = controller.step(
+            seen["roll"],
+            seen["roll_rate"],
+            rate,
+            precession,
+            value if on_reference else 0.0,
+            period,
+            0.0 if on_reference else value,
+        )
+        after = rate + follows * (setpoint - rate)
+        precession += 0.5 * period * (rate + after)
+        rate = after
+        slope, before = (setpoint - before) / period, setpoint
+        return {
+            "precession_rate_setpoint": setpoint,
+            "precession_rate": rate,
+            "precession": precession,
+            "trim_position": 0.0,
+            "trim_rate": 0.0,
+            "trim_rate_setpoint": 0.0,
+            "setpoint_slope": slope,
+        }
+
+    return step

@@ -1,0 +1,107 @@
+"""What the vehicle file of a two-wheeled balancing robot holds beyond the sections that all vehicles share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+from pydantic import model_validator
+
+from service.vehicle_sections import (
+    ControllerSection,
+    LimitsSection,
+    NotNegative,
+    ParameterEntry,
+    ParametersSection,
+    Positive,
+    VehicleFile,
+)
+
+
+class TwsbrLimits(LimitsSection):
+    """Of tilt, wheels and voltage. `support_deg` is the tilt at which the robot lies on a bumper."""
+
+    tilt_deg: Positive
+    tilt_rate_deg: Positive
+    upright_deg: Positive
+    """A robot that leans further while it is balanced has fallen."""
+    wheel_rate: Positive
+    """rad/s of each wheel against the body."""
+    voltage: Positive
+    """V at a motor: what the supply gives."""
+    travel: Positive
+    """m from where it got up: the edge of the test stand."""
+    travel_budget: Positive
+    """m from where it got up, at which an experiment ends in order."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.support_deg >= self.tilt_deg:
+            raise ValueError("support_deg must be below tilt_deg, or lying on a bumper is a fault")
+        if self.upright_deg >= self.support_deg:
+            raise ValueError("upright_deg must be below support_deg, or a fallen robot is not noticed")
+        if self.travel_budget >= self.travel:
+            raise ValueError("travel_budget must be below travel, or a run cannot end in order")
+        return self
+
+
+class TwsbrCad(ParametersSection):
+    """The parameters of `models.library.twsbr`, the source paper's table 1."""
+
+    UNITS: ClassVar[Mapping[str, str]] = {
+        "wheel_radius": "m",
+        "wheel_mass": "kg",
+        "com_height": "m",
+        "body_mass": "kg",
+        "wheel_distance": "m",
+        "yaw_inertia": "kg m^2",
+        "tilt_inertia": "kg m^2",
+        "gear_ratio": "1",
+        "rotor_inertia": "kg m^2",
+        "armature_resistance": "ohm",
+        "armature_inductance": "H",
+        "motor_constant": "N m/A",
+        "motor_friction": "N m s/rad",
+        "wheel_friction": "N m s/rad",
+    }
+
+    wheel_radius: ParameterEntry
+    wheel_mass: ParameterEntry
+    com_height: ParameterEntry
+    body_mass: ParameterEntry
+    wheel_distance: ParameterEntry
+    yaw_inertia: ParameterEntry
+    tilt_inertia: ParameterEntry
+    gear_ratio: ParameterEntry
+    rotor_inertia: ParameterEntry
+    armature_resistance: ParameterEntry
+    armature_inductance: ParameterEntry
+    motor_constant: ParameterEntry
+    motor_friction: ParameterEntry
+    wheel_friction: ParameterEntry
+
+
+class TwsbrController(ControllerSection):
+    """Gains of the PID on the tilt in degrees, and the lean that brings the wheels back; see `controller`."""
+
+    proportional_gain: Positive
+    """V/deg."""
+    integral_gain: NotNegative
+    """V/(deg s)."""
+    derivative_gain: NotNegative
+    """V s/deg."""
+    wheel_return_time: NotNegative
+    """s in which the wheels come back to where the robot got up; 0: off, as in the paper."""
+    wheel_return_limit_deg: NotNegative
+    """Of the lean that brings them back."""
+
+
+class TwsbrFile(VehicleFile):
+    """A body on two wheels, each with a motor of its own."""
+
+    ROLES: ClassVar[Mapping[str, tuple[int, int]]] = {"wheel": (2, 2)}
+    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("tilt_reference", "controller_output")
+
+    limits: TwsbrLimits
+    parameters: TwsbrCad
+    controller: TwsbrController

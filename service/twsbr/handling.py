@@ -1,0 +1,100 @@
+"""How the balancing robot gets up, balances and gets down.
+
+From its bumper the controller brings it up by itself: it is against the supply's limit for most of the way, while the
+wheels drive under the body. There is nothing that could lower it but gravity: its wheels are driven out from under it,
+so that it tips towards the bumper that it got up from, and then the motors get 0 V, which shorts and so brakes them.
+"""
+
+from __future__ import annotations
+
+from math import copysign, degrees
+
+from drivers.cia402.states import State
+from service.kind import HOLD, Command, Lean
+from service.twsbr.axes import WheelMeasurement, Wheels
+from service.twsbr.controller import TiltController
+
+UPRIGHT = 0.035
+"""rad (2 deg) of tilt, either way, within which the robot counts as up."""
+UPRIGHT_RATE = 0.5
+"""rad/s of tilt, likewise."""
+UPRIGHT_TIME = 0.2
+"""s that it has to stay so."""
+RISE_TIMEOUT = 4.0
+"""s; getting up takes half a second, and coming to rest some more where the gears have play."""
+TIP_VOLTAGE = 3.0
+"""V that drive the wheels out from under the body."""
+TIPPED = 0.07
+"""rad (4 deg) of tilt from which it falls by itself."""
+LYING_SHARE = 0.8
+"""Share of the bumpers' angle from which standing still means lying."""
+LYING_RATE = 0.02
+"""rad/s of tilt that count as standing still."""
+LYING_TIME = 0.2
+"""s of standing still that count as lying: a bumper throws it back a little."""
+
+
+class WheelHandling:
+    """Setpoints are voltages, V, alike for both motors.
+
+    `support` (rad) is the tilt on a bumper, `radius` (m) that of a wheel.
+    """
+
+    def __init__(
+        self, controller: TiltController, wheels: Wheels, *, support: float, radius: float, on_reference: bool
+    ) -> None:
+        self.risen = False
+        self.failure = ""
+        self.lowered = False
+        self._controller = controller
+        self._wheels = wheels
+        self._support = support
+        self._radius = radius
+        self._on_reference = on_reference
+        self._side = 0.0
+        self._elapsed = 0.0
+        self._upright = 0.0
+        self._lying = 0.0
+
+    def centre(self, drives: WheelMeasurement) -> Command | None:
+        """A wheel has no middle: wherever it stands, the travel counts from there."""
+        self._wheels.start_here()
+        return None
+
+    def rise(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
+        """Balance, from the bumper; up when it has stayed upright for a moment."""
+        if self._side == 0.0:
+            self._side = copysign(1.0, lean.angle)
+        self._elapsed += dt
+        upright = abs(lean.angle) < UPRIGHT and abs(lean.rate) < UPRIGHT_RATE
+        self._upright = self._upright + dt if upright else 0.0
+        self.risen = self._upright >= UPRIGHT_TIME
+        if not self.risen and self._elapsed > RISE_TIMEOUT:
+            self.failure = (
+                f"the robot was not upright within {RISE_TIMEOUT:g} s (tilt {degrees(lean.angle):.1f} deg): the wheels "
+                "slip, the supply is weak, or something holds it"
+            )
+            return HOLD
+        return self.balance(dt, lean, drives, 0.0)
+
+    def balance(self, dt: float, lean: Lean, drives: WheelMeasurement, excitation: float) -> Command:
+        """The PID, with the excitation on the tilt reference or on the voltage."""
+        voltage = self._controller.step(
+            lean.angle,
+            lean.rate,
+            drives.travel + self._radius * lean.angle,
+            self._radius * (drives.mean_rate + lean.rate),
+            excitation if self._on_reference else 0.0,
+            dt,
+            0.0 if self._on_reference else excitation,
+        )
+        return Command(State.OPERATION_ENABLED, voltage, self._controller.reference, excitation)
+
+    def lower(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
+        """Tip it over, and let it fall with the motors shorted."""
+        still = abs(lean.angle) > LYING_SHARE * self._support and abs(lean.rate) < LYING_RATE
+        self._lying = self._lying + dt if still else 0.0
+        self.lowered = self._lying >= LYING_TIME
+        if abs(lean.angle) < TIPPED:
+            return Command(State.OPERATION_ENABLED, -self._side * TIP_VOLTAGE)
+        return HOLD

@@ -1,0 +1,114 @@
+"""The balancing robot as the shared code sees it: what is measured, recorded and watched, and how it is controlled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+from typing import Any
+
+from drivers.vehicle_io import VehicleIo
+from estimators.roll_filter import RollState
+from service.excitation import Excitation
+from service.kind import Command, Lean
+from service.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
+from service.twsbr.axes import WheelMeasurement, Wheels
+from service.twsbr.controller import TiltController
+from service.twsbr.file import TwsbrFile
+from service.twsbr.handling import WheelHandling
+from telemetry.channels import TWSBR, ChannelTable
+
+VOLTS, METRES, RADIANS_A_SECOND = Unit("V"), Unit("m", digits=3), Unit("rad/s", digits=1)
+
+
+def bounds(vehicle: TwsbrFile) -> tuple[Bound, ...]:
+    """What is watched of tilt, wheels and voltage."""
+    limits = vehicle.limits
+    tilt, rate, upright = (radians(each) for each in (limits.tilt_deg, limits.tilt_rate_deg, limits.upright_deg))
+    spin = limits.wheel_rate
+    return (
+        Bound(Code.TILT, "tilt", "angle", tilt, DEGREES, When.ALWAYS),
+        Bound(Code.TILT_RATE, "tilt rate", "rate", rate, DEGREES_A_SECOND, When.ALWAYS),
+        Bound(Code.SETPOINT, "voltage", "setpoint", limits.voltage, VOLTS),
+        Bound(Code.WHEEL_RATE, "rate of the left wheel", "axes.left_rate", spin, RADIANS_A_SECOND),
+        Bound(Code.WHEEL_RATE, "rate of the right wheel", "axes.right_rate", spin, RADIANS_A_SECOND),
+        Bound(Code.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
+        Bound(Code.TRAVEL, "travel", "axes.travel", limits.travel, METRES, When.BALANCING),
+        Bound(
+            Code.TRAVEL_BUDGET,
+            "travel budget",
+            "axes.travel",
+            limits.travel_budget,
+            METRES,
+            When.BALANCING,
+            advice="only the tilt is held: balance the body, or make the excitation smaller or shorter",
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class WheelPilot:
+    """The PID of a vehicle file. Its gains were tuned on the robot, so there is nothing to design."""
+
+    vehicle: TwsbrFile
+    wheels: Wheels
+
+    def handling(self, excitation: Excitation) -> WheelHandling:
+        vehicle = self.vehicle
+        return WheelHandling(
+            TiltController.of(vehicle),
+            self.wheels,
+            support=vehicle.support,
+            radius=vehicle.parameters.wheel_radius.value,
+            on_reference=excitation.on_reference,
+        )
+
+    def findings(self) -> dict[str, Any]:
+        return self.vehicle.controller.model_dump()
+
+    def words(self) -> list[str]:
+        section = self.vehicle.controller
+        return [
+            f"controller: {section.proportional_gain:g} V/deg, {section.integral_gain:g} V/(deg s), "
+            f"{section.derivative_gain:g} V s/deg, at most {self.vehicle.limits.voltage:g} V"
+        ]
+
+
+class Twsbr:
+    """One two-wheeled balancing robot: its vehicle file and its drivers."""
+
+    channels: ChannelTable = TWSBR
+    angle = "tilt"
+
+    def __init__(self, vehicle: TwsbrFile, io: VehicleIo) -> None:
+        self.bounds = bounds(vehicle)
+        self._vehicle = vehicle
+        self._wheels = Wheels(io, vehicle.parameters.wheel_radius.value)
+        self.measure = self._wheels.measure
+
+    def lean(self, attitude: RollState) -> Lean:
+        return Lean(attitude.pitch, attitude.pitch_rate)
+
+    def values(
+        self, attitude: RollState, drives: WheelMeasurement, command: Command, phase: float
+    ) -> tuple[float, ...]:
+        return (
+            attitude.pitch,
+            attitude.pitch_rate,
+            attitude.pitch_std,
+            drives.left_angle,
+            drives.right_angle,
+            drives.left_rate,
+            drives.right_rate,
+            self._wheels.left_voltage,
+            self._wheels.right_voltage,
+            (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
+            command.reference,
+            command.excitation,
+            phase,
+        )
+
+    def interlocks(self, drives: WheelMeasurement) -> list[str]:
+        return []
+
+    def pilot(self) -> WheelPilot:
+        return WheelPilot(self._vehicle, self._wheels)

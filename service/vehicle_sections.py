@@ -1,0 +1,337 @@
+"""The sections of a vehicle file that all kinds of vehicle share, as pydantic models.
+
+What a kind adds is in its own `file` module (`service.monocab.file`, `service.twsbr.file`). Units are SI unless a key
+ends in `_deg` or `_rpm`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+IMU_RATES = (50, 100, 200, 250, 500)
+"""Stream rates that are fast enough to balance on, Hz: those of the LPMS-IG1, and the 200 Hz of others."""
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+CanId = Annotated[int, Field(ge=1, le=0x7FF)]
+NodeId = Annotated[int, Field(ge=1, le=127)]
+BusAddress = Annotated[str, Field(pattern=r"^[a-z_0-9]+:.+$", description="IFACE:CHANNEL, as in socketcan:can0")]
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class VehicleSection(Section):
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
+    """Name in MQTT topics, recordings and the control socket."""
+    kind: Literal["monocab", "twsbr"]
+    """What the vehicle is: chooses its channels, model, controller and way of getting up; see `service.kinds`."""
+    description: str = ""
+
+
+class BusSection(Section):
+    drives: BusAddress
+    """Bus of the drives."""
+    imu: BusAddress
+    """Bus of the IMU; the same as `drives` or a second one."""
+    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+    """bit/s, of classical CAN."""
+
+
+class ControlSection(Section):
+    rate: int = 250
+    """Hz: the IMU's stream rate, which is the clock of the control loop."""
+    master_node: NodeId = 127
+    """CANopen node id of this service."""
+    heartbeat_period: Positive = 0.04
+    """s between heartbeats of the control loop."""
+    heartbeat_timeout: Positive = 0.12
+    """s after which a drive that misses the heartbeat stops by itself (written to 1016h)."""
+
+    @field_validator("rate")
+    @classmethod
+    def _rate_is_streamed(cls, rate: int) -> int:
+        if rate not in IMU_RATES:
+            raise ValueError(f"the IMU does not stream at {rate} Hz; use one of {', '.join(map(str, IMU_RATES))}")
+        return rate
+
+    @model_validator(mode="after")
+    def _timeout_outlasts_a_heartbeat(self) -> Self:
+        if self.heartbeat_timeout < 2 * self.heartbeat_period:
+            raise ValueError("heartbeat_timeout must be at least twice heartbeat_period: one frame may get lost")
+        return self
+
+
+class FilterSection(Section):
+    acceleration_std: Positive
+    """m/s^2 a sample, vibration included."""
+    angular_rate_density: Positive
+    """rad/s/sqrt(Hz)."""
+    bias_random_walk: Positive
+    """rad/s/sqrt(s)."""
+
+
+class ImuSection(Section):
+    protocol: Literal["canopen", "sequential"]
+    base_id: CanId
+    """CAN id of the first frame of a set."""
+    precision: Literal["float32", "int16"]
+    slots: list[str]
+    """What the device's channel slots carry, in order."""
+    axes: tuple[str, str, str] = ("+x", "+y", "+z")
+    """Sensor axis that points along the vehicle's x (forward), y (left) and z (up)."""
+    acceleration_sign: Literal[1, -1] = 1
+    """-1 where the device reports -1 g along the axis that points up."""
+    angular_rate_unit: Literal["deg/s", "rad/s"] = "deg/s"
+    acceleration_range: Positive = 39.2
+    """m/s^2."""
+    angular_rate_range_deg: Positive = 400.0
+    """deg/s."""
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """m, from the axis that the vehicle falls about to the accelerometer, in vehicle axes."""
+    latency: NotNegative = 0.0
+    """s from the measurement to the last frame on the bus."""
+    filter: FilterSection
+
+    @field_validator("slots")
+    @classmethod
+    def _slots_suffice(cls, slots: list[str]) -> list[str]:
+        needed = [f"{kind}_{axis}" for kind in ("acceleration", "angular_rate") for axis in "xyz"]
+        missing = [name for name in needed if name not in slots]
+        if missing:
+            raise ValueError(f"the roll filter needs {', '.join(missing)}: map them in the device and list them here")
+        return slots
+
+
+LINEAR = ("trim",)
+"""Roles of the drives whose axis moves along a line."""
+
+
+class DriveSection(Section):
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    role: Literal["gimbal", "trim", "wheel"]
+    """What it moves. Of two wheels the first one is the left."""
+    node: NodeId
+    direction: Literal[1, -1]
+    """+1 where a positive motor speed gives a positive roll torque, or drives the vehicle forward."""
+    gear_ratio: Positive | None = None
+    """Motor turns a turn of the gimbal or wheel (rotary axes)."""
+    lead: Positive | None = None
+    """m a motor turn (linear axes)."""
+    mode: Literal[2, 9, -1]
+    """CiA 402 mode: 2 velocity (6042h, rpm), 9 cyclic synchronous velocity (60FFh), -1 voltage (2400h, mV)."""
+    increments_per_turn: Annotated[int, Field(gt=0)]
+    """Of 6064h, a motor turn."""
+    velocity_unit_rpm: Positive
+    """rpm a unit of 606Ch and 60FFh."""
+    rated_torque: Positive
+    """N m at the motor, the base of 6077h."""
+    eds: str = "upright_servo.eds"
+    vendor_id: Annotated[int, Field(ge=0)] = 0
+    product_code: Annotated[int, Field(ge=0)] = 0
+    stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
+    target_velocity_fine_index: Annotated[int, Field(ge=0x2000, le=0x5FFF)] = 0x2F15
+    """Vendor object of the fine part of the target velocity (1/8192 rpm), where `rpdo` maps it."""
+    rpdo: list[list[str]]
+    """Objects in each RPDO, in order."""
+    tpdo: list[list[str]]
+    """Objects in each TPDO, in order."""
+
+    @model_validator(mode="after")
+    def _one_transmission(self) -> Self:
+        wanted, other = ("lead", "gear_ratio") if self.role in LINEAR else ("gear_ratio", "lead")
+        if getattr(self, wanted) is None or getattr(self, other) is not None:
+            raise ValueError(f"a {self.role} drive has a {wanted}, and no {other}")
+        return self
+
+    @property
+    def axis_per_turn(self) -> float:
+        """rad (gimbal, wheel) or m (trim) of the axis a motor turn."""
+        if self.gear_ratio is not None:
+            return 2.0 * math.pi / self.gear_ratio
+        assert self.lead is not None
+        return self.lead
+
+
+class ParameterEntry(Section):
+    value: float
+    std: NotNegative
+    """Standard deviation of the CAD value."""
+    unit: str
+
+
+class LimitsSection(Section):
+    """What every kind of vehicle is limited by; each has further limits of its own."""
+
+    support_deg: Positive
+    missed_cycles: Annotated[int, Field(ge=1, le=50)] = 3
+
+
+class ParametersSection(Section):
+    """CAD values; each kind of vehicle has its own, with the units in `UNITS`. All are positive."""
+
+    UNITS: ClassVar[Mapping[str, str]]
+
+    @model_validator(mode="after")
+    def _units_and_signs(self) -> Self:
+        for name, entry in self._given.items():
+            if entry.unit != self.UNITS[name]:
+                raise ValueError(f"{name} is in {entry.unit!r}; give it in {self.UNITS[name]!r}")
+            if entry.value <= 0:
+                raise ValueError(f"{name} must be positive, not {entry.value}")
+        return self
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to CAD value, SI, of those that are given."""
+        return {name: entry.value for name, entry in self._given.items()}
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Name to the CAD value's standard deviation, SI."""
+        return {name: entry.std for name, entry in self._given.items()}
+
+    @property
+    def _given(self) -> dict[str, ParameterEntry]:
+        entries = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: entry for name, entry in entries.items() if entry is not None}
+
+
+class ControllerSection(Section):
+    """The controller's figures; each kind of vehicle has a controller of its own."""
+
+
+class ExperimentSection(Section):
+    title: str
+    excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine"]
+    at: Literal["rest", "roll_reference", "tilt_reference", "controller_output"] = "roll_reference"
+    """Where the excitation is added; which places there are depends on the kind of vehicle."""
+    duration: Positive
+    amplitude: Positive | None = None
+    amplitude_deg: Positive | None = None
+    start_frequency: Positive | None = None
+    stop_frequency: Positive | None = None
+    frequency: Positive | None = None
+    frequencies: list[Positive] | None = None
+    width: Positive | None = None
+    lines: Annotated[int, Field(ge=2)] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        needed = {
+            "none": (),
+            "step": (),
+            "sweep": ("start_frequency", "stop_frequency"),
+            "sine": ("frequency",),
+            "square": ("frequency",),
+            "doublet": ("width",),
+            "sine_stream": ("frequencies",),
+            "multisine": ("start_frequency", "stop_frequency", "lines"),
+        }[self.excitation]
+        missing = [key for key in needed if getattr(self, key) is None]
+        if missing:
+            raise ValueError(f"a {self.excitation} needs {', '.join(missing)}")
+        if self.excitation == "none":
+            return self
+        on_angle = self.at.endswith("_reference")
+        amplitude, other = ("amplitude_deg", "amplitude") if on_angle else ("amplitude", "amplitude_deg")
+        if getattr(self, amplitude) is None or getattr(self, other) is not None:
+            raise ValueError(f"a {self.excitation} at {self.at} has its size in {amplitude}, and no {other}")
+        if (self.excitation == "step") != (self.at == "rest"):
+            raise ValueError('the step, and only the step, starts at = "rest"')
+        return self
+
+    @property
+    def amplitude_si(self) -> float:
+        """rad on a reference angle, elsewhere what the controller puts out (rad/s, V); 0 without excitation."""
+        if self.amplitude_deg is not None:
+            return math.radians(self.amplitude_deg)
+        return self.amplitude or 0.0
+
+
+class MqttSection(Section):
+    broker: Annotated[str, Field(pattern=r"^$|^[^:\s]+:\d+$")] = ""
+    """HOST:PORT; empty turns MQTT off."""
+    base: Annotated[str, Field(pattern=r"^[^#+\s]+$")] = "upright"
+    telemetry_rate: Annotated[int, Field(ge=1, le=50)] = 20
+    username: str = ""
+    password_file: str = ""
+    """File whose first line is the password."""
+
+
+class VehicleFile(Section):
+    """One vehicle, checked. Each kind has a subclass with the sections of its own."""
+
+    ROLES: ClassVar[Mapping[str, tuple[int, int]]]
+    """The least and the most drives of each role that this kind of vehicle has."""
+    INJECTION_POINTS: ClassVar[tuple[str, ...]]
+    """Where its experiments may enter."""
+
+    vehicle: VehicleSection
+    bus: BusSection
+    control: ControlSection
+    imu: ImuSection
+    drive: list[DriveSection]
+    limits: LimitsSection
+    parameters: ParametersSection
+    controller: ControllerSection
+    experiments: dict[str, ExperimentSection]
+    mqtt: MqttSection = MqttSection()
+    path: str = ""
+    """Where it was read from."""
+    configuration_hash: str = ""
+    """SHA-256 of the file's bytes, first 16 hex digits."""
+
+    @model_validator(mode="after")
+    def _drives_fit_the_kind(self) -> Self:
+        roles: list[str] = [drive.role for drive in self.drive]
+        for role in (*self.ROLES, *roles):
+            least, most = self.ROLES.get(role, (0, 0))
+            if not least <= roles.count(role) <= most:
+                count = f"{least}" if least == most else f"{least} to {most}"
+                raise ValueError(
+                    f"drive: {roles.count(role)} drives have the role {role}, and a {self.vehicle.kind} has {count}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _experiments_fit_the_kind(self) -> Self:
+        for name, experiment in self.experiments.items():
+            if experiment.at not in self.INJECTION_POINTS:
+                raise ValueError(
+                    f"experiments.{name}: at = {experiment.at!r} is nothing that a {self.vehicle.kind} has; use one of "
+                    f"{', '.join(self.INJECTION_POINTS)}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _nodes_do_not_clash(self) -> Self:
+        names = [drive.name for drive in self.drive]
+        if len(set(names)) != len(names):
+            raise ValueError("drive: two drives have the same name")
+        nodes = [drive.node for drive in self.drive]
+        if len(set(nodes)) != len(nodes):
+            raise ValueError("drive: two drives have the same node id")
+        if self.control.master_node in nodes:
+            raise ValueError(f"control.master_node {self.control.master_node} is also the node id of a drive")
+        if self.imu.protocol == "canopen" and self.bus.imu == self.bus.drives and (self.imu.base_id & 0x7F) in nodes:
+            raise ValueError(
+                f"imu.base_id {self.imu.base_id:#x}: CANopen id {self.imu.base_id & 0x7F} is also a drive's node "
+                "id, and both would send the same frames; change it in the device and here"
+            )
+        return self
+
+    @property
+    def period(self) -> float:
+        """s of a control cycle."""
+        return 1.0 / self.control.rate
+
+    @property
+    def support(self) -> float:
+        """rad of the angle at which the supports (monorail) or the bumpers (robot) carry the vehicle."""
+        return math.radians(self.limits.support_deg)

@@ -1,0 +1,129 @@
+"""Daemon and virtual vehicle as two processes on real SocketCAN, and what a test asks of them."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.api import ApiError, call
+
+UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+
+FIRST, SECOND = (["chrt", "--reset-on-fork", "--fifo", priority] for priority in ("20", "10"))
+"""Real-time priorities, as systemd/upright.service.d/realtime.conf gives the daemon: the guest has one processor for
+everything. The vehicle comes first, since a real one waits for nobody."""
+
+
+HEARTBEAT_TIMEOUT = 0.6
+
+
+def patient(text: str) -> str:
+    """The shipped vehicle file for a machine that is itself not real-time.
+
+    A virtual machine shares its processor with others: a bare loop with 4 ms to sleep was seen held up for 76 ms on
+    such a host, and for 7 ms every few seconds in the guest; with other work on the host a set of IMU frames was seen
+    114 ms late. The shipped limit of 12 ms would stop a run then, rightly.
+    """
+    for key, shipped, here in (("missed_cycles", "3 ", "50 "), ("heartbeat_timeout", "0.12", str(HEARTBEAT_TIMEOUT))):
+        assert f"{key} = {shipped}" in text
+        text = text.replace(f"{key} = {shipped}", f"{key} = {here}")
+    return text
+
+
+@dataclass
+class Rig:
+    """A virtual vehicle and its daemon."""
+
+    vehicle: subprocess.Popen[bytes]
+    daemon: subprocess.Popen[bytes]
+    data: Path
+    socket: Path
+
+    def ask(self, verb: str, **arguments: Any) -> tuple[int, dict[str, Any]]:
+        """Exit code and result of a request, as the command line makes it.
+
+        Without starting a process for it: that would hold up the guest, which has one processor, for many cycles.
+        """
+        answer = list(call([self.socket], {"verb": verb, **arguments}, timeout=200.0))[-1]
+        return answer["exit_code"], answer
+
+    def status(self) -> dict[str, Any]:
+        try:
+            found: dict[str, Any] = self.ask("status")[1]["status"]
+        except ApiError as error:
+            return {"mode": "absent", "phase": "none", "code": "", "interlocks": [str(error)]}
+        return found
+
+    def until_ready(self, limit: float = 40.0) -> None:
+        """Wait until an experiment may start."""
+        status: dict[str, Any] = {}
+        for _ in range(int(limit / 0.5)):
+            status = self.status()
+            if status["mode"] == "disarmed" and not status["interlocks"]:
+                return
+            time.sleep(0.5)
+        raise AssertionError(f"not ready after {limit} s: {status}")
+
+    def until_said(self, words: str, limit: float = 40.0) -> None:
+        """Wait until the status gives a reason with these words."""
+        said = ""
+        for _ in range(int(limit / 0.5)):
+            said = " ".join(self.status()["interlocks"])
+            if words in said:
+                return
+            time.sleep(0.5)
+        raise AssertionError(f"{words!r} not said within {limit} s, but {said!r}")
+
+    def until_phase(self, phase: str, limit: float = 40.0) -> None:
+        status: dict[str, Any] = {}
+        for _ in range(int(limit / 0.3)):
+            status = self.status()
+            if status["phase"] == phase:
+                return
+            assert status["mode"] != "fault", f"phase {phase} not reached: {status['reason']}"
+            time.sleep(0.3)
+        raise AssertionError(f"phase {phase} not reached within {limit} s: {status}")
+
+    @contextmanager
+    def experiment(self, name: str) -> Iterator[Future[tuple[int, dict[str, Any]]]]:
+        """An experiment in the background; its exit code and result to come, ApiError where the daemon went away."""
+        with ThreadPoolExecutor(1) as pool:
+            yield pool.submit(self.ask, "experiment", name=name)
+
+
+@contextmanager
+def rig(
+    folder: Path, text: str, *simulate: str, bus: tuple[str, ...] = ("--bus", "socketcan:vcan0"), ready: bool = True
+) -> Iterator[Rig]:
+    """The vehicle file with this `text`, made `patient`, simulated and served."""
+    log = (folder / "daemon.log").open("wb")
+    file = folder / "patient.toml"
+    file.write_text(patient(text))
+    vehicle = subprocess.Popen([*FIRST, *UPRIGHT, "simulate", str(file), *bus, *simulate], stderr=log)
+    socket = folder / "s.sock"
+    daemon = subprocess.Popen(
+        [*SECOND, *UPRIGHT, "serve", str(file), *bus, "--data", str(folder), "--socket", str(socket)], stderr=log
+    )
+    made = Rig(vehicle, daemon, folder, socket)
+    try:
+        if ready:
+            made.until_ready()
+        yield made
+    finally:
+        for process in (daemon, vehicle):
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(40)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        log.close()
+        sys.stderr.write((folder / "daemon.log").read_text())

@@ -1,0 +1,52 @@
+"""The balancing robot on real SocketCAN: daemon and virtual vehicle as two processes, in real time."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig import rig
+
+from service.sequence import Phase
+from service.vehicle_file import load
+from telemetry.recording import load as load_recording
+
+pytestmark = [pytest.mark.vcan, pytest.mark.timeout(120)]
+
+UP = (Phase.SETTLE, Phase.EXCITE, Phase.FADE)
+
+
+def calmer(text: str) -> str:
+    """The shipped file with a short and small doublet: this machine is held up for longer than a robot bears at 8 V."""
+    long_and_strong = "amplitude = 8.0                     # V\nwidth = 0.4                         # s, of each half\n"
+    long_and_strong += "duration = 16.0"
+    assert long_and_strong in text
+    return text.replace(long_and_strong, "amplitude = 2.0\nwidth = 0.4\nduration = 2.0")
+
+
+def test_it_is_balanced_excited_and_recorded_and_a_silent_imu_stops_it(tmp_path: Path) -> None:
+    """A doublet of 2 s; then the vehicle's nodes go silent while it stands in another experiment."""
+    shipped = Path(load("twsbr").path).read_text()
+    with rig(tmp_path, calmer(shipped)) as made:
+        code, answer = made.ask("experiment", name="doublet")
+        assert code == 0, answer
+        with made.experiment("hold") as running:
+            recording = load_recording(Path(answer["recording"]))
+            assert recording.rate == pytest.approx(200, rel=0.01)
+            assert np.degrees(np.abs(recording["tilt"][np.isin(recording["phase"], UP)]).max()) < 3.0
+            assert np.abs(recording["left_wheel_angle"]).max() > 1.0, "or it has not moved"
+            made.until_phase("settle")
+            code, refused = made.ask("experiment", name="square")
+            assert code == 3
+            assert "is running" in refused["text"]
+            os.kill(made.vehicle.pid, signal.SIGSTOP)
+            try:
+                code, stopped = running.result(30)
+            finally:
+                os.kill(made.vehicle.pid, signal.SIGCONT)
+        assert code == 4, stopped
+        assert stopped["code"] == "imu_silent"
+        assert made.ask("experiment", name="hold")[0] == 3
