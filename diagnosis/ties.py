@@ -40,13 +40,15 @@ def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Works
             continue
         gain, other = (fit.log_likelihood - base.log_likelihood for fit in (best, each))
         likely = each.evidence - likeliest > np.log(TIED)
-        if not likely and alike(best.candidate.effect, each.candidate.effect):
+        if alike(best.candidate.effect, each.candidate.effect):
             if each.cost < best.cost:
-                likely = other >= NEIGHBOUR * gain
-            elif each.cost > best.cost and other - gain > np.log(TIED):
-                degrees = _count(each) - _count(best)
-                likely = gain < SIMPLER * other and float(chi2.sf(2.0 * (other - gain), degrees)) < DOUBT
-                likely = likely or _as_likely_as_usual(best, each, base, workspace)
+                likely = likely or other >= NEIGHBOUR * gain
+            elif each.cost > best.cost:
+                # One that can be like the one that is named is an alternative only in what it does otherwise.
+                asked = float(chi2.sf(2.0 * (other - gain), each.count - best.count)) < DOUBT
+                likely = asked and (likely or gain < SIMPLER * other)
+                near = other - gain > np.log(TIED)
+                likely = likely or (near and _as_likely_as_usual(best, each, base, workspace))
             # Of one that contains a tied one only what it gains beyond that would count.
             likely = likely and not any(
                 other.cost < each.cost
@@ -75,13 +77,6 @@ def _as_likely_as_usual(best: FullFit, other: FullFit, base: FullFit, workspace:
     except ArithmeticError:
         return False
     return held.log_likelihood > best.log_likelihood + float(np.log(TIED))
-
-
-def _count(fitted: FullFit) -> int:
-    """Estimated parameters of the effect that was added last."""
-    assert fitted.candidate is not None
-    own = (*fitted.candidate.amplitudes, *fitted.candidate.shapes)
-    return sum(p.estimated for p in fitted.model.parameters if p.name in own)
 
 
 def alike(one: Effect, other: Effect) -> bool:
