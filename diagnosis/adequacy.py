@@ -56,7 +56,8 @@ class Adequacy:
     @property
     def named(self) -> bool:
         """Whether what was found is more than half of what was missing."""
-        if self.left is None or self.after - 1.0 > MOST * (self.before - 1.0):
+        # Where noise of the model's own explains what is missing, little is over the floor before and after.
+        if self.left is None or self.after - 1.0 > max(MOST * (self.before - 1.0), LEFT):
             return False
         return self.shape is None or not self.shaped or self.shape.gain < self.gained
 

@@ -23,9 +23,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from diagnosis.floor import floor, sensor_noise
+from diagnosis.stationary import stationary
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
@@ -148,7 +148,7 @@ def _sensor_errors(fit: Fit) -> tuple[Array, Array, Array]:
         gain = floor(task, values).gain
     ahead = transition @ gain
     driven = integrated + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T
-    state = solve_discrete_lyapunov(transition - ahead @ output, driven)
+    state = stationary(transition - ahead @ output, driven)
     left = np.eye(len(state)) - gain @ output
     return _root(left @ state @ left.T + gain @ sensor @ gain.T), _root(integrated), sensor
 

@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from diagnosis.candidates import Candidate
+from diagnosis.refit import off_prior
 from diagnosis.screen import Score
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.fit_result import inverse
@@ -35,7 +36,8 @@ MOST_STARTS = 8
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit and what it is worth. `log_likelihood` of Gaussian innovations; `bic` = parameters ln(rows) - 2 of it.
+    """A fit and what it is worth. `log_likelihood` of Gaussian innovations, less what parameters off their priors cost;
+    `bic` = parameters ln(rows) - 2 of it.
 
     `values` and `deviations` by name of every estimated parameter, also of those that `estimate` does not tell.
     """
@@ -113,7 +115,7 @@ def _fitted(model: Model, recordings: Sequence[Recording], support: float | None
     count = len(names)
     deviations = np.minimum(np.sqrt(np.diag(covariance)[:count]), UNKNOWN * task.scale)
     told = {name: p.std for name, p in estimate.parameters.items() if p.std is not None}
-    likelihood = _log_likelihood(fitted)
+    likelihood = _log_likelihood(fitted) - off_prior(fitted)
     return Fitted(
         fit=fitted,
         log_likelihood=likelihood,

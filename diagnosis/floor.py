@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from diagnosis.process_noise import shown_shares
+from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
 from estimators.gauss_newton import Block, minimise
 from estimators.innovations import NoiseModel
@@ -166,7 +166,7 @@ def _floor(task: Problem, values: Array, shares: Array) -> Floor:
     ahead = transition @ gain
     closed = transition - ahead @ output
     driven = process + ahead @ shown @ ahead.T - across @ ahead.T - ahead @ across.T
-    state = np.asarray(solve_discrete_lyapunov(closed, driven))
+    state = stationary(closed, driven)
     return Floor(
         gain=gain,
         covariance=output @ state @ output.T + shown,

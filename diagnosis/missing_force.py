@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import solve_discrete_are
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2
 
 from diagnosis.floor import Innovations
 from diagnosis.force_probe import Probe, Response, recurrence
+from diagnosis.stationary import stationary
 from estimators.gauss_newton import Block, eliminate
 
 Array = NDArray[np.float64]
@@ -157,7 +158,7 @@ def _smoothed(
     own = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     own[own == 0.0] = 1.0
     scaled = closed.T * own[:, None] / own[None, :]
-    information = solve_discrete_lyapunov(scaled, (pulled @ output) * np.outer(own, own)) / np.outer(own, own)
+    information = stationary(scaled, (pulled @ output) * np.outer(own, own)) / np.outer(own, own)
     left = covariance - covariance @ information @ covariance
 
     def filtered(white: Array) -> Array:

@@ -160,7 +160,7 @@ def expected_log_odds(truth: Rival, rows: Segment, other: Rival) -> float:
     start, best, least = task.start, np.inf, 0.0
     for factor in WIDENING:
         logarithms = truth.noise.copy()
-        logarithms[: len(noise.noisy)] += np.log(factor)
+        logarithms[sorted(set(noise.process_place))] += np.log(factor)
         gain = noise.gain(values, logarithms)
         if gain is None:
             break

@@ -333,8 +333,9 @@ def _inflation(
 
 
 def _inverse(square: Array) -> Array:
-    """Of a positive definite matrix (k, k) in whatever units."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(square), 1e-300))
+    """Of a positive definite matrix (k, k) in whatever units; zero where nothing is known at all."""
+    known = np.diag(square) > 1e-100
+    scale = np.where(known, 1.0 / np.sqrt(np.where(known, np.diag(square), 1.0)), 0.0)
     unit = square * scale[:, None] * scale + 1e-12 * np.eye(len(square))
     return np.asarray(np.linalg.inv(unit) * scale[:, None] * scale)
 

@@ -60,8 +60,6 @@ LONGER = 0.01
 """Share of the rows in which the drives' ramp takes longer than the row from which on its shape counts."""
 SLOWER = 3.0
 """Times that a ramp may be slower than the fastest that takes longer than a row."""
-PLAY = "backlash"
-"""Effect between the actuators' motors and what they move: the motors swing with it as those of no speed loop do."""
 SHARE = 0.6
 """Of the time that both diagnoses take, for the vehicle's own."""
 
@@ -135,11 +133,19 @@ def diagnose_actuators(
 
 
 def quiet(found: Diagnosis) -> Diagnosis:
-    """`found`, but unknown where process noise explains innovations that are not near the sensor's own."""
-    if not found.steps or found.verdict is Verdict.UNKNOWN:
+    """`found`, but unknown where process noise explains innovations that are not near the sensor's own.
+
+    Where they are near it, what was found is what is missing: no formula of a speed loop is exact at all frequencies.
+    """
+    if not found.steps:
         return found
     over = _over_noise(found.steps[-1])
     if over < FITS:
+        if not found.findings:
+            return found
+        reason = "; ".join(each.explanation for each in found.findings)
+        return replace(found, verdict=Verdict.MISSING_EFFECT, reason=reason)
+    if found.verdict is Verdict.UNKNOWN:
         return found
     reason = f"the innovations of the actuators' rate are {over:.2g} times its sensor's noise"
     return replace(found, verdict=Verdict.UNKNOWN, reason=reason)
@@ -345,7 +351,7 @@ def _small(fitted: Model) -> bool:
 def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) -> Diagnosis:
     """One diagnosis of two parts. `effects`: those of the actuators.
 
-    Where these follow no known speed loop the whole is not adequate, but for a play that the vehicle shows.
+    Where these follow no known speed loop the whole is not adequate.
     """
     left_out = {name: why for name, why in (vehicle.left_out or {}).items() if name not in {e.name for e in effects}}
     left_out |= actuators.left_out or {}
@@ -353,8 +359,10 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
     if actuators.verdict in (Verdict.UNKNOWN, Verdict.INSUFFICIENT_DATA):
         why = f"the actuators' speed loop is none that is known: {actuators.reason}"
         left_out |= {each.name: why for each in effects}
-        if actuators.verdict is Verdict.UNKNOWN and PLAY not in {each.effect for each in vehicle.findings}:
-            verdict, reason = Verdict.UNKNOWN, why if verdict is Verdict.ADEQUATE else f"{reason}; {why}"
+        if actuators.verdict is Verdict.UNKNOWN:
+            # What was found in the vehicle's motion needs no command; but nothing else is said to be all right.
+            reason = why if verdict is Verdict.ADEQUATE else f"{reason}; {why}"
+            verdict = Verdict.UNKNOWN if verdict is Verdict.ADEQUATE else verdict
         return replace(vehicle, verdict=verdict, reason=reason, left_out=left_out, parts=(vehicle, actuators))
     findings = sorted((*vehicle.findings, *actuators.findings), key=lambda each: -each.log_likelihood_gain)
     first = actuators if findings and findings[0] in actuators.findings else vehicle

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from diagnosis.closed_loop import causal
 from diagnosis.refit import FullFit, full, quick, with_effect
 from diagnosis.screen import screen
+from diagnosis.stationary import stationary
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.innovations import NoiseModel
@@ -61,7 +61,7 @@ def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, g
     transition, output, process, sensor, across = noise.covariances(values, logarithms)
     ahead = transition @ gain
     driven = process + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T
-    state = np.asarray(solve_discrete_lyapunov(transition - ahead @ output, driven))
+    state = stationary(transition - ahead @ output, driven)
     return np.asarray(output @ state @ output.T + sensor)
 
 

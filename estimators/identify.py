@@ -20,6 +20,7 @@ from typing import Any
 import estimators
 from estimators.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
 from estimators.contract import Estimate, EstimationError, Estimator, Status
+from estimators.logarithms import is_known_roughly
 from estimators.method_document import FAILED, Results, document, nothing
 from estimators.method_table import METHODS, Domain, Method, experiment_of, unsuited
 from estimators.prediction import free_motion, predict, sensor_noise
@@ -40,7 +41,10 @@ FIT_CHANNELS = ("roll", "roll_rate")
 RECURSIVE_FITS = ("recursive_output_error", "recursive_prediction_error")
 REGRESSIONS = ("least_squares", "instrumental_variables")
 COMPILED = ("output_error", "output_error_simplex", "prediction_error", *RECURSIVE_FITS)
-NOMINAL = {"monocab": ("monocab_roll", ("static_torque",))}
+NOMINAL: dict[str, tuple[str, tuple[str, ...]]] = {
+    "monocab": ("monocab_roll", ("static_torque",)),
+    "twsbr": ("twsbr", ()),
+}
 """By kind of vehicle: the model that is identified, and the effects that are added to it, as in the paper."""
 
 Progress = Callable[[str, str, int, int], None]
@@ -166,6 +170,8 @@ def _chosen(methods: Sequence[str], subject: Subject) -> list[str]:
             )
     known = {"inertia", "gravity_stiffness", "angular_momentum"} <= set(subject.parameters)
     apart = (Domain.RECURSIVE, Domain.DRIVES)
+    if not methods and any(is_known_roughly(each) for each in subject.model.parameters if each.estimated):
+        return ["prediction_error"]  # such numbers are told in products: no balance is linear in them
     return list(methods or (name for name, method in METHODS.items() if known or method.domain not in apart))
 
 

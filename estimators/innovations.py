@@ -39,7 +39,8 @@ class NoiseModel:
     """The noises of a problem. `process` (nx,), unit/sqrt(s), and `sensor` (ny,) are where the estimation starts.
 
     `noisy` are the states and `loud` the outputs but the last whose noise is not known: the logarithms, (q,), are
-    theirs.
+    theirs. What reads exactly alike in every row, as both wheels of a vehicle that is symmetric to the last bit, has
+    one noise: `process_place` and `sensor_place` say which logarithm each of `noisy` and `loud` goes by.
     """
 
     problem: Problem
@@ -48,9 +49,13 @@ class NoiseModel:
     sensor: Array
     noisy: tuple[int, ...]
     loud: tuple[int, ...]
+    process_place: tuple[int, ...]
+    sensor_place: tuple[int, ...]
     integrated: Array
     """Which output's noise is integrated in which state, (nx, ny) of 0 and 1."""
     rest: Segment
+    copies: tuple[int, ...]
+    """Outputs that read exactly as an earlier one."""
     motion: Array
     """Inputs, and state (nx,), at which the model is taken as linear."""
 
@@ -60,22 +65,35 @@ class NoiseModel:
         states, outputs = problem.model.states, problem.model.outputs
         process = np.array([state.process_noise for state in states])
         spacing = float(np.median(np.diff(problem.segments[0].time)))
+        same = _alike(problem)
+        noisy = [place for place, state in enumerate(states) if state.process_noise > 0.0 and not state.noise_known]
+        # What reads as the last output does has its unit.
+        loud = [
+            place
+            for place, output in enumerate(outputs[:-1])
+            if not output.noise_known and same.get(output.name) != same.get(outputs[-1].name, outputs[-1].name)
+        ]
+        process_place = _places([states[place].name for place in noisy], same, first=0)
+        sensor_place = _places([outputs[place].name for place in loud], same, first=len(set(process_place)))
         return cls(
             problem=problem,
             spacing=spacing,
             process=process,
             sensor=np.array([output.noise for output in outputs]),
-            noisy=tuple(np.flatnonzero([s.process_noise > 0.0 and not s.noise_known for s in states]).tolist()),
-            loud=tuple(place for place, output in enumerate(outputs[:-1]) if not output.noise_known),
+            noisy=tuple(noisy),
+            loud=tuple(loud),
+            process_place=process_place,
+            sensor_place=sensor_place,
             integrated=np.array([[float(state.noise_of == output.name) for output in outputs] for state in states]),
             rest=at_rest(problem.kernel, problem.segments, spacing),
+            copies=tuple(place for place, each in enumerate(outputs) if same.get(each.name, each.name) != each.name),
             motion=typical_motion(problem.model, problem.segments),
         )
 
     @property
     def size(self) -> int:
         """How many logarithms there are, q."""
-        return len(self.noisy) + len(self.loud)
+        return len({*self.process_place, *self.sensor_place})
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
         """The filter gain (nx, ny) at parameter values (np,); None where there is no stable one."""
@@ -121,8 +139,8 @@ class NoiseModel:
         process = np.tile(self.process, (len(logarithms), 1))
         sensor = np.tile(self.sensor, (len(logarithms), 1))
         factors = np.exp(logarithms)
-        process[:, list(self.noisy)] *= factors[:, : len(self.noisy)]
-        sensor[:, list(self.loud)] *= factors[:, len(self.noisy) :]
+        process[:, list(self.noisy)] *= factors[:, list(self.process_place)]
+        sensor[:, list(self.loud)] *= factors[:, list(self.sensor_place)]
         half = 0.5 * (np.eye(len(self.process)) + transition)
         # What a filter makes of a sensor's noise, a trapezoid a row: half shows at once, all from the next row on.
         trapezoid = self.spacing * self.integrated * sensor[:, None, :]
@@ -132,6 +150,25 @@ class NoiseModel:
             smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
             density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
         return transition, output, density, shown @ _turned(shown), trapezoid @ _turned(shown)
+
+
+def _alike(problem: Problem) -> dict[str, str]:
+    """Outputs that read exactly as an earlier one in every row: name to the name of that one, and that one's to its
+    own."""
+    names = [output.name for output in problem.model.outputs]
+    same: dict[str, str] = {}
+    for place, name in enumerate(names):
+        for earlier, other in enumerate(names[:place]):
+            if all(np.array_equal(each.measured[:, place], each.measured[:, earlier]) for each in problem.segments):
+                same[name] = same.setdefault(other, other)
+                break
+    return same
+
+
+def _places(names: Sequence[str], same: dict[str, str], *, first: int) -> tuple[int, ...]:
+    """Numbers from `first` on, one for each of `names`, and the same for those that are alike."""
+    number: dict[str, int] = {}
+    return tuple(number.setdefault(same.get(name, name), first + len(number)) for name in names)
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 
 FLOOR = 10.0
 """Times the known noise of a sensor below which its innovations are no information about the vehicle."""
-
+RESOLUTION = 1e-5
+"""Share of the movement of an output below which it is not told from another one that reads exactly like it, as both
+wheels of a vehicle that is symmetric to the last bit do."""
 
 RUNAWAY = 1e15
 """Condition of the innovations' covariance beyond which a predictor has left the record, if not yet for infinity."""
@@ -110,7 +112,13 @@ class Likelihood:
     def _floor(self) -> Array:
         """What is added to the innovations' variances, (ny,)."""
         outputs = self.task.model.outputs
-        return np.array([((FLOOR if output.noise_known else 1e-9) * output.noise) ** 2 for output in outputs])
+        known = np.array([(FLOOR if output.noise_known else 1e-9) * output.noise for output in outputs])
+        alike = np.zeros(len(outputs))
+        for place in self.noise.copies:
+            alike[place] = RESOLUTION * np.nanstd(
+                np.concatenate([each.measured[:, place] for each in self.task.segments])
+            )
+        return np.asarray(known**2 + alike**2)
 
 
 def _weighted(products: Array, pull: Array, weights: Array, end: Array, spread: Array) -> Normal:

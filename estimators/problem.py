@@ -162,12 +162,12 @@ def problem(
         raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
     for place in free:
         parameter = model.parameters[place]
-        if not parameter.lower <= parameter.value <= parameter.upper:
-            what = f"{parameter.value:g} {parameter.unit} is outside {parameter.lower:g} to {parameter.upper:g}"
-            raise EstimationError(f"parameter {parameter.name}", what, remedy="start inside the bounds.")
         if not parameter.lower < parameter.upper:
             what = f"its bounds cross: {parameter.lower:g} and {parameter.upper:g}"
             raise EstimationError(f"parameter {parameter.name}", what, remedy="mend them in the model.")
+        if not parameter.lower <= parameter.value <= parameter.upper:
+            what = f"{parameter.value:g} {parameter.unit} is outside {parameter.lower:g} to {parameter.upper:g}"
+            raise EstimationError(f"parameter {parameter.name}", what, remedy="start inside the bounds.")
     data = list(rows) if rows is not None else segments(model, recordings, support=support, longest=longest)
     kernel = compile_model(model, progress=progress)
     initials = tuple(initial_state(model, segment) for segment in data)

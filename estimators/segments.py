@@ -184,16 +184,22 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
 
 
 def clipped_share(values: Array) -> float:
-    """The share of `values`, (n,), that is cut off at their largest or smallest: flat there, and entered at speed."""
+    """The share of `values`, (n,), that is cut off at their largest or smallest: flat there, and entered at speed.
+
+    A reading that counts in steps is flat in many places, and the last step to a turning point may be a whole one
+    however slowly it goes there. So its finest step is no speed.
+    """
     step = np.abs(np.diff(values))
     usual = float(np.sqrt(np.mean(step**2)))
+    flat_inside = (step == 0.0) & (values[1:] < np.max(values)) & (values[1:] > np.min(values))
+    finest = float(np.min(step[step > 0.0], initial=np.inf)) if flat_inside.any() else 0.0
     clipped = 0
     for extreme in (np.max(values), np.min(values)):
         at = np.concatenate(([False], values == extreme, [False]))
         starts = np.flatnonzero(at[1:] & ~at[:-1])
         ends = np.flatnonzero(~at[1:] & at[:-1])
         for start, end in zip(starts, ends, strict=True):
-            if end - start >= 5 and start >= 3 and np.mean(step[start - 3 : start]) > 0.5 * usual:
+            if end - start >= 5 and start >= 3 and np.mean(step[start - 3 : start]) > finest + 0.5 * usual:
                 clipped += int(end - start)
     return clipped / len(values)
 

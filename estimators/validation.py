@@ -59,18 +59,8 @@ def validate(
     A simulation starts from the state that the first row shows or, with `settle` s, from what the filter makes of so
     much data. Raises DataError where the recordings cannot be used.
     """
-    kernel = fitted.problem.kernel
-    own = dict(zip(kernel.parameters, fitted.values.tolist(), strict=True)) | dict(values or {})
-    task = problem(fitted.problem.model.change(own), recordings, support=support)
-    there = replace(
-        fitted,
-        problem=task,
-        minimum=replace(
-            fitted.minimum,
-            common=np.concatenate((task.start, fitted.minimum.common[len(task.free) :])),
-            own=tuple(task.own_start),
-        ),
-    )
+    there = on_others(fitted, recordings, values=values, support=support)
+    task, kernel = there.problem, there.problem.kernel
     starts = [min(int(np.searchsorted(segment.time, settle)), len(segment) - 2) for segment in task.segments]
     innovations = [error[start + 1 :] for error, start in zip(there.innovations(), starts, strict=True)]
     parts = [_simulated(there, *each) for each in zip(task.segments, there.starts, starts, strict=True)]
@@ -87,6 +77,50 @@ def validate(
         measured=tuple(measured),
         simulated=tuple(parts),
     )
+
+
+def on_others(
+    fitted: Fit,
+    recordings: Sequence[Recording],
+    *,
+    values: Mapping[str, float] | None = None,
+    support: float | None = None,
+) -> Fit:
+    """`fitted` as it stands, with `values` instead of some of its own, on `recordings`: nothing is fitted again.
+
+    Raises DataError where the recordings cannot be used.
+    """
+    kernel = fitted.problem.kernel
+    own = dict(zip(kernel.parameters, fitted.values.tolist(), strict=True)) | dict(values or {})
+    task = problem(fitted.problem.model.change(own), recordings, support=support)
+    common = np.concatenate((task.start, fitted.minimum.common[len(task.free) :]))
+    return replace(
+        fitted, problem=task, minimum=replace(fitted.minimum, common=common, own=tuple(task.own_start)), steps=()
+    )
+
+
+def in_windows(fitted: Fit, horizon: float) -> list[Array]:
+    """Simulations of `horizon` s, one after the other, each from the filtered state where the last one ends.
+
+    By stretch, (n, ny); what is predicted while the filter settles, over the first horizon, is not known.
+    """
+    task, values = fitted.problem, fitted.values
+    found = []
+    for segment, start in zip(task.segments, fitted.starts, strict=True):
+        steps = round(horizon / float(np.median(np.diff(segment.time))))
+        simulated, other = np.full_like(segment.measured, np.nan), np.empty_like(segment.measured)
+        nothing = np.empty((*segment.measured.shape, 0))
+        filtered, free = task.kernel.memory(start), task.kernel.memory(start)
+        correct = task.kernel.ready(segment, values, filtered, fitted.gain, (), other, nothing, substeps=task.substeps)
+        simulate = task.kernel.ready(segment, values, free, None, (), simulated, nothing, substeps=task.substeps)
+        for row in range(0, len(segment) - steps, steps):
+            if row > 0:
+                free.x[:], free.lag[:], free.pointer[:] = filtered.x, filtered.lag, filtered.pointer
+                simulate(row, row + steps, True)
+            correct(row, row + steps, row > 0)
+        simulated[: steps + 1] = np.nan
+        found.append(simulated)
+    return found
 
 
 def _simulated(fitted: Fit, segment: Segment, initial: Array, start: int) -> Array:

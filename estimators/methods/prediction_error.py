@@ -20,7 +20,8 @@ from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.gauss_newton import Minimum, common_information, descend
 from estimators.innovations import WIDEST, NoiseModel
 from estimators.likelihood import FLOOR as FLOOR
-from estimators.likelihood import Likelihood
+from estimators.likelihood import Likelihood, Seen
+from estimators.logarithms import InLogarithms
 from estimators.problem import Problem, problem
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
@@ -41,10 +42,19 @@ HORIZON = 0.5
 
 
 @dataclass(frozen=True, slots=True)
+class Step:
+    """What a step of the fit came to: the cost, and the parameters with the logarithms of the noise, (p + q,)."""
+
+    cost: float
+    common: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Fit:
     """A fitted predictor. `minimum.common` are the parameters, then the logarithms of the noise.
 
-    `gain` (nx, ny); `covariance` (ny, ny) of the innovations; `prior` (p + q,) what the prior informs.
+    `gain` (nx, ny); `covariance` (ny, ny) of the innovations; `prior` (p + q,) what the prior informs; `steps` by which
+    the cost fell, the start first.
     """
 
     problem: Problem
@@ -52,6 +62,7 @@ class Fit:
     gain: Array
     covariance: Array
     prior: Array
+    steps: tuple[Step, ...] = ()
 
     @property
     def values(self) -> Array:
@@ -102,34 +113,53 @@ def prediction_error(
     return result(fit(task, prior=prior), began)
 
 
-def fit(task: Problem, *, prior: bool = True) -> Fit:
-    """Parameters and noise from the model's values on. Raises ArithmeticError where even these run away."""
+def fit(task: Problem, *, prior: bool = True, iterations: int = ITERATIONS, near: Fit | None = None) -> Fit:
+    """Parameters and noise from the model's values on, in so many steps at most.
+
+    Noise and initial states begin as in the fit `near`, of the same data, where there is one.
+    Raises ArithmeticError where even these values run away.
+    """
     size = len(task.free)
     likelihood = Likelihood.of(task, np.array([parameter.std if prior else 0.0 for parameter in task.parameters]))
     noises = np.ones(likelihood.noise.size)
-    lower, upper = task.bounds
+    lower, upper = (
+        np.concatenate((each, sign * WIDEST * noises)) for each, sign in zip(task.bounds, (-1, 1), strict=True)
+    )
     common, own = likelihood.centre, task.own_start
+    if near is not None:
+        common = np.concatenate((task.start, near.minimum.common[len(near.problem.free) :]))
+        own = list(near.minimum.own)[: len(own)]
+    steps: list[Step] = []
     while True:
+        inside = InLogarithms.of(likelihood)
+
+        def expand(common: Array, own: Sequence[Array], inside: InLogarithms = inside) -> Seen | None:
+            seen = inside(common, own)
+            if seen is not None and (not steps or seen.cost < steps[-1].cost):
+                steps.append(Step(seen.cost, inside.natural(common)))
+            return seen
+
         found = descend(
-            likelihood,
-            common,
+            expand,
+            inside.inside(common),
             [*own, np.zeros(0)],
-            scale=np.concatenate((task.scale, noises)),
-            lower=np.concatenate((lower, -WIDEST * noises)),
-            upper=np.concatenate((upper, WIDEST * noises)),
-            iterations=ITERATIONS,
+            scale=inside.scale(np.concatenate((task.scale, noises))),
+            lower=inside.inside(lower),
+            upper=inside.inside(upper),
+            iterations=iterations,
             tolerance=1e-6,
             enough=ENOUGH,
             watched=size,
         )
         if found is None:
             raise ArithmeticError("the model runs away from its start values even with the measurement's help")
-        minimum, there = found
+        minimum, there = inside.minimum(found[0], lower, upper), found[1]
         common, own = minimum.common, list(minimum.own[:-1])
         finer = task.refined(common[:size])
         if finer.substeps == task.substeps:
             gain = likelihood.noise.gain(task.values(common[:size]), common[size:])
-            return Fit(task, minimum, there.gain if gain is None else gain, there.covariance, likelihood.prior)
+            gain = there.gain if gain is None else gain
+            return Fit(task, minimum, gain, there.covariance, likelihood.prior, tuple(steps))
         task = finer
         likelihood = replace(likelihood, task=task)
 

@@ -221,7 +221,11 @@ TWSBR = Model(
             for side in ("left", "right")
             for output in (
                 Output(f"{side}_wheel_angle", "rad", f"{side}_wheel_angle", noise=COUNT / 12**0.5, age="drive_age"),
-                Output(f"{side}_wheel_rate", "rad/s", f"{side}_wheel_rate", noise=0.5, age="drive_age"),
+                # From the encoder's last two edges: it lags by as much as they are apart, which is no white noise,
+                # and tells nothing that the angle does not.
+                Output(
+                    f"{side}_wheel_rate", "rad/s", f"{side}_wheel_rate", noise=0.5, noise_known=True, age="drive_age"
+                ),
             )
         ),
     ),

@@ -1,0 +1,122 @@
+"""The fit of all the balancing robot's numbers beside scipy's optimisers on the same cost: `python benchmarks/robot.py`
+
+Everybody starts from the paper's table 1, stays within its table 2 and minimises the same negative log likelihood of
+the same record, in the same unknowns: parameters, noises and the initial state. Peers get the cost by simulation alone,
+compiled and without derivatives, as an optimiser of a simulation toolbox does; SLSQP and trust-constr difference it.
+Each is stopped after LIMIT seconds; what it has reached by then counts, and its ratio is then a lower bound.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, minimize
+
+from estimators.bounded_fit import BoundedFit, bounded_fit
+from estimators.innovations import WIDEST
+from estimators.likelihood import Likelihood
+from models.library import get
+from service.virtual_run import record
+
+Array = NDArray[np.float64]
+
+LIMIT = 120.0
+PEERS = ("SLSQP", "trust-constr", "Nelder-Mead")
+
+
+class OutOfTime(Exception):
+    """A peer has had its time."""
+
+
+class Cost:
+    """The likelihood of unknowns (m,) in multiples of the start, by simulation, a row; keeps the best and counts."""
+
+    def __init__(self, found: BoundedFit) -> None:
+        task = found.fit.problem
+        self.likelihood = Likelihood.of(task, np.zeros(len(task.free)))
+        noises, own = self.likelihood.noise.size, np.array([task.model.states[each].initial_std for each in task.own])
+        self.split = (len(task.free), len(task.free) + noises)
+        # In multiples of the start: peers get nowhere in table 2's units, in which the start is next to zero.
+        sizes = np.where(task.start == 0.0, task.scale, np.abs(task.start))
+        self.scale = np.concatenate((sizes, np.ones(noises), *[own] * len(task.segments)))
+        self.start = np.concatenate((task.start, np.zeros(noises), *task.own_start)) / self.scale
+        lower, upper = task.bounds
+        free = np.full(len(self.scale) - self.split[1], np.inf)
+        ends = [(sign * WIDEST * np.ones(noises), sign * free) for sign in (-1.0, 1.0)]
+        self.bounds = Bounds(
+            *(np.concatenate((e, *more)) / self.scale for e, more in zip((lower, upper), ends, strict=True))
+        )
+        self.restart()
+
+    def restart(self) -> None:
+        self.best, self.count, self.deadline = np.inf, 0, time.perf_counter() + LIMIT
+
+    def __call__(self, unknowns: Array) -> float:
+        if time.perf_counter() > self.deadline:
+            raise OutOfTime
+        self.count += 1
+        natural = np.clip(unknowns, self.bounds.lb, self.bounds.ub) * self.scale
+        value = self.value(natural)
+        self.best = min(self.best, value)
+        return value / self.likelihood.task.rows
+
+    def value(self, natural: Array) -> float:
+        task, noise = self.likelihood.task, self.likelihood.noise
+        values, logarithms = task.values(natural[: self.split[0]]), natural[self.split[0] : self.split[1]]
+        gain = noise.gain(values, logarithms)
+        parts = natural[self.split[1] :].reshape(len(task.segments), -1)
+        if gain is None:
+            return 1e12
+        squares, cost = np.zeros((len(task.kernel.outputs),) * 2), 0.0
+        for segment, initial, part in zip(task.segments, task.initials, parts, strict=True):
+            start = initial.copy()
+            start[list(task.own)] = part
+            run = task.kernel.run(segment, values, start, gain=gain, substeps=task.substeps)
+            if run.runs_away:
+                return 1e12
+            error = np.nan_to_num(segment.measured - run.predicted)
+            squares += error.T @ error
+            off = (part - initial[list(task.own)]) / [task.model.states[each].initial_std for each in task.own]
+            cost += 0.5 * float(off @ off)
+        covariance = squares / task.rows + np.diag(self.likelihood._floor)
+        sign, size = np.linalg.slogdet(covariance)
+        cost += 0.5 * task.rows * float(size) + 0.5 * float(self.likelihood.prior[self.split[0] :] @ logarithms**2)
+        return cost if sign > 0.0 and np.isfinite(cost) else 1e12
+
+
+def main() -> None:
+    global LIMIT
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--limit", type=float, default=LIMIT, help="s for each peer")
+    LIMIT = parser.parse_args().limit
+    recording = record("twsbr", "square", seed=1)
+    bounded_fit(get("twsbr"), [recording])  # compiles
+    began = time.perf_counter()
+    found = bounded_fit(get("twsbr"), [recording])
+    own = time.perf_counter() - began
+    cost = Cost(found)
+    start = cost.value(cost.start * cost.scale)
+    reached = found.fit.minimum.cost
+    print(f"{'':14}{'s':>8}{'ratio':>8}{'cost above upright':>20}{'costs':>8}")
+    print(f"{'start':14}{'':8}{'':8}{start - reached:20.2f}")
+    print(f"{'upright':14}{own:8.2f}{1:8.1f}{0:20.2f}")
+    for peer in PEERS:
+        cost.restart()
+        began, capped = time.perf_counter(), ""
+        options = {"maxiter": 10**6} | ({"maxfev": 10**9, "adaptive": True} if peer == "Nelder-Mead" else {})
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                minimize(cost, cost.start, method=peer, bounds=cost.bounds, options=options)
+        except OutOfTime:
+            capped = f"  stopped after {LIMIT:g} s"
+        took = time.perf_counter() - began
+        print(f"{peer:14}{took:8.2f}{took / own:8.1f}{cost.best - reached:20.2f}{cost.count:8}{capped}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""Each effect of the catalogue hidden in the virtual vehicle on the bus, found, taken back and added as anybody would.
+
+`upright diagnose RECORDING --auto MODEL` writes the repaired model, `upright model undo` takes its effects back, and
+`upright model add MODEL EFFECT` with the recording adds what the diagnosis named, fitted to the first two thirds and
+held against the last. The tool is told nothing but the recording; the sizes are those of `upright demo --hide EFFECT`.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from models.effect import Place
+from models.effects import CATALOGUE
+from models.model_file import read
+from service.cli import app
+from service.virtual_run import record
+from simulation.hidden import HIDDEN
+from telemetry.recording import load
+
+LEARNED = "gyro_bias"
+"""The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""
+LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}
+"""At full size the buffers stop the vehicle before its support does, and with that much play the gimbals rattle."""
+COMMANDED = {each.name for each in CATALOGUE.values() if each.place is Place.ACTUATOR}
+CLOSED = 0.97
+"""Of the held-out error energy, half a second ahead, that exceeds the sensors'. Bristles are not quite tanh: the
+formula of Stribeck friction leaves a fiftieth of what the plant does."""
+FLOOR = 1.05
+"""Error energy over the sensors' below which nothing is left to close."""
+
+
+def upright(*arguments: Any) -> Any:
+    done = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def recorded(effect: str, folder: Path) -> Path:
+    path = folder / f"{effect or 'clean'}.arrow"
+    # Seed 61 decided nothing; 20 s are what the gate asks for with some to spare.
+    hide = (LEVELS.get(effect, effect),) if effect else ()
+    record("monocab", "multisine", hide=hide, seed=61, duration=20.0).save(path)
+    return path
+
+
+def added(file: Path, effect: str, recording: Path) -> Any:
+    """What `model add` says of `effect` in the model of `file` with all its effects taken back."""
+    while read(file).history:
+        upright("model", "undo", file)
+    return upright("model", "add", file, effect, "--recording", recording)["repair"]
+
+
+def test_the_virtual_vehicle_can_hide_the_whole_catalogue() -> None:
+    # The restoring torque of gravity is the sine of roll in the plant already.
+    assert {*CATALOGUE} - {*HIDDEN} == {"gravity_nonlinearity"}
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("effect", sorted(HIDDEN.keys() - {LEARNED}))
+def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path: Path) -> None:
+    recording, model = recorded(effect, tmp_path), tmp_path / "repaired.toml"
+    found = upright("diagnose", recording, "--auto", model)
+    assert found["verdict"] == "missing_effect", found["reason"]
+    named = next(each for each in found["findings"] if effect in {each["effect"], *each["tied_with"]})
+    assert named is found["findings"][0]
+    assert len(named["tied_with"]) <= 1
+    file = model if named["effect"] in {each.name for each in read(model).model.effects} else actuators(model)
+    repair = added(file, named["effect"], free(recording) if effect in COMMANDED else recording)
+    assert repair["needed"]
+    sensors, closed, left = (repair["budget"][each] for each in ("sensors", "effect", "unexplained"))
+    if effect in COMMANDED:
+        # The formula of the gimbals' speed loop leaves errors of its own, whatever is hidden.
+        assert repair["held_out_error_fall_percent"] > 0.0
+    else:
+        assert closed > CLOSED * (closed + left) or sensors + left < FLOOR * sensors
+
+
+def free(path: Path) -> Path:
+    """The part of a recording in which the vehicle is off its support: near it the gimbals are at their limits."""
+    whole = load(path)
+    there = whole.time[np.abs(whole["roll"]) < np.radians(3.5)]
+    part = path.with_name("free.arrow")
+    whole.between(float(there[0]) + 2.0, float(there[-1]) - 1.0).save(part)
+    return part
+
+
+def actuators(model: Path) -> Path:
+    return model.with_name(f"{model.stem}-actuators.toml")
+
+
+def test_what_the_filter_has_learned_leaves_nothing_to_find(tmp_path: Path) -> None:
+    found = upright("diagnose", recorded(LEARNED, tmp_path))
+    assert found["verdict"] == "adequate"
+    assert "learned" in found["not_candidates"][LEARNED]
+
+
+def test_where_nothing_is_hidden_nothing_is_found(tmp_path: Path) -> None:
+    assert upright("diagnose", recorded("", tmp_path))["verdict"] == "adequate"
