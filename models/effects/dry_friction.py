@@ -22,6 +22,7 @@ COULOMB_FRICTION = Effect(
         "asymmetric_friction",
         "load_dependent_friction",
         "hysteresis",
+        "backlash",
     ),
     separated_by="The same square or sine wave at two amplitudes: dry friction keeps its size, viscous friction "
     "doubles with the rate.",
@@ -67,6 +68,7 @@ STRIBECK_FRICTION = Effect(
         "asymmetric_friction",
         "load_dependent_friction",
         "hysteresis",
+        "backlash",
     ),
     separated_by="Slow and fast motion in one record, as a triangle wave of the angle at two frequencies: friction "
     "falls with the rate where Coulomb friction stays and viscous friction grows.",
