@@ -19,7 +19,6 @@ from diagnosis.findings import Verdict as Verdict
 from diagnosis.gate import check
 from diagnosis.refit import FullFit, full
 from diagnosis.screen import Screen
-from diagnosis.step import WORTH as WORTH
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
 from diagnosis.workspace import Workspace
 from estimators.as_recorded import as_recorded

@@ -19,10 +19,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from diagnosis import masked
-from diagnosis.diagnose import WORTH, Diagnosis, Progress, Verdict, diagnose
+from diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
 from diagnosis.floor import sensor_noise
 from diagnosis.refit import FullFit, full
-from diagnosis.step import retold
+from diagnosis.step import WORTH, retold
 from diagnosis.workspace import Workspace
 from estimators.segments import SUPPORT_MARGIN, DataError, channels_of
 from models.effect import Effect, Place

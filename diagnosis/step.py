@@ -124,7 +124,7 @@ def _contenders(
             fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
         except ArithmeticError:
             continue
-    allowed = LEVEL / len(screened.scores)
+    allowed = LEVEL / max(1, len(screened.scores))
     fits = [
         each for each in fits if each.fit.minimum.converged and by_chance(each, base) < allowed and surety(each) > SURE
     ]
