@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from estimators.segments import channels_of
+from estimators.segments import channels_of, optional_channels
 from models.effect import AttachedEffect, Effect, places_for, starts
 from models.effects import CATALOGUE, find
 from models.model import Model, ModelError
@@ -77,7 +77,7 @@ def candidates_for(
             with_it = model.add(effect, place)
             lacking = [
                 channel
-                for channel in channels_of(with_it)
+                for channel in set(channels_of(with_it)) - optional_channels(with_it)
                 if any(channel not in each.values for each in recordings) and channel not in channels_of(model)
             ]
             if lacking:

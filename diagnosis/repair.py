@@ -32,7 +32,7 @@ from estimators.as_recorded import as_recorded
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
-from estimators.segments import ages_of, channels_of
+from estimators.segments import channels_of, optional_channels
 from models.effect import Effect
 from models.effects import find
 from models.expressions import names_in
@@ -161,7 +161,7 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
         except ModelError:
             continue
         if all(
-            channel in each.values for each in recordings for channel in set(channels_of(with_it)) - ages_of(with_it)
+            channel in each.values for each in recordings for channel in set(channels_of(with_it)) - optional_channels(with_it)
         ):
             found.append(candidate_of(model, with_it.effects[-1]))
     return found

@@ -71,6 +71,8 @@ class RollFilterConfig:
 class RollState:
     """The estimate at one IMU sample: rad and rad/s. The rates are the gyro about x and about y less its bias.
 
+    `bias_std` is that of the bias about x.
+
     A vehicle falls about one of the two axes: a monorail rolls, a robot on two wheels pitches.
     """
 
@@ -82,6 +84,7 @@ class RollState:
     bias: Vector3
     pitch_rate: float = 0.0
     pitch_std: float = 0.0
+    bias_std: float = 0.0
 
 
 class RollFilter:
@@ -250,6 +253,7 @@ class RollFilter:
             bias=self._bias,
             pitch_rate=sample.angular_rate[1] - self._bias[1],
             pitch_std=math.sqrt(max(pitch_variance, 0.0)),
+            bias_std=math.sqrt(max(float(covariance[3, 3]), 0.0)),
         )
 
 

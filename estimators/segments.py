@@ -22,6 +22,7 @@ from estimators.contract import EstimationError, Status
 from models.expressions import names_in
 from models.model import Hold, Input, Model
 from models.segment import Segment
+from models.sensing import filter_inputs
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -91,10 +92,10 @@ def channels_of(model: Model) -> tuple[str, ...]:
     return (*names, *dict.fromkeys(age for age in ages if age))
 
 
-def ages_of(model: Model) -> frozenset[str]:
-    """The channels that say how old others are."""
+def optional_channels(model: Model) -> frozenset[str]:
+    """The channels that a recording may lack: those that say how old others are, and those with a usual value."""
     ages = [each.age for each in model.inputs] + [each.age for each in model.outputs]
-    return frozenset(age for age in ages if age)
+    return frozenset(age for age in ages if age) | {each.channel for each in model.inputs if each.usual is not None}
 
 
 def _used_names(model: Model) -> frozenset[str]:
@@ -104,13 +105,13 @@ def _used_names(model: Model) -> frozenset[str]:
         texts += [joint.coordinate, joint.rate, joint.inertia, joint.load]
     if model.effects:
         texts += [text for actuator in model.actuators for text in (actuator.rate, actuator.angle) if text]
-    return frozenset().union(*(names_in(text) for text in texts))
+    return filter_inputs(model).union(*(names_in(text) for text in texts))
 
 
 def _check(model: Model, recording: Recording) -> None:
-    ages = ages_of(model)
+    optional = optional_channels(model)
     for name in channels_of(model):
-        if name not in recording.values and name not in ages:
+        if name not in recording.values and name not in optional:
             raise DataError(
                 Status.MISSING_CHANNEL,
                 f"channel {name}",
@@ -131,7 +132,8 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
     """Raises DataError for channels that cannot be what they are called."""
     used = _used_names(model)
     measured = [each.name for each in model.outputs]
-    measured += [each.name for each in model.inputs if each.hold.value == "first_order" and each.name in used]
+    held = {each.name for each in model.inputs if each.hold is Hold.ZERO_ORDER or each.usual is not None}
+    measured += [each.name for each in model.inputs if each.name in used and each.name not in held]
     for name in measured:
         values = recording[name][free]
         if name in {each.name for each in model.outputs} and np.ptp(values) == 0.0:
@@ -252,6 +254,8 @@ def _input(recording: Recording, each: Input, part: slice) -> Array:
     every h comes out smaller by (w h)^2 / 12. Raised by a twelfth of their second difference, the samples give lines
     with the curve's integral.
     """
+    if each.usual is not None and each.channel not in recording.values:
+        return np.full(len(recording.time), each.usual)
     values = recording[each.channel]
     if each.ramp_of:
         return ramp_shortfall(values, recording.time, each.ramp)

@@ -261,7 +261,8 @@ def _read(
         if sensor.filter is not None and integrated(sensor, attached.effect):
             error = outputs[sensor.rate] - before[sensor.rate]
             own_states = {name: symbols[attached.qualified(name)] for name in FILTERED}
-            gains = {key: sympy.Float(value) for key, value in asdict(sensor.filter).items()}
+            where = f"sensor {sensor.name}, filter"
+            gains = {key: _real(parse(str(value), symbols, where)) for key, value in asdict(sensor.filter).items()}
             for name, text in FILTERED.items():
                 memories[attached.qualified(name)] = parse(text, {**own_states, **gains, "error": error}, name)
             outputs[sensor.angle] += own_states["angle_error"]

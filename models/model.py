@@ -93,7 +93,8 @@ class Input:
 
     `delays` name the parameters (s) by which it acts later, `lag` the one (s) of a first-order lag it goes through.
     With `ramp_of` it is no channel itself, but what a limiter that follows channel `ramp_of` by no more than `ramp`
-    unit/s is short of it, as a mean over each row.
+    unit/s is short of it, as a mean over each row. `usual`: its value where a recording has no such channel; None where
+    it must have it.
     """
 
     name: str
@@ -104,6 +105,7 @@ class Input:
     lag: str = ""
     ramp_of: str = ""
     ramp: float = 0.0
+    usual: float | None = None
     meaning: str = ""
 
     @property
@@ -178,10 +180,11 @@ class Filter:
     are the errors of angle, bias and of the direction from the accelerometer, which goes through a low pass of
     `smoothing` s that turns with the rate. `proportional` 1/s and `integral` 1/s^2 are the filter's gains, 0 where it
     learns no bias; `lever` s^2, the sensor's height over the axis by g: its acceleration there is taken from the rate.
+    `integral` may be an expression of the model's inputs: a filter that is still learning the bias corrects it faster.
     """
 
     proportional: float
-    integral: float = 0.0
+    integral: float | str = 0.0
     smoothing: float = 1.0
     lever: float = 0.0
 

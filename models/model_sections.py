@@ -49,6 +49,7 @@ class InputSection(Section):
     lag: str = ""
     ramp_of: str = ""
     ramp: NotNegative = 0.0
+    usual: Finite | None = None
     meaning: str = ""
 
 
@@ -102,7 +103,7 @@ class ActuatorSection(Section):
 
 class FilterSection(Section):
     proportional: Positive
-    integral: NotNegative = 0.0
+    integral: NotNegative | Equation = 0.0
     smoothing: Positive = 1.0
     lever: Finite = 0.0
 

@@ -182,6 +182,9 @@ def _check_expressions(tables: ModelSection, file: str) -> None:
             raise ModelError(where, what, remedy="make it simpler.")
         return size
 
+    for name, sensor in tables.sensors.items():
+        if sensor.filter is not None and isinstance(sensor.filter.integral, str):
+            looked_at(sensor.filter.integral, f"sensors.{name}.filter.integral", tables.inputs)
     for name, actuator in tables.actuators.items():
         for key in ("rate", "angle", "gain"):
             if getattr(actuator, key):

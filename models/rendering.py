@@ -229,7 +229,7 @@ def _readings(model: Model) -> Iterator[Line]:
 def _filtered(sensor: Sensor, filtered: Filter, attached: AttachedEffect, reading: str) -> Iterator[Line]:
     """What becomes of a rate that an effect changes, and of the angle that a filter makes of it."""
     names = {name: attached.qualified(name) for name in FILTERED}
-    given = {key: repr(value) for key, value in asdict(filtered).items()}
+    given = {key: str(value) for key, value in asdict(filtered).items()}
     rate, angle = _measured(sensor.rate), _measured(sensor.angle)
     for name, text in FILTERED.items():
         expression = renamed(text, {**names, **given, "error": f"{reading} - {rate}"})

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from models.expressions import number
+from models.expressions import names_in, number
 from models.model import Actuator, Joint, Model, Sensor
 from models.place import VOCABULARY, Place
 
@@ -40,6 +40,16 @@ def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:
     return bool(place.angle and place.rate and effect.rate_reading) and not effect.angle_reading
 
 
+def filter_inputs(model: Model) -> frozenset[str]:
+    """The inputs of `model` by which filters go that errors of its sensors pass through."""
+    found: set[str] = set()
+    for sensor in model.sensors:
+        through = any(each.at == sensor.name and integrated(sensor, each.effect) for each in model.effects)
+        if through and sensor.filter is not None and isinstance(sensor.filter.integral, str):
+            found |= names_in(sensor.filter.integral)
+    return frozenset(found)
+
+
 def learned(sensor: Sensor, effect: Effect) -> bool:
     """Whether a filter has learned, before a record begins, what `effect` adds to the rate of `sensor`: a constant."""
     if not integrated(sensor, effect) or sensor.filter is None or not sensor.filter.integral or effect.states:
@@ -62,4 +72,6 @@ def delayed(model: Model, attached: AttachedEffect) -> tuple[str, ...]:
         commands = {actuator.command for actuator in model.actuators if actuator.name == attached.at}
         return tuple(each.name for each in model.inputs if each.channel in commands)
     shown = {name for sensor in model.sensors if sensor.name == attached.at for name in (sensor.angle, sensor.rate)}
-    return tuple(each.name for each in model.inputs) if shown.issuperset(each.name for each in model.outputs) else ()
+    # What a filter says of itself comes with the readings.
+    driving = tuple(each.name for each in model.inputs if each.usual is None)
+    return driving if shown.issuperset(each.name for each in model.outputs) else ()

@@ -384,6 +384,7 @@ def _segment(model: Model, rows: int = 80, *, moving: bool = True) -> Segment:
         "precession": 0.3 + 0.1 * np.sin(2.0 * phase),
         "trim_position": 0.01 * np.sin(phase),
         "trim_rate": 0.05 * np.cos(phase),
+        "gyro_bias_std": np.full(rows, 6.9e-4),
     }
     held = np.repeat(source.uniform(-0.3, 0.3, rows // 10), 10)
     inputs = np.column_stack([smooth.get(each.name, held) for each in model.inputs])

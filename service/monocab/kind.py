@@ -122,6 +122,7 @@ class Monocab:
             attitude.roll,
             attitude.roll_rate,
             attitude.roll_std,
+            attitude.bias_std,
             attitude.pitch,
             drives.precession,
             drives.precession_rate,
