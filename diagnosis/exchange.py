@@ -14,8 +14,8 @@ from itertools import pairwise
 
 from diagnosis.findings import Finding
 from diagnosis.refit import FullFit, by_chance, full
-from diagnosis.step import LEVEL, Named, Tell, find, look, surprising, unseen_at_zero
-from diagnosis.ties import alike
+from diagnosis.step import Named, Tell, find, look, surprising, unseen_at_zero
+from diagnosis.ties import LEVEL, alike
 from diagnosis.workspace import Workspace
 
 FURTHER = 0.05

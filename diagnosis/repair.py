@@ -160,9 +160,8 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
             with_it = model.add(effect, at)
         except ModelError:
             continue
-        if all(
-            channel in each.values for each in recordings for channel in set(channels_of(with_it)) - optional_channels(with_it)
-        ):
+        needed = set(channels_of(with_it)) - optional_channels(with_it)
+        if all(channel in each.values for each in recordings for channel in needed):
             found.append(candidate_of(model, with_it.effects[-1]))
     return found
 

@@ -25,6 +25,7 @@ from scipy.stats import chi2, norm
 
 from diagnosis.candidates import Candidate, at_frequencies
 from diagnosis.instants import at_instants
+from diagnosis.side_by_side import side_by_side
 from diagnosis.whitened import Whitened, peaks, project
 from estimators.problem import Problem
 
@@ -85,20 +86,26 @@ def screen(
 
     A candidate under which the model runs away at every step size is left out.
     """
-    parts: list[tuple[Candidate, int, Array]] = []
+    passes: list[tuple[Problem, int, list[Candidate]]] = []
     for group in _groups(at_frequencies(candidates, *peaks(innovations))):
         full = attach(group)
         group = [at_instants(each, innovations, full) for each in group]
-        for number in range(max(len(candidate.variants) for candidate in group)):
-            looked_at = [candidate for candidate in group if number < len(candidate.variants)]
-            shape = {name: value for each in looked_at for name, value in each.variants[number].items()}
-            columns = innovations.directions(full, [name for each in looked_at for name in each.amplitudes], shape)
-            place = 0
-            for each in looked_at:
-                found = columns[:, place : place + len(each.amplitudes)]
-                place += len(each.amplitudes)
-                if np.all(np.isfinite(found)):
-                    parts.append((each, number, found))
+        most = max(len(candidate.variants) for candidate in group)
+        passes += [(full, number, [each for each in group if number < len(each.variants)]) for number in range(most)]
+
+    def columns_of(one: tuple[Problem, int, list[Candidate]]) -> Array:
+        full, number, looked_at = one
+        shape = {name: value for each in looked_at for name, value in each.variants[number].items()}
+        return innovations.directions(full, [name for each in looked_at for name in each.amplitudes], shape)
+
+    parts: list[tuple[Candidate, int, Array]] = []
+    for (_, number, looked_at), columns in zip(passes, side_by_side(columns_of, passes), strict=True):
+        place = 0
+        for each in looked_at:
+            found = columns[:, place : place + len(each.amplitudes)]
+            place += len(each.amplitudes)
+            if np.all(np.isfinite(found)):
+                parts.append((each, number, found))
     if not parts:
         return Screen((), {})
     columns = np.column_stack([part for _, _, part in parts])
@@ -140,7 +147,7 @@ def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, 
     residual, blocks = innovations.residual, innovations.blocks
     # Priors scatter as much as they say: only innovations have to show how much they do.
     known = columns.copy()
-    known[: len(columns) - innovations.nuisance.shape[1]] = 0.0
+    known[: len(columns) - innovations.priors] = 0.0
     original = np.concatenate([np.sum(part**2, axis=0) for _, _, part in parts])
     information = columns.T @ columns
     left = np.diag(information) > LEAST * np.maximum(original, 1e-300)

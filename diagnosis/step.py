@@ -18,7 +18,8 @@ from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
 from diagnosis.refit import FullFit, QuickFit, by_chance, full, quick, surety, with_effect
 from diagnosis.screen import Screen, screen
-from diagnosis.ties import SIMPLER, TIED, tied
+from diagnosis.side_by_side import side_by_side
+from diagnosis.ties import LEVEL, SIMPLER, TIED, exact, needless, tied
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -30,8 +31,6 @@ from models.effect import Place
 
 Tell = Callable[[str, float], None]
 
-LEVEL = 0.01
-"""Probability of naming an effect where nothing is missing."""
 WORTH_A_FIT = 1e-3
 """p-value, of one candidate alone, below which it gets a quick fit."""
 WORTH = -float(np.log(TIED))
@@ -110,20 +109,25 @@ def _contenders(
     """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
     quicks: list[QuickFit] = []
-    for number, score in enumerate(worth):
-        tell(f"trying {score.candidate.effect.title}", 0.6 * number / len(worth))
-        quicks.append(quick(base.fit, base.model, score, workspace))
+    for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
+        quicks.append(each)
+        tell(f"tried {each.candidate.effect.title}", 0.6 * len(quicks) / len(worth))
     quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
     quicks.sort(key=lambda each: -each.gain)
     chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
     fits = list(hidden)
     chosen = [each for each in chosen if each.candidate.name not in {fit.name for fit in hidden}]
-    for number, each in enumerate(chosen):
-        tell(f"fitting {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
+
+    def fitted(each: QuickFit) -> FullFit | None:
         try:
-            fits.append(full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate))
+            return full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate)
         except ArithmeticError:
-            continue
+            return None
+
+    for number, found in enumerate(side_by_side(fitted, chosen), start=1):
+        tell(f"fitted {chosen[number - 1].candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
+        if found is not None:
+            fits.append(found)
     allowed = LEVEL / max(1, len(screened.scores))
     fits = [
         each for each in fits if each.fit.minimum.converged and by_chance(each, base) < allowed and surety(each) > SURE
@@ -202,10 +206,22 @@ def unseen_at_zero(workspace: Workspace) -> list[str]:
 
 
 def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:
-    """The first of `fits`, or one with fewer parameters that explains almost as much."""
+    """The first of `fits`, or one with fewer parameters that explains almost as much.
+
+    Between formulas that are exact, the one with more parameters where the record asks for them.
+    """
+    asked = [
+        each for each in fits if each.count > fits[0].count and exact(each, fits[0]) and needless(each, fits[0]) < LEVEL
+    ]
+    if asked:
+        return asked[0]
     best = fits[0]
     gain = best.log_likelihood - base.log_likelihood
     simple = [
-        each for each in fits if each.cost < best.cost and each.log_likelihood - base.log_likelihood >= SIMPLER * gain
+        each
+        for each in fits
+        if each.cost < best.cost
+        and each.log_likelihood - base.log_likelihood >= SIMPLER * gain
+        and (not exact(best, each) or needless(best, each) >= LEVEL)
     ]
     return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best

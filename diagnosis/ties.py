@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from diagnosis.refit import FullFit, full
 from diagnosis.workspace import Workspace
-from models.effect import Effect
+from models.effect import Effect, Family
 
 TIED = 1.0 / 20.0
 """Posterior odds to the best above which an effect is tied with it."""
@@ -24,6 +24,11 @@ NEIGHBOUR = 0.9
 Friction with bristles gains 7 % more by one formula than by its own: what is less does not tell neighbours apart."""
 DOUBT = 0.05
 """p-value of the likelihood ratio below which an effect of more parameters is tied with a simpler one that is named."""
+EXACT = (Family.BIAS, Family.SENSOR)
+"""Families whose formulas are what they say: a constant is a constant. Between two of them the likelihood ratio decides
+alone, at LEVEL."""
+LEVEL = 0.01
+"""Probability of naming an effect where nothing is missing, and of asking for a parameter that is not needed."""
 
 
 def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> tuple[str, ...]:
@@ -40,7 +45,9 @@ def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Works
             continue
         gain, other = (fit.log_likelihood - base.log_likelihood for fit in (best, each))
         likely = each.evidence - likeliest > np.log(TIED)
-        if alike(best.candidate.effect, each.candidate.effect):
+        if exact(best, each) and each.count < best.count:
+            likely = needless(best, each) >= LEVEL
+        elif alike(best.candidate.effect, each.candidate.effect):
             if each.cost < best.cost:
                 likely = likely or other >= NEIGHBOUR * gain
             elif each.cost > best.cost:
@@ -58,6 +65,25 @@ def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Works
         if likely:
             found.append(each)
     return tuple(each.name for each in fits if each in found)
+
+
+def exact(one: FullFit, other: FullFit) -> bool:
+    """Whether the two are easily confused, and neither is a formula for something that follows none."""
+    assert one.candidate is not None
+    assert other.candidate is not None
+    effects = one.candidate.effect, other.candidate.effect
+    return alike(*effects) and all(effect.family in EXACT for effect in effects)
+
+
+def needless(more: FullFit, less: FullFit) -> float:
+    """p-value of the likelihood ratio of `more`, which has more parameters: how well chance alone explains its gain.
+
+    An instant that was picked among many has the price of these.
+    """
+    assert more.candidate is not None
+    ratio = 2.0 * (more.log_likelihood - less.log_likelihood)
+    tries = more.candidate.among if more.candidate.picked else 1
+    return min(1.0, tries * float(chi2.sf(ratio, more.count - less.count)))
 
 
 def _as_likely_as_usual(best: FullFit, other: FullFit, base: FullFit, workspace: Workspace) -> bool:

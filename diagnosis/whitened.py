@@ -24,15 +24,17 @@ BLOCK = 0.5
 """s in which innovations that are not white are taken as one."""
 FINEST = 32
 """Steps a row, at most."""
+SAME = 3e-7
+"""Share of the largest singular value below which a direction is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
     """The whitened innovations of a fit, and what its nuisances would do to them.
 
-    `residual` (n + k,), all nuisances projected out, the last k rows of it how far these are off their priors;
-    `blocks` (n + k,) numbers the half-seconds, and each of the last rows; `starts`, by stretch, an orthonormal basis of
-    what its initial state does; `nuisance` (n + k, p).
+    `residual` (n + k,), all nuisances projected out, the last `priors` = k rows of it how far these are off their
+    priors; `blocks` (n + k,) numbers the half-seconds, and each of the last rows; `starts`, by stretch, an orthonormal
+    basis of what its initial state does; `nuisance` (n + k, p), one of what the nuisances do beside that.
     """
 
     fit: Fit
@@ -40,6 +42,7 @@ class Whitened:
     blocks: NDArray[np.int64]
     starts: tuple[Array, ...]
     nuisance: Array
+    priors: int
 
     @classmethod
     def of(cls, fitted: Fit) -> Whitened:
@@ -65,7 +68,7 @@ class Whitened:
         prior = np.zeros(columns.shape[1])
         prior[:size], prior[known:] = np.sqrt(fitted.prior[:size]), np.sqrt(fitted.prior[size:])
         prior[size:known] = 1.0 / deviations
-        nuisance = np.concatenate((columns, np.diag(prior)))
+        nuisance = orthonormal(np.concatenate((columns, np.diag(prior))))
         off = np.zeros(columns.shape[1])
         off[:size] = fitted.minimum.common[:size] - task.start
         off[known:] = fitted.minimum.common[size:]
@@ -73,7 +76,7 @@ class Whitened:
         residual = project(np.concatenate((residual, prior * off))[:, None], nuisance)[:, 0]
         numbers = _blocks(task, blocks)
         numbers = np.concatenate((numbers, numbers[-1] + 1 + np.arange(len(prior))))
-        return cls(fitted, residual, numbers, tuple(bases), nuisance)
+        return cls(fitted, residual, numbers, tuple(bases), nuisance, len(prior))
 
     def directions(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> Array:
         """What a unit of each of `amplitudes` in the vehicle does to the innovations, (n, m), nuisances still in it.
@@ -143,12 +146,17 @@ def whitening(fitted: Fit) -> Array:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(fitted.covariance)))
 
 
+def orthonormal(columns: Array) -> Array:
+    """A basis (n, r) of what `columns` (n, p) span, r <= p: what is the same to rounding counts once."""
+    basis, mixed = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+    directions, sizes, _ = np.linalg.svd(mixed)
+    return np.asarray(basis @ directions[:, sizes > SAME * sizes[0]])
+
+
 def project(columns: Array, nuisance: Array) -> Array:
-    """`columns` (n or n + k, m) less what the nuisances (n + k, p), k rows of priors last, explain of them,
+    """`columns` (n or n + k, m) less what the basis of nuisances (n + k, p), k rows of priors last, explains of them,
     (n + k, m)."""
-    scaled = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
-    whole = np.concatenate((columns, np.zeros((len(nuisance) - len(columns), columns.shape[1]))))
-    return np.asarray(whole - scaled @ np.linalg.lstsq(scaled.T @ scaled, scaled.T @ whole, rcond=1e-13)[0])
+    return less(np.concatenate((columns, np.zeros((len(nuisance) - len(columns), columns.shape[1])))), nuisance)
 
 
 def less(columns: Array, basis: Array) -> Array:
