@@ -104,7 +104,8 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
 
     lower, upper = task.bounds
     begin = np.concatenate((base.minimum.common[:size], task.start[size:]))
-    own = [*(part.copy() for part in base.minimum.own[:-1]), np.zeros(0)]
+    starts = zip(base.minimum.own[:-1], task.own_start, strict=True)
+    own = [*(np.concatenate((part, whole[len(part) :])) for part, whole in starts), np.zeros(0)]
     alone = begin.copy()
     alone[[size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]] = 0.0
     before = evaluate(np.clip(alone, lower, upper), own)

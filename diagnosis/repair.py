@@ -13,11 +13,12 @@ nearly as far. So the effect's neighbours are fitted too, and told with their od
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, of_actuators
 from diagnosis.ahead import errors, on, sensor_floors
 from diagnosis.candidates import Candidate
 from diagnosis.drop_tests import DropTest as DropTest
@@ -80,7 +81,7 @@ def repair(
 
     Its parameter values and standard deviations are the prior of all fits. Without `held_out`, the last third of each
     recording in time is held out, and everything is fitted to the first two. `support` rad: the vehicle is free where
-    its roll is less.
+    its roll is less. A model of actuators alone is held against the rows from which they are diagnosed.
 
     Raises:
         ModelError: no such effect, or the model cannot have it.
@@ -88,7 +89,23 @@ def repair(
         EstimationError: the fit fails, so there is nothing to tell.
     """
     told = progress or (lambda text, share: None)
-    model = as_recorded(model, recordings)
+    if of_actuators(model):
+        rows = at_samples(model)
+        there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
+        found = _repair(rows, effect, there, unseen, at, support, told)
+        return replace(found, model=as_recorded_rows(model, found.model))
+    return _repair(as_recorded(model, recordings), effect, recordings, held_out, at, support, told)
+
+
+def _repair(
+    model: Model,
+    effect: Effect | str,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    at: str,
+    support: float | None,
+    told: Progress,
+) -> Repair:
     candidate = candidate_of(model, model.add(effect, at).effects[-1])
     neighbours = _neighbours(model, candidate, recordings)
     training, tried = split(model, recordings, held_out, support)

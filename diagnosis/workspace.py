@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnosis.actuator_rows import of_actuators
 from diagnosis.candidates import Candidate, candidates_for
 from estimators.problem import Problem, problem
 from estimators.segments import segments
@@ -44,7 +45,7 @@ class Workspace:
         """Raises DataError where the recordings cannot be used."""
         found, left_out = candidates_for(model, recordings, effects)
         rows = segments(attached(model, found), recordings, support=support)
-        if model.actuators and not model.joints:
+        if of_actuators(model):
             rows = [_settled(each) for each in rows]
         return cls(tuple(recordings), support, tuple(rows), tuple(found), left_out)
 

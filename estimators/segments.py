@@ -56,7 +56,7 @@ def segments(
     found: list[Segment] = []
     for recording in recordings:
         _check(model, recording)
-        limit = support if support is not None else _recorded_support(recording)
+        limit = support if support is not None else recorded_support(recording)
         free = _free(model, recording, limit)
         if not free.any():
             raise DataError(
@@ -77,7 +77,8 @@ def segments(
     return found
 
 
-def _recorded_support(recording: Recording) -> float | None:
+def recorded_support(recording: Recording) -> float | None:
+    """The coordinate's size (rad) at which the vehicle is carried, as its recording says."""
     text = recording.metadata.get("support")
     return float(text) if text else None
 

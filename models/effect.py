@@ -30,7 +30,7 @@ from models.model import Actuator, Joint, Model, ModelError, Parameter, Sensor, 
 from models.place import VOCABULARY, offer
 from models.place import Place as Place
 from models.place import places_of as places_of
-from models.sensing import FILTERED, integrated
+from models.sensing import BEGUN, FILTERED, integrated
 
 BELONGING: Mapping[Place, tuple[str, ...]] = {
     Place.JOINT: ("force",),
@@ -208,9 +208,16 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
     )
     if isinstance(place, Sensor) and integrated(place, effect):
         units = (place.angle_unit, place.rate_unit, place.angle_unit)
+        scales = (place.angle_scale, place.rate_scale, place.angle_scale)
         states += tuple(
-            State(bare.qualified(name), unit, text, meaning="error of the filter that makes the angle from the rate")
-            for (name, text), unit in zip(FILTERED.items(), units, strict=True)
+            State(
+                bare.qualified(name),
+                unit,
+                text,
+                initial_std=BEGUN * scale,
+                meaning="error of the filter that makes the angle from the rate",
+            )
+            for (name, text), unit, scale in zip(FILTERED.items(), units, scales, strict=True)
         )
     return replace(bare, parameters=tuple(parameters), states=states)
 

@@ -28,6 +28,8 @@ FILTERED: Mapping[str, str] = {
 Beside it and each other they use the fields of models.model.Filter. The first adds to the angle, the second takes from
 the rate.
 """
+BEGUN = 0.01
+"""Of a sensor's typical angle and rate, that the filter may be off where a stretch of a record begins: it moved before."""
 
 
 def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:

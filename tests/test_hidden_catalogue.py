@@ -11,7 +11,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -21,7 +20,6 @@ from models.model_file import read
 from service.cli import app
 from service.virtual_run import record
 from simulation.hidden import HIDDEN
-from telemetry.recording import load
 
 LEARNED = "gyro_bias"
 """The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""
@@ -71,7 +69,7 @@ def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path
     assert named is found["findings"][0]
     assert len(named["tied_with"]) <= 1
     file = model if named["effect"] in {each.name for each in read(model).model.effects} else actuators(model)
-    repair = added(file, named["effect"], free(recording) if effect in COMMANDED else recording)
+    repair = added(file, named["effect"], recording)
     assert repair["needed"]
     sensors, closed, left = (repair["budget"][each] for each in ("sensors", "effect", "unexplained"))
     if effect in COMMANDED:
@@ -79,15 +77,6 @@ def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path
         assert repair["held_out_error_fall_percent"] > 0.0
     else:
         assert closed > CLOSED * (closed + left) or sensors + left < FLOOR * sensors
-
-
-def free(path: Path) -> Path:
-    """The part of a recording in which the vehicle is off its support: near it the gimbals are at their limits."""
-    whole = load(path)
-    there = whole.time[np.abs(whole["roll"]) < np.radians(3.5)]
-    part = path.with_name("free.arrow")
-    whole.between(float(there[0]) + 2.0, float(there[-1]) - 1.0).save(part)
-    return part
 
 
 def actuators(model: Path) -> Path:

@@ -1,0 +1,86 @@
+"""The rows from which actuators are diagnosed: at the instants at which the drives were sampled, off the support.
+
+Read between two samples by a straight line, a rate would lose what is fastest in it: that passed for a further lag of
+2 ms, and for a noise that is not white. So rows are the drives' samples, and setpoints are as much later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.segments import SUPPORT_MARGIN, channels_of, recorded_support
+from models.model import Model
+from telemetry.recording import Recording
+
+AGE = "drive_age"
+"""Channel, s."""
+AWAY = 2.0
+"""s after the vehicle has left its support from which on its actuators are no longer at their limits."""
+ENOUGH = 20.0
+"""s of each recording that the actuators are diagnosed from: their sensors hardly have noise."""
+
+
+def of_actuators(model: Model) -> bool:
+    """Whether `model` is of actuators alone, with their command as input."""
+    return bool(model.actuators) and not model.joints
+
+
+def looked_at(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Recording]:
+    """What of `recordings` the diagnosis of an actuator's `model` rests on, its setpoints later by the drives' age.
+
+    Without `support` (rad), that of the recording's metadata, where it has one.
+    """
+    return [_setpoints_later(middle(away_from_support(each, model, support), model, ENOUGH)) for each in recordings]
+
+
+def at_samples(model: Model) -> Model:
+    """`model` with a row where the drives are sampled, and its setpoints as much later as the samples are older."""
+    inputs = tuple(replace(each, age=AGE) for each in model.inputs)
+    return replace(model, inputs=inputs, outputs=tuple(replace(each, age="") for each in model.outputs))
+
+
+def as_recorded_rows(model: Model, at_rows: Model) -> Model:
+    """`at_rows`, which at_samples made of `model` and to which effects and values came, for recorded rows."""
+    inputs = {each.name: each.age for each in model.inputs}
+    outputs = {each.name: each.age for each in model.outputs}
+    return replace(
+        at_rows,
+        inputs=tuple(replace(each, age=inputs[each.name]) for each in at_rows.inputs),
+        outputs=tuple(replace(each, age=outputs[each.name]) for each in at_rows.outputs),
+    )
+
+
+def _setpoints_later(recording: Recording) -> Recording:
+    """`recording` with ages that are those of the setpoints, as seen from the drives' samples: negative."""
+    if AGE not in recording.values:
+        return recording
+    return replace(recording, values={**recording.values, AGE: -recording[AGE]})
+
+
+def away_from_support(recording: Recording, model: Model, support: float | None) -> Recording:
+    """`recording` with the model's outputs known only where the vehicle has been free for AWAY s."""
+    support = support if support is not None else recorded_support(recording)
+    if support is None or "roll" not in recording.values:
+        return recording
+    carried = ~(np.abs(recording["roll"]) < support - SUPPORT_MARGIN)
+    time = recording.time
+    last = np.maximum.accumulate(np.where(carried, time, -np.inf))
+    away = time - last > AWAY
+    there = [each.name for each in model.outputs if each.name in recording.values]
+    hidden = {name: np.where(away, recording[name], np.nan) for name in there}
+    return replace(recording, values={**recording.values, **hidden})
+
+
+def middle(recording: Recording, model: Model, span: float) -> Recording:
+    """`recording` with the model's outputs known for `span` s in the middle of what is."""
+    there = [each for each in channels_of(model) if each in recording.values]
+    known = np.all([np.isfinite(recording[each]) for each in there], axis=0)
+    if len(there) < len(channels_of(model)) or not known.any():
+        return recording
+    centre = float(np.median(recording.time[known]))
+    inside = np.abs(recording.time - centre) <= 0.5 * span
+    hidden = {each.name: np.where(inside, recording[each.name], np.nan) for each in model.outputs}
+    return replace(recording, values={**recording.values, **hidden})
