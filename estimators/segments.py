@@ -31,6 +31,8 @@ SHORTEST = 50
 """Rows of a stretch that is worth using."""
 SUPPORT_MARGIN = float(np.radians(0.3))
 """rad inside the support angle within which a vehicle counts as free."""
+RESTING = 0.8
+"""Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
 LONGEST_GAP = 2.5
 """Sampling periods after which a stretch ends."""
 AGREEMENT = (0.5, 2.0)
@@ -124,8 +126,11 @@ def _check(model: Model, recording: Recording) -> None:
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:
     known = np.all([np.isfinite(recording[name]) for name in channels_of(model) if name in recording.values], axis=0)
     coordinate = model.joints[0].coordinate if model.joints else ""
-    if support is not None and coordinate in recording.values:
-        known &= np.abs(np.where(known, recording[coordinate], np.inf)) < support - SUPPORT_MARGIN
+    if support is not None and coordinate in recording.values and known.any():
+        size = np.abs(np.where(known, recording[coordinate], np.inf))
+        # A sensor that is off reads another angle on the support, where most recordings begin and end.
+        ends = [float(each) for each in size[known][[0, -1]] if each > RESTING * support]
+        known &= size < min([support, *ends]) - SUPPORT_MARGIN
     return np.asarray(known)
 
 

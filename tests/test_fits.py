@@ -152,6 +152,13 @@ def test_a_record_on_its_support_says_so(model: Model, multisine: Recording) -> 
     assert "upright" in str(refused.value)
 
 
+def test_a_support_at_another_angle_than_it_should_be_is_no_free_motion(model: Model, multisine: Recording) -> None:
+    (right,) = segments(model, [multisine])
+    # An IMU that shows half a degree less: on its support the vehicle seems to be free, but for where it rests.
+    (found,) = segments(model, [with_values(multisine, roll=multisine["roll"] - np.radians(0.5))])
+    assert (found.time[0], found.time[-1]) == pytest.approx((right.time[0], right.time[-1]), abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
