@@ -1,13 +1,14 @@
 """How long does a diagnosis take? `python benchmarks/diagnosing.py`
 
-A minute of sine sweep on the virtual vehicle, with viscous friction hidden in it, against the whole catalogue, its code
-compiled. Told are wall clock and CPU seconds of
+A minute of sine sweep on the virtual vehicle at 200 Hz, with viscous friction hidden in it, against the whole
+catalogue, its code compiled. Told are wall clock and CPU seconds of
 
     first answer       data read and looked at, the model fitted, every effect screened: sizes and p-values
     diagnosis          all of it: quick and full fits, unseen data, what is left
     exhaustive search  what an expert would script: an output-error fit with each effect, ranked by BIC
 
-and the ratio of the last to the first two. Wanted: a first answer within 1 s, all within 10 s, on two cores.
+and the ratio of the last to the first two, by the clock. Wanted: a first answer within 1 s, all within 10 s, on two
+cores.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from estimators.identify import nominal_model, with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
 from service.vehicle_file import load
 from service.virtual_run import record
+from telemetry.recording import Recording
 
 VEHICLE = load("monocab")
 MODEL = with_values(
@@ -33,8 +35,20 @@ MODEL = with_values(
 )
 
 
+RATE = 200
+"""Hz."""
+FREE = 8.0
+"""s after the start from which on the vehicle is free and excited."""
+
+
+def minute() -> Recording:
+    """60 s of free motion."""
+    slower = VEHICLE.model_copy(update={"control": VEHICLE.control.model_copy(update={"rate": RATE})})
+    return record(slower, "sweep", hide=["viscous_friction"], seed=1, duration=60.0).between(FREE, FREE + 60.0)
+
+
 def main() -> None:
-    recording = record("monocab", "sweep", hide=["viscous_friction"], seed=1)
+    recording = minute()
     print(f"{recording.duration:.0f} s of sweep, {len(recording)} rows, {recording.rate:.0f} Hz")
 
     def first_answer() -> str:
@@ -71,7 +85,7 @@ def _timed(name: str, work: Callable[[], str]) -> float:
     said = work()
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     print(f"{name:18s} {wall:6.2f} s wall, {cpu:6.2f} s CPU   {said}")
-    return cpu
+    return wall
 
 
 if __name__ == "__main__":

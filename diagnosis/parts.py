@@ -10,13 +10,14 @@ of the command, and the whole is not adequate either.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at
-from diagnosis.diagnose import Diagnosis, Progress, Verdict, diagnose
+from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
 from diagnosis.speed_loop_choice import FORMULA, LAG, over_noise, small, speed_loop
-from diagnosis.step import retold
+from diagnosis.step import retold, reworded
 from estimators.segments import DataError
 from models.effect import Effect, Place
 from models.effects import CATALOGUE, find
@@ -158,7 +159,8 @@ def _further(found: Diagnosis, recordings: Sequence[Recording], candidates: Sequ
 def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
     """`found` but for what is no more than the formula's own error: a lag below FORMULA of that of the speed loop.
 
-    A delay shows beyond what bus and drive may take anyway: the bound of the setpoint's own offset.
+    That is how far off a lag may be beyond what its fit says, at two standard deviations. A delay shows beyond what bus
+    and drive may take anyway: the bound of the setpoint's own offset.
     """
     if found.minimum_detectable is None:
         return found
@@ -171,13 +173,26 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
         if effects[name].lag:
             sizes[name] = max(sizes[name], FORMULA * model.parameter(LAG).value)
     below = found.repaired is not None and small(found.repaired)
+    lags = {name for name, effect in effects.items() if effect.lag}
+    unsure = 0.5 * FORMULA * model.parameter(LAG).value
     findings = tuple(
-        each for each in found.findings if not (below and each.effect in effects and effects[each.effect].lag)
+        _less_sure(each, unsure) if each.effect in lags else each
+        for each in found.findings
+        if not (below and each.effect in lags)
     )
     verdict = found.verdict
     if verdict is Verdict.MISSING_EFFECT and not findings:
         verdict = Verdict.ADEQUATE
     return replace(found, minimum_detectable=sizes, findings=findings, verdict=verdict)
+
+
+def _less_sure(finding: Finding, std: float) -> Finding:
+    """`finding` with a further error, of standard deviation `std`, of its sizes."""
+    parameters = {
+        name: each if each.std is None else replace(each, std=math.hypot(each.std, std))
+        for name, each in finding.parameters.items()
+    }
+    return reworded(replace(finding, parameters=parameters))
 
 
 def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) -> Diagnosis:

@@ -167,10 +167,14 @@ def _finding(
 
 def retold(finding: Finding, fitted: FullFit) -> Finding:
     """`finding` with its parameters as `fitted` has them, which other effects may have moved."""
+    return reworded(replace(finding, parameters=_sizes(finding.effect, fitted)))
+
+
+def reworded(finding: Finding) -> Finding:
+    """`finding` with an explanation that has its parameters."""
     screened = finding.screen
     assert screened is not None
     score = screened.score(finding.effect)
-    finding = replace(finding, parameters=_sizes(finding.effect, fitted))
     return replace(finding, explanation=explain(finding, score.candidate, score, screened))
 
 
