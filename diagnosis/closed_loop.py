@@ -76,7 +76,8 @@ def simulate(model: Model, experiment: Experiment) -> Course:
     time = experiment.period * np.arange(count, dtype=np.float64)
     inputs, outputs = len(model.inputs), len(model.outputs)
     knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
-    rows = Segment(time, knots, np.zeros((count, inputs)), np.zeros((count, outputs)), experiment.name)
+    usual = np.repeat([[0.0 if each.usual is None else each.usual for each in model.inputs]], count, axis=0)
+    rows = Segment(time, knots, usual, np.zeros((count, outputs)), experiment.name)
     task = problem(model, (), rows=[rows])
     start = task.kernel.memory(np.zeros(len(task.kernel.states)))
     for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller()):

@@ -131,7 +131,7 @@ def _task(
 def _stretches(model: Model, recording: Recording, support: float | None) -> Iterator[Segment]:
     """With the inputs that the model does not use, too: what it lacks may go with one of them."""
     used = channels_of(model)
-    idle = {place: each.name for place, each in enumerate(model.inputs) if each.name not in used}
+    idle = {place: each.name for place, each in enumerate(model.inputs) if each.name not in used and each.usual is None}
     for segment in segments(model, [recording], support=support):
         inputs = segment.inputs.copy()
         for place, name in idle.items():

@@ -108,6 +108,8 @@ def _contenders(
 ) -> list[FullFit]:
     """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
+    for score in worth:  # compiled one after the other, where that was not done yet
+        workspace.problem(with_effect(base.model, score.candidate, score.starts[0]))
     quicks: list[QuickFit] = []
     for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
         quicks.append(each)

@@ -211,7 +211,7 @@ def reduced(model: Model, found: Structure) -> Model:
 def _sizes(model: Model) -> dict[str, float]:
     """A typical size of each state and input."""
     sizes = {state.name: state.initial_std or 1.0 for state in model.states}
-    sizes |= {each.name: 1.0 for each in model.inputs}
+    sizes |= {each.name: 1.0 if each.usual is None else each.usual for each in model.inputs}
     known: dict[str, float] = {}
     for sensor in model.sensors:
         known |= {sensor.angle: sensor.angle_scale, sensor.rate: sensor.rate_scale}

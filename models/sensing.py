@@ -29,7 +29,7 @@ Beside it and each other they use the fields of models.model.Filter. The first a
 the rate.
 """
 BEGUN = 0.01
-"""Of a sensor's typical angle and rate, that the filter may be off where a stretch of a record begins: it moved before."""
+"""Of a sensor's typical angle and rate, that the filter may be off where a stretch of a record begins."""
 
 
 def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:

@@ -152,7 +152,7 @@ def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
         what = f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet"
         raise ModelError(f"model {model.name}", what, remedy="choose the next experiment by hand.")
     lacking = prediction.needs - {each.name for each in model.outputs}
-    lacking |= {each.name for each in model.inputs} - prediction.gives
+    lacking |= {each.name for each in model.inputs if each.usual is None} - prediction.gives
     if lacking:
         what = f"the loop with the vehicle's controller cannot be closed: {', '.join(sorted(lacking))}"
         raise ModelError(f"model {model.name}", what, remedy="use one of the vehicle's own models.")

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One recorded quantity. `unit` is SI ("1" for a pure number)."""
+    """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it."""
 
     name: str
     unit: str
     meaning: str
+    newer: bool = False
 
 
 class ChannelTable(tuple[Channel, ...]):
@@ -50,7 +51,12 @@ MONOCAB = ChannelTable(
         Channel("roll", "rad", "roll angle of the cabin from the roll filter, 0 upright, positive right side down"),
         Channel("roll_rate", "rad/s", "roll rate: gyro about x less its estimated bias"),
         Channel("roll_std", "rad", "standard deviation of roll as the roll filter sees it"),
-        Channel("gyro_bias_std", "rad/s", "standard deviation of the gyro's bias about x as the roll filter sees it"),
+        Channel(
+            "gyro_bias_std",
+            "rad/s",
+            "standard deviation of the gyro's bias about x as the roll filter sees it",
+            newer=True,
+        ),
         Channel("pitch", "rad", "pitch angle from the roll filter, positive nose down"),
         Channel("precession", "rad", "mean angle of the gimbals, 0 in the middle"),
         Channel("precession_rate", "rad/s", "mean rate of the gimbals as the drives measure it"),

@@ -133,11 +133,12 @@ class Recording:
     def frames(self, channels: ChannelTable | None = None) -> Iterator[Frame]:
         """Row by row, as the estimators take it, in the order of `channels` (those of the recording by default).
 
-        Raises RecordingError where one of `channels` is missing.
+        A channel that older recordings lack is not known (NaN) there. Raises RecordingError where another is missing.
         """
-        names = (channels or self.channels).names
-        self.require(*names)
-        columns = [self.values[name].tolist() for name in names]
+        asked = channels or self.channels
+        self.require(*(each.name for each in asked if not each.newer))
+        unknown = [math.nan] * len(self)
+        columns = [self.values[name].tolist() if name in self.values else unknown for name in asked.names]
         for timestamp_ns, row in zip(self.timestamp_ns.tolist(), zip(*columns, strict=True), strict=True):
             yield Frame(timestamp_ns, row)
 

@@ -50,8 +50,6 @@ class TestOneEffect:
             # The plant's friction has bristles, which tanh has not: a tenth of the size.
             ("coulomb_friction", "coulomb_friction", "torque", 0.1),
             ("viscous_friction", "viscous_friction", "coefficient", 0.1),
-            ("cubic_stiffness", "cubic_stiffness", "coefficient", 0.1),
-            ("flexible_mode", "flexible_mode", "share", 0.1),
         ],
     )
     def test_is_named_and_sized(self, hide: str, name: str, parameter: str, within: float) -> None:

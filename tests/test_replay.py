@@ -164,6 +164,15 @@ def test_a_channel_that_the_estimators_miss_is_named(run: Path) -> None:
     assert caught.value.key == "pitch"
 
 
+def test_a_recording_from_before_a_channel_was_there_is_as_good(run: Path) -> None:
+    recorded = load_file(Path(f"{run}.arrow"))
+    channels = ChannelTable(each for each in MONOCAB if not each.newer)
+    assert len(channels) == len(MONOCAB) - 1
+    older = Recording(channels, recorded.timestamp_ns, {name: recorded[name] for name in channels.names})
+    least_squares = "recursive_least_squares"
+    assert replay.replay(older, VEHICLE)[least_squares] == replay.replay(recorded, VEHICLE)[least_squares]
+
+
 def test_a_full_disk_ends_the_recording_and_leaves_what_was_written(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", MONOCAB, 0, {}, ("can0",))
     values = (0.0,) * len(MONOCAB)

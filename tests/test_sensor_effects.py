@@ -133,7 +133,8 @@ class TestFilter:
 
     def test_it_is_shown_with_the_equations(self) -> None:
         text = rendering.text(ROLL.add("sensor_scale"))
-        assert "sensor_scale.bias_error' = 255000.0 * gyro_bias_std ** 2 * (sensor_scale.angle_error - " in text.replace("  ", " ")
+        learning = "sensor_scale.bias_error' = 255000.0 * gyro_bias_std ** 2 * (sensor_scale.angle_error - "
+        assert learning in text.replace("  ", " ")
         assert ":= roll_measured + sensor_scale.angle_error   [sensor_scale]" in text
         latex = rendering.latex(ROLL.add("sensor_scale"))
         assert latex.count(r"\left(") == latex.count(r"\right)")
