@@ -2,7 +2,8 @@
 
 `python benchmarks/live_diagnosis.py` prints, on recordings of the virtual vehicle that are fed cycle by cycle:
 
-- cost: processor time a sample of the diagnosis beside that of the recursion that it looks over, in one run;
+- cost: processor time a sample of the diagnosis beside that of the recursion that it looks over, in one run, the best
+  of several;
 - false alarms: recordings with nothing missing in which any effect is named at any time, 95 % interval (Wilson);
 - seconds: an effect of some multiple of the size that 30 s of the same excitation would just show sets in during the
   run; told are the seconds until a name is given, and whether it is the right one, first or tied.
@@ -11,8 +12,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections.abc import Iterator
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
 
 import numpy as np
 from scipy.stats import binomtest
@@ -29,6 +33,7 @@ from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
 
 VEHICLE = load("monocab")
+REPEATS = 5
 ONSET = 30.0
 """s after the drives started at which an effect sets in."""
 
@@ -52,7 +57,12 @@ def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[tuple[flo
 
 
 def cost(recording: Recording) -> tuple[float, float]:
-    """us a sample: of the diagnosis, of the recursion."""
+    """us a sample: of the diagnosis, of the recursion; the least of each, as others may use the computer."""
+    own, recursion = zip(*(cost_once(recording) for _ in range(REPEATS)), strict=True)
+    return min(own), min(recursion)
+
+
+def cost_once(recording: Recording) -> tuple[float, float]:
     diagnosis, spent = live(), 0.0
     watch = diagnosis.estimator.watch
     assert watch is not None
@@ -97,10 +107,12 @@ def main() -> None:
             alarms.append(bool(names))
             if names:
                 print(f"  seed {seed}: {', '.join(sorted(names))}")
-        interval = binomtest(sum(alarms), len(alarms)).proportion_ci(0.95, method="wilson")
-        print(
-            f"  false alarms: {sum(alarms)} of {len(alarms)} ({100 * interval.low:.0f} to {100 * interval.high:.0f} %)"
-        )
+        if alarms:
+            interval = binomtest(sum(alarms), len(alarms)).proportion_ci(0.95, method="wilson")
+            told = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
+            print(f"  false alarms: {sum(alarms)} of {len(alarms)} ({told})")
+        if arguments.seeds < 1:
+            continue
         reference = live()
         for _ in course(record("monocab", excitation, seed=1000, duration=30.0), reference):
             pass

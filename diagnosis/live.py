@@ -14,6 +14,7 @@ answer, which the diagnosis of the recording confirms.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -24,11 +25,14 @@ from diagnosis.line import LineFinder
 from diagnosis.live_naming import SUDDEN, TOO_LITTLE, Gathered, LiveResult
 from diagnosis.workspace import attached
 from estimators.frame_chunks import Chunk, join
+from estimators.problem import FINEST as STEP
+from estimators.problem import Problem
+from estimators.problem import at_rest as moment_at_rest
 from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, at_rest
 from estimators.recursive_predictor import Seen, inputs_at, measured_state
 from models.effect import Effect
 from models.effects import CATALOGUE
-from models.kernel import Memory, Progress
+from models.kernel import Kernel, Memory, Progress, compile_model
 from models.model import Model, ModelError
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.samples import Frame
@@ -36,9 +40,13 @@ from telemetry.samples import Frame
 Array = NDArray[np.float64]
 
 JOINED = 4
-"""Chunks that are gone through in one."""
+"""Chunks that are gone through in one at first; later as many as a second has."""
 FINEST = 8
 """Steps a row, at most."""
+FAR = (0.05, 0.6)
+"""Typical sizes of a parameter, and natural logarithms of a noise, after which all is gone through again with the
+recursion. It does so at half of these logarithms, for its gain, which tells effects apart no better: hardly anything is
+known of some noises, so that these move for minutes."""
 LINE = "periodic_disturbance"
 """The effect whose frequency is followed."""
 NEAR = 0.25
@@ -88,14 +96,16 @@ class LiveDiagnosis:
         if wide.inputs != model.inputs:
             raise ModelError(f"model {model.name}", "an effect needs a further input", remedy="name the effects.")
         self._base = at_rest(model, 0.01, progress)
-        self._wide = at_rest(wide, 0.01, progress)
         self._candidates = tuple(found)
-        kernel = self._wide.kernel
-        self._defaults = kernel.vector({name: 0.0 for each in found for name in each.amplitudes})
+        amplitudes = [name for each in found for name in each.amplitudes]
+        self._wide = kernel = compile_model(wide, neutral=amplitudes, progress=progress)
+        self._defaults = kernel.vector(dict.fromkeys(amplitudes, 0.0))
+        self._usual = substeps(kernel, self._defaults, self._base, 0.01)
         self._shared = np.array([kernel.index(parameter.name) for parameter in model.parameters])
         line = f"{LINE}.frequency"
         self._line_place = kernel.index(line) if line in kernel.parameters else None
-        self._active = tuple(kernel.index(name) for each in found for name in each.amplitudes)
+        self._active = tuple(map(kernel.index, amplitudes))
+        self._rooms: dict[str, Array] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -103,8 +113,11 @@ class LiveDiagnosis:
         self.estimator.reset()
         self._memory: Memory | None = None
         self._gathered: Gathered | None = None
+        self._seen_from: Array = np.zeros(0)
+        self._far: Array = np.zeros(0)
+        self._going_on = False
         self._waiting: list[Seen] = []
-        self._substeps = self._wide.substeps
+        self._substeps = self._usual
         self._neutral = self._defaults.copy()
         self._line: LineFinder | None = None
         self._shapes: dict[str, tuple[float, float, str]] = {}
@@ -124,15 +137,32 @@ class LiveDiagnosis:
         if self._failure:
             return
         try:
+            if seen.count and self._goes_on(seen):
+                return
             if seen.chunk.begins or (seen.count and seen.place == 0):
                 # Another initial state, which what was gathered knows nothing of.
                 self._waiting.clear()
                 self._memory = self._gathered = None
             self._waiting.append(seen)
-            if seen.count or len(self._waiting) == JOINED:
+            if seen.count or self._is_due():
                 self._take()
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             self._failure = f"the live diagnosis ended: {type(error).__name__}: {error}"
+
+    def _is_due(self) -> bool:
+        """Whether what waits completes a second, which is when it is needed."""
+        if self._gathered is None or self._line is None:
+            return len(self._waiting) == JOINED
+        rows = sum(len(each.residual) for each in self._waiting) // len(self._base.kernel.outputs)
+        return self._gathered.completes(rows * self._line.period, CHUNK * self._line.period)
+
+    def _goes_on(self, seen: Seen) -> bool:
+        """Whether what was gathered stays as it is while the recursion goes through all again, as the unknowns are
+        still near where it was seen from."""
+        if seen.place == 0:
+            known = self._gathered is not None
+            self._going_on = known and bool((np.abs(seen.z - self._seen_from) <= self._far).all())
+        return self._going_on
 
     def _take(self) -> None:
         """What waits, in one."""
@@ -140,26 +170,30 @@ class LiveDiagnosis:
         if not waiting:
             return
         last = waiting[-1]
-        (chunk,) = join([each.chunk for each in waiting], JOINED)
+        (chunk,) = join([each.chunk for each in waiting], len(waiting))
         effects = self._effects(chunk, last)
         if effects is None:
             return
         outputs = len(self._base.kernel.outputs)
         if self._gathered is None:
-            self._gathered = Gathered.of(self._base, self._candidates, last)
+            self._gathered, self._seen_from = Gathered.of(self._base, self._candidates, last), last.z
+            self._far = np.repeat(FAR, (len(self._base.free), len(last.z) - len(self._base.free)))
             self._line = LineFinder(float(np.median(np.diff(chunk.segment.time))))
         assert self._line is not None
+        # As seen from one place, so that it does not matter that the recursion moves on meanwhile.
+        gathered, about, order = self._gathered, self._gathered.about, self._gathered.order
+        columns = self._room("columns", len(effects), len(order) + len(self._active) + 1)
+        residual = np.concatenate([each.residual for each in waiting])
+        nuisances = np.concatenate([each.columns for each in waiting])
         for each in waiting:
             self._line.add(each.residual.reshape(-1, outputs))
-        # As seen from one place, so that it does not matter that the recursion moves on meanwhile.
-        about = self._gathered.about
-        target = [each.residual + each.columns[:, : len(about)] @ (each.z - about) for each in waiting]
-        nuisances = np.concatenate([each.columns for each in waiting])
-        columns = np.column_stack((nuisances, effects[len(effects) - len(nuisances) :], np.concatenate(target)))
-        for rows, begin, span in parts(chunk, outputs):
-            if self._gathered.add(columns[rows], begin, span) and last.place + 1 >= last.count:
-                self._result = self._gathered.look(self._shapes, {LINE: self._line.bins})
-                self._follow_line()
+        moved = np.repeat([each.z - about for each in waiting], [len(each.residual) for each in waiting], axis=0)
+        columns[:, : len(order)] = nuisances[:, order]
+        columns[:, -1] = residual + np.einsum("np,np->n", nuisances[:, : len(about)], moved)
+        columns[:, len(order) : -1] = effects
+        if gathered.add(columns, parts(chunk, outputs)) and last.place + 1 >= last.count:
+            self._result = gathered.look(self._shapes, {LINE: self._line.bins})
+            self._follow_line()
 
     def _follow_line(self) -> None:
         """The disturbance of one frequency is looked for where innovations have a line, in what comes from now on.
@@ -178,7 +212,8 @@ class LiveDiagnosis:
         """What the candidates do to a chunk's innovations, (n, m), with what was `seen` last.
 
         None where an effect's own motion is too fast for the steps: the next chunk is gone through in finer ones."""
-        kernel, segment, size = self._wide.kernel, chunk.segment, len(self._active)
+        kernel, segment, size = self._wide, chunk.segment, len(self._active)
+        rows = chunk.rows
         values = self._neutral.copy()
         values[self._shared] = seen.values
         if self._memory is None or chunk.begins:
@@ -191,7 +226,8 @@ class LiveDiagnosis:
         gain = np.zeros((len(kernel.states), len(kernel.outputs)))
         if seen.gain is not None:
             gain[: len(seen.gain)] = seen.gain
-        predicted, slopes = np.empty_like(segment.measured), np.empty((*segment.measured.shape, size))
+        shape = segment.measured.shape
+        predicted, slopes = self._room("predicted", *shape), self._room("slopes", *shape, size)
         kernel.proceed(
             segment,
             values,
@@ -205,19 +241,37 @@ class LiveDiagnosis:
             substeps=self._substeps,
             skip=not chunk.begins,
         )
-        effects: Array = (seen.whitening @ slopes[chunk.rows]).reshape(-1, size)
+        effects: Array = np.matmul(seen.whitening, slopes[rows])
         if np.isfinite(effects).all():
-            return effects
+            return effects.reshape(-1, size)
         if self._substeps >= FINEST:
             raise ArithmeticError("an effect's derivative is not finite")
         self._substeps, self._memory = 2 * self._substeps, None
         return None
 
+    def _room(self, purpose: str, *shape: int) -> Array:
+        """An array for whatever, used again and again: a large one that is new each time costs as much as its use."""
+        size = math.prod(shape)
+        if len(self._rooms.get(purpose, ())) < size:
+            self._rooms[purpose] = np.empty(size)
+        return self._rooms[purpose][:size].reshape(shape)
+
+
+def substeps(kernel: Kernel, values: Array, base: Problem, period: float) -> int:
+    """Steps a row of `period` s that the fastest motion at rest asks for, by differences, as the kernel has no
+    derivatives of what no output depends on."""
+    short, little = 1e-6, 1e-4
+    rest = moment_at_rest(kernel, base.segments, short)
+    moved = little * np.concatenate((np.zeros((1, len(kernel.states))), np.eye(len(kernel.states))))
+    later = np.array([kernel.run(rest, values, initial).final for initial in moved]) - moved
+    matrix = (later[1:] - later[0]).T / (short * little)
+    return int(np.clip(np.ceil(period * np.max(np.abs(np.linalg.eigvals(matrix))) / STEP), 1, 50))
+
 
 def parts(chunk: Chunk, outputs: int) -> Iterator[tuple[slice, float, float]]:
     """A long chunk in parts of the usual length: which of its numbers (rows x outputs), when it begins and how long."""
-    time = chunk.segment.time[chunk.rows]
+    time = chunk.segment.time[chunk.rows].tolist()
     for first in range(0, len(time), CHUNK):
         last = min(first + CHUNK, len(time))
-        span = float(time[last - 1] - time[first]) * (last - first) / max(last - first - 1, 1)
-        yield slice(first * outputs, last * outputs), float(time[first]), span
+        span = (time[last - 1] - time[first]) * (last - first) / max(last - first - 1, 1)
+        yield slice(first * outputs, last * outputs), time[first], span

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,7 +121,8 @@ class Gathered:
         self._entries = {each.amplitudes.name: each for each in entries}
         self.about = about
         """What the unknowns of the recursion count from."""
-        self._order = order
+        self.order = order
+        """The columns of the recursion in the order that `Products` wants; those of candidates follow them."""
         self.products = products
         self._began: list[float] = []
         self._filled = 0.0
@@ -141,7 +142,7 @@ class Gathered:
         ):
             entries.append(Entry.of(effect, tuple(range(place, place + len(scales))), tuple(map(float, scales))))
             place += len(scales)
-        order = np.array([*nuisances, *theirs, *range(len(seen.prior), place + 1)])
+        order = np.array([*nuisances, *theirs])
         # Nuisances count from where they are now, as they are linear near by only; the model's own effects from none.
         about = np.zeros(len(seen.prior))
         about[: len(seen.z)] = seen.z
@@ -149,17 +150,28 @@ class Gathered:
         products = Products(seen.prior[nuisances], -about[nuisances], place + 1, KEPT)
         return cls(entries, order, products, about[: len(seen.z)])
 
-    def add(self, columns: Array, begin: float, span: float) -> bool:
-        """A chunk that began at `begin` s and lasts `span` s; whether it completes a second."""
-        if self._filled == 0.0:
-            self._began.append(begin)
-        self.products.add(columns[:, self._order])
-        self._filled += span
-        if self._filled < 1.0 - 0.5 * span:
-            return False
-        self._filled = 0.0
-        self.products.end_second(self._onsets)
-        return True
+    def completes(self, further: float, part: float) -> bool:
+        """Whether as many `further` s complete a second, where parts last `part` s."""
+        return self._filled + further >= 1.0 - 0.5 * part
+
+    def add(self, columns: Array, parts: Iterable[tuple[slice, float, float]]) -> bool:
+        """Further numbers (n, m): which of them belong together, when these began and how long they last, in s.
+
+        Whether they complete a second.
+        """
+        first = 0
+        for rows, begin, span in parts:
+            if self._filled == 0.0:
+                self._began.append(begin)
+            full = self.completes(span, span)
+            self._filled += span
+            if full:
+                self._filled = 0.0
+                self.products.add(columns[first : rows.stop])
+                self.products.end_second(self._onsets)
+                first = rows.stop
+        self.products.add(columns[first:])
+        return first > 0
 
     def forget(self, effect: str) -> None:
         """What was gathered of this one, whose shape is another from now on."""

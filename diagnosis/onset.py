@@ -125,7 +125,8 @@ def onsets(
     windows = np.concatenate(([0], late))
     left = [effect for effect in effects if effect.name not in taken]
     best = [*_singles([each for each in left if len(each.columns) == 1], fitted, nuisances, windows)]
-    best += [_several(each, fitted, nuisances, windows) for each in left if len(each.columns) > 1]
+    for size in sorted({len(each.columns) for each in left} - {1}):
+        best += _several([each for each in left if len(each.columns) == size], fitted, nuisances, windows)
     most = max((gain for _, _, gain in best), default=0.0)
     found = []
     for effect, window, gain in best:
@@ -136,10 +137,10 @@ def onsets(
             )
             if onset is not None:
                 found.append(onset)
-    errors = {effect.name: fitted.error(effect.columns[0] - nuisances) for effect in left}
+    told = fitted.errors(np.array([effect.columns[0] - nuisances for effect in left], dtype=np.int64)).tolist()
     return (
         sorted(found, key=lambda each: -each.statistic),
-        {name: error for name, error in errors.items() if np.isfinite(error)},
+        {effect.name: error for effect, error in zip(left, told, strict=True) if np.isfinite(error)},
     )
 
 
@@ -160,7 +161,10 @@ class _Fitted:
     @classmethod
     def of(cls, blocks: Array, prior: Array, expected: Array) -> _Fitted:
         count = len(prior)
-        sums = np.cumsum(blocks[::-1], axis=0)[::-1]
+        sums = np.empty_like(blocks)
+        sums[-1] = blocks[-1]
+        for part in range(len(blocks) - 2, -1, -1):  # a third of the time of a cumulative sum over the first axis
+            np.add(sums[part + 1], blocks[part], out=sums[part])
         inverse = _inverse(sums[0, :count, :count] + np.diag(prior))
         cross = sums[:, :count, count:-1]
         turned = inverse @ cross
@@ -169,10 +173,11 @@ class _Fitted:
         score = sums[:, count:-1, -1] - np.einsum("bpm,p->bm", cross, inverse @ (sums[0, :count, -1] + expected))
         return cls(own, cross, turned, information, score)
 
-    def error(self, place: int) -> float:
-        """Standard error of an amplitude that acts from the beginning; infinite where nothing tells it."""
-        left = self.information[0, place]
-        return float(1.0 / np.sqrt(left)) if left > LEAST * max(self.own[0, place, place], 1e-300) else np.inf
+    def errors(self, places: NDArray[np.int64]) -> Array:
+        """Standard errors of amplitudes that act from the beginning; infinite where nothing tells one."""
+        left, own = self.information[0, places], self.own[0, places, places]
+        told = left > LEAST * np.maximum(own, 1e-300)
+        return np.where(told, 1.0 / np.sqrt(np.where(told, left, 1.0)), np.inf)
 
 
 _Best = tuple[Amplitudes, int, float]
@@ -213,34 +218,40 @@ def _singles(
         yield effect, int(windows[place]), float(gains[place, column])
 
 
-def _several(effect: Amplitudes, fitted: _Fitted, nuisances: int, windows: NDArray[np.int64]) -> _Best:
-    """An effect of several amplitudes; whether their signs can be is looked at later."""
-    where = [place - nuisances for place in effect.columns]
-    after = windows[1:] if effect.anytime else windows[:0]
-    late = np.concatenate((windows[:1], after))
+def _several(
+    effects: Sequence[Amplitudes], fitted: _Fitted, nuisances: int, windows: NDArray[np.int64]
+) -> Iterator[_Best]:
+    """Effects of equally many amplitudes, all at once; whether their signs can be is looked at later."""
+    where = np.array([effect.columns for effect in effects]) - nuisances
+    count, size = where.shape
     cross, turned = fitted.cross[:, :, where], fitted.turned[:, :, where]
-    own = fitted.own[:, where][:, :, where]
+    own = fitted.own[:, where[:, :, None], where[:, None, :]]
     score = fitted.score[:, where]
+    after, part = windows[1:], windows[1:] - 1
 
     def left(one: NDArray[np.int64], other: NDArray[np.int64]) -> Array:
-        return np.asarray(own[other] - np.swapaxes(cross[one], 1, 2) @ turned[other])
+        return np.asarray(own[other] - np.einsum("wpek,wpel->wekl", cross[one], turned[other]))
 
-    gains = _gain(left(late, late), score[late])
+    gains = np.zeros((len(windows), count))
+    gains[:1] = _gain(left(windows[:1], windows[:1]), score[:1])
     if len(after):
-        part = after - 1
-        both = left(part, after)
-        square = np.block([[left(part, part), both], [np.swapaxes(both, 1, 2), left(after, after)]])
-        gains[1:] = _gain(square, np.concatenate((score[part], score[after]), axis=1)) - _price(windows)
-    chosen = int(np.argmax(gains))
-    return effect, int(late[chosen]), float(gains[chosen])
+        square = np.empty((len(after), count, 2 * size, 2 * size))
+        square[..., :size, :size], square[..., size:, size:] = left(part, part), left(after, after)
+        square[..., :size, size:] = both = left(part, after)
+        square[..., size:, :size] = np.swapaxes(both, -1, -2)
+        late = _gain(square, np.concatenate((score[part], score[after]), axis=-1)) - _price(windows)
+        gains[1:] = np.where([effect.anytime for effect in effects], late, 0.0)
+    chosen = np.argmax(gains, axis=0)
+    for column, (effect, place) in enumerate(zip(effects, chosen.tolist(), strict=True)):
+        yield effect, int(windows[place]), float(gains[place, column])
 
 
 def _gain(information: Array, score: Array) -> Array:
-    """What sizes without bounds gain, (w,)."""
-    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300))
-    unit = information / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(scale.shape[1])
+    """What sizes (..., k) without bounds gain, (...)."""
+    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+    unit = information / (scale[..., :, None] * scale[..., None, :]) + 1e-9 * np.eye(scale.shape[-1])
     scaled = score / scale
-    return np.asarray(np.sum(np.linalg.solve(unit, scaled[:, :, None])[:, :, 0] * scaled, axis=1))
+    return np.asarray(np.sum(np.linalg.solve(unit, scaled[..., None])[..., 0] * scaled, axis=-1))
 
 
 def _price(windows: NDArray[np.int64]) -> float:

@@ -104,6 +104,7 @@ class FrameChunks:
         self._free_angle = support - SUPPORT_MARGIN if coordinate and support is not None else math.inf
         self._inputs = [names.index(each.name) for each in model.inputs]
         self._lines = np.array([each.hold is Hold.FIRST_ORDER for each in model.inputs])
+        self._usual = [(names.index(each.name), each.usual) for each in model.inputs if each.usual is not None]
         self._outputs = [names.index(each.name) for each in model.outputs]
         places = [names.index(age) if age else zero for age in ages]
         self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]
@@ -141,6 +142,9 @@ class FrameChunks:
             self._end_stretch()
         row = (*self._pick(frame.values), 0.0)
         total = sum(row)
+        if total != total and self._usual:
+            row = self._with_usual(row)
+            total = sum(row)
         if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle:  # NaN, infinite or on a support
             self._end_stretch()
             return None
@@ -159,6 +163,14 @@ class FrameChunks:
         if len(self._times) < self._wanted or known < self._times[self._first + self._length] + self._reach:
             return None
         return self._cut()
+
+    def _with_usual(self, row: tuple[float, ...]) -> tuple[float, ...]:
+        """The row with the usual value of what no device told."""
+        whole = list(row)
+        for place, usual in self._usual:
+            if math.isnan(whole[place]):
+                whole[place] = usual
+        return tuple(whole)
 
     def _listen(self, stamp: int) -> None:
         if not self._early:

@@ -13,7 +13,7 @@ A derivative by a parameter is worked out only where that parameter has a column
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import sympy
@@ -59,12 +59,24 @@ class _Target:
     parameter: int = -1
 
 
-def generate(model: Model) -> Code:
-    """The same model gives the same code. Raises ModelError."""
+def generate(model: Model, neutral: Collection[str] = ()) -> Code:
+    """The same model gives the same code. Raises ModelError.
+
+    Where parameters are `neutral`, the code is for a value of zero of each of them: it derives by no other parameter,
+    and leaves out the sensitivities of states that no output depends on then.
+    """
     equations = compose(model)
+    zero = {symbol: sympy.Integer(0) for symbol in equations.parameters if symbol.name in neutral}
     targets: dict[_Target, sympy.Expr] = {}
-    _derive(targets, "slopes", equations.derivatives, equations)
-    _derive(targets, "observe", equations.outputs, equations)
+    _derive(targets, "slopes", equations.derivatives, equations, zero)
+    _derive(targets, "observe", equations.outputs, equations, zero)
+    rows = _seen(targets, len(model.states)) if neutral else list(range(len(model.states)))
+    sizes = {"by_state": len(model.states), "by_input": len(model.inputs), "by_time": 1, "by_parameter": 1}
+    targets = {
+        target: expression
+        for target, expression in targets.items()
+        if target.function == "observe" or target.array == "result" or target.place // sizes[target.array] in rows
+    }
     symbols = sympy.numbered_symbols("q_")
     shared, reduced = sympy.cse(list(targets.values()), symbols=symbols, list=False)
     writer = _Writer(places=_places(equations), definitions=dict(shared))
@@ -72,12 +84,16 @@ def generate(model: Model) -> Code:
     targets = dict(zip(targets, reduced, strict=True))
     names = [parameter.name for parameter in model.parameters]
     shifts = [(place, names.index(name)) for place, delays in enumerate(equations.delays) for name in delays]
+    places = [target.place for target in targets if (target.function, target.array) == ("slopes", "by_input")]
+    driven = sorted({place // len(model.inputs) for place in places})
     structure = (
         *(len(model.states), len(model.inputs), len(model.outputs), len(names), len(shifts), len(constants)),
         *(int(each.hold is Hold.FIRST_ORDER) for each in model.inputs),
         *(names.index(lag) if lag else -1 for lag in equations.lags),
         *(place for place, _ in shifts),
         *(parameter for _, parameter in shifts),
+        len(driven),
+        *driven,
     )
     lines = [
         *_DECLARATIONS,
@@ -86,6 +102,7 @@ def generate(model: Model) -> Code:
         *_function("observe", targets, writer),
         *column_functions(
             len(model.states),
+            rows,
             len(model.outputs),
             *(
                 [target.place for target in targets if (target.function, target.array) == (function, "by_state")]
@@ -97,22 +114,37 @@ def generate(model: Model) -> Code:
 
 
 def _derive(
-    targets: dict[_Target, sympy.Expr], function: str, expressions: Sequence[sympy.Expr], equations: Equations
+    targets: dict[_Target, sympy.Expr],
+    function: str,
+    expressions: Sequence[sympy.Expr],
+    equations: Equations,
+    zero: Mapping[sympy.Symbol, sympy.Expr],
 ) -> None:
-    """Add `expressions` and their derivatives that are not zero to `targets`."""
+    """Add `expressions` and their derivatives that are not zero to `targets`, all where `zero` is put in."""
     arrays = {"by_state": equations.states, "by_input": equations.inputs}
     if function == "slopes":
         arrays["by_time"] = (equations.time,)
     derivatives = Derivatives()
-    for row, expression in enumerate(expressions):
+    for row, whole in enumerate(expressions):
+        expression = whole.xreplace(zero)
         targets[_Target(function, "result", row)] = expression
-        for array, symbols in {**arrays, "by_parameter": equations.parameters}.items():
+        for array, symbols in arrays.items():
             for place, symbol in enumerate(symbols):
                 if (derivative := derivatives.by(expression, symbol)) != 0:
-                    if array == "by_parameter":
-                        targets[_Target(function, array, row, place)] = derivative
-                    else:
-                        targets[_Target(function, array, row * len(symbols) + place)] = derivative
+                    targets[_Target(function, array, row * len(symbols) + place)] = derivative
+        for place, symbol in enumerate(equations.parameters):
+            if (symbol in zero or not zero) and (derivative := derivatives.by(whole, symbol).xreplace(zero)) != 0:
+                targets[_Target(function, "by_parameter", row, place)] = derivative
+
+
+def _seen(targets: Iterable[_Target], states: int) -> list[int]:
+    """The states that an output depends on, itself or through others."""
+    targets = list(targets)
+    links = [divmod(each.place, states) for each in targets if (each.function, each.array) == ("slopes", "by_state")]
+    seen = {each.place % states for each in targets if (each.function, each.array) == ("observe", "by_state")}
+    while further := {column for row, column in links if row in seen} - seen:
+        seen |= further
+    return sorted(seen)
 
 
 def _places(equations: Equations) -> dict[sympy.Symbol, str]:

@@ -16,7 +16,7 @@ Entries of A and C that are always zero take no time. Called by models.kernel_lo
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from models.machine_code import LANES
@@ -49,15 +49,16 @@ def number(value: float) -> str:
 
 
 def column_functions(
-    states: int, outputs: int, by_state: Collection[int], shown_by_state: Collection[int]
+    states: int, rows: Sequence[int], outputs: int, by_state: Collection[int], shown_by_state: Collection[int]
 ) -> list[str]:
-    """All of them. `by_state` are the places in A, row by row, that are not always zero, `shown_by_state` in C."""
+    """All of them. `rows` of S are gone through, the others left alone. `by_state` are the places in A, row by row,
+    that are not always zero, `shown_by_state` in C."""
     return [
         _LARGER,
-        *(_stage(name, states, by_state) for name in ("begin", "middle", "finish")),
-        _show(states, outputs, shown_by_state),
-        _correct(states, outputs),
-        _steer(states, outputs),
+        *(_stage(name, states, rows, by_state) for name in ("begin", "middle", "finish")),
+        _show(states, rows, outputs, shown_by_state),
+        _correct(rows, outputs),
+        _steer(rows, outputs),
     ]
 
 
@@ -99,14 +100,14 @@ class _Columns(Lines):
         return self.new(f"getelementptr double, ptr %{array}, i64 {place}")
 
 
-def _stage(name: str, states: int, by_state: Collection[int]) -> str:
+def _stage(name: str, states: int, rows: Sequence[int], by_state: Collection[int]) -> str:
     code = _Columns()
-    entries = {place: code.entry("by_state", place) for place in by_state}
+    entries = {divmod(place, states): code.entry("by_state", place) for place in by_state}
     ahead, weight = code.wide("%ahead"), code.wide("%weight")
     code.columns()
-    start = [code.row("S", state) for state in range(states)]
-    before = start if name == "begin" else [code.row("stage", state) for state in range(states)]
-    for state in range(states):
+    start = {state: code.row("S", state) for state in rows}
+    before = start if name == "begin" else {state: code.row("stage", state) for state in rows}
+    for state in rows:
         slope = _combined(code, code.row("rest", state), entries, state, before)
         if name == "begin":
             total = code.new(f"fmul {KIND} {weight}, {slope}")
@@ -125,40 +126,45 @@ def _stage(name: str, states: int, by_state: Collection[int]) -> str:
     return code.function(name, arguments)
 
 
-def _combined(code: _Columns, sum: str, entries: dict[int, str], row: int, values: Sequence[str]) -> str:
+def _combined(
+    code: _Columns, sum: str, entries: Mapping[tuple[int, int], str], row: int, values: Mapping[int, str]
+) -> str:
     """sum + one row of a matrix times the rows `values`."""
-    for column, value in enumerate(values):
-        if row * len(values) + column in entries:
-            sum = code.plus(sum, entries[row * len(values) + column], value)
+    for column, value in values.items():
+        if (row, column) in entries:
+            sum = code.plus(sum, entries[row, column], value)
     return sum
 
 
-def _show(states: int, outputs: int, by_state: Collection[int]) -> str:
+def _show(states: int, rows: Sequence[int], outputs: int, by_state: Collection[int]) -> str:
     code = _Columns()
-    entries = {place: code.entry("by_state", place) for place in by_state}
+    entries = {divmod(place, states): code.entry("by_state", place) for place in by_state}
     code.columns()
-    values = [code.row("S", state) for state in range(states)]
+    values = {state: code.row("S", state) for state in rows}
     for output in range(outputs):
         code.store(_combined(code, code.row("rest", output), entries, output, values), "shown", output)
     return code.function("show", "ptr %by_state, ptr %rest, ptr %S, ptr %shown")
 
 
-def _correct(states: int, outputs: int) -> str:
+def _correct(rows: Sequence[int], outputs: int) -> str:
     code = _Columns()
-    gain = [code.new(f"fneg {KIND} {code.entry('gain', place)}") for place in range(states * outputs)]
-    entries = dict(enumerate(gain))
+    places = [(state, output) for state in rows for output in range(outputs)]
+    entries = {
+        (state, output): code.new(f"fneg {KIND} {code.entry('gain', state * outputs + output)}")
+        for state, output in places
+    }
     code.columns()
-    shown = [code.row("shown", output) for output in range(outputs)]
-    for state in range(states):
+    shown = {output: code.row("shown", output) for output in range(outputs)}
+    for state in rows:
         code.store(_combined(code, code.row("S", state), entries, state, shown), "S", state)
     return code.function("correct", "ptr %gain, ptr %shown, ptr %S")
 
 
-def _steer(states: int, outputs: int) -> str:
+def _steer(rows: Sequence[int], outputs: int) -> str:
     code = _Columns()
     errors = [code.entry("error", output) for output in range(outputs)]
     code.columns()
-    for state in range(states):
+    for state in rows:
         moved = code.row("S", state)
         for output, error in enumerate(errors):
             moved = code.plus(moved, error, code.row("gain_S", state * outputs + output))

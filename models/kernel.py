@@ -9,6 +9,7 @@ start compiles nothing and imports neither numba nor SymPy. Parameter values are
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
 """What the code of a model consists of (models.codegen, models.column_code)."""
 LOOPS = "upright_run"
 LARGEST = 1e30
+LINE = 64
+"""Bytes of a cache line."""
 ELSEWHERE = -1
 """Number of what is no parameter, initial state or gain."""
 
@@ -67,7 +70,10 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A model's compiled equations. Names are in the order of the arrays' places."""
+    """A model's compiled equations. Names are in the order of the arrays' places.
+
+    `neutral` parameters have to be zero, and a pass differentiates by no others; all may be anything where none is.
+    """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -75,6 +81,7 @@ class Kernel:
     parameters: tuple[str, ...]
     defaults: Array
     code: machine_code.Loaded
+    neutral: frozenset[int] = frozenset()
 
     def vector(self, values: Mapping[str, float] | None = None) -> Array:
         """Parameter values (np,), those in `values` instead of the model's. Raises ModelError for an unknown name."""
@@ -172,23 +179,28 @@ class Kernel:
         """
         rows, columns = len(segment), len(active)
         states, inputs, outputs, parameters = map(len, (self.states, self.inputs, self.outputs, self.parameters))
-        numbers = np.array(active, dtype=np.int64).reshape(columns)
+        asked = _asked(tuple(active), parameters, states, outputs)
         limit = parameters + states * (1 + outputs)
-        if not (substeps >= 1 and all(ELSEWHERE <= number < limit for number in active)):
+        if not (substeps >= 1 and asked.least >= ELSEWHERE and asked.most < limit):
             what = f"there is no pass in {substeps} substeps with columns {tuple(active)} of {limit}"
             raise ModelError("pass", what, remedy="ask for what there is.")
+        if self.neutral and (not self.neutral.issuperset(active) or values[list(self.neutral)].any()):
+            what = "this kernel is for neutral parameters alone, at zero"
+            raise ModelError("pass", what, remedy="differentiate by these, or compile the model without any.")
         gain = np.zeros((states, outputs)) if gain is None else gain
-        by_gain = self._by_gain(numbers, gain_slopes)
+        by_gain = asked.by_gain
+        if gain_slopes is not None:
+            by_gain = gain_slopes if by_gain is None else by_gain + gain_slopes
         structure, functions = self.code.facts["structure"], self.code.facts["functions"]
         delays, constants = int(structure[4]), int(structure[5])
         width = -(-columns // machine_code.LANES) * machine_code.LANES
         space = constants + states * (states + inputs + outputs + 4) + outputs * (states + inputs + 1) + inputs * 9
         space += width * (4 * states + 2 * inputs + outputs * (2 + states) + 4)
-        work, places = np.zeros(space), np.zeros(parameters + 3 * delays + inputs, dtype=np.int64)
-        used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, numbers, gain, by_gain)
+        work, places = _aligned(space), np.empty(parameters + 3 * delays + inputs, dtype=np.int64)
+        used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, asked, gain, by_gain)
         before = (
-            functions.ctypes.data,
-            structure.ctypes.data,
+            _address(functions),
+            _address(structure),
             rows,
             _pointer("time", segment.time, rows),
             _pointer("knots", segment.knots, rows, inputs),
@@ -196,21 +208,21 @@ class Kernel:
             _pointer("measured", segment.measured, rows, outputs),
             _pointer("values", values, parameters),
             columns,
-            numbers.ctypes.data,
+            _address(asked.numbers),
             _pointer("gain", gain, states, outputs),
             0 if by_gain is None else _pointer("derivatives of the gain", by_gain, states * outputs, columns),
             _pointer("state", memory.x, states),
             _pointer("sensitivities of the state", memory.S, states, columns),
             _pointer("lags", memory.lag, inputs),
             _pointer("sensitivities of the lags", memory.lag_S, inputs, columns),
-            memory.pointer.ctypes.data,
+            _address(memory.pointer),
         )
         after = (
             by_gain is not None,
             _pointer("predicted", predicted, rows, outputs),
             _pointer("sensitivity", sensitivity, rows, outputs, columns),
-            work.ctypes.data,
-            places.ctypes.data,
+            _address(work),
+            _address(places),
         )
         loops = _loops()
 
@@ -225,14 +237,33 @@ class Kernel:
 
         return proceed
 
-    def _by_gain(self, active: NDArray[np.int64], slopes: Array | None) -> Array | None:
-        """The gain's derivatives by what is active, (nx * ny, na); None where there are none."""
-        entries = active - len(self.parameters) - len(self.states)
-        places = np.flatnonzero(entries >= 0)
-        if len(places):
-            slopes = np.zeros((len(self.states) * len(self.outputs), len(active))) if slopes is None else slopes.copy()
-            slopes[entries[places], places] += 1.0
-        return slopes
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The columns of a pass: their `numbers` (na,), the least and the largest, and the gain's derivatives by them,
+    (nx * ny, na), None where none is an entry of the gain."""
+
+    numbers: NDArray[np.int64]
+    least: int
+    most: int
+    by_gain: Array | None
+
+
+@functools.lru_cache(maxsize=256)
+def _asked(active: tuple[int, ...], parameters: int, states: int, outputs: int) -> _Asked:
+    numbers = np.array(active, dtype=np.int64)
+    entries = numbers - parameters - states
+    by_gain = None
+    if (entries >= 0).any():
+        by_gain = np.equal.outer(np.arange(states * outputs), entries).astype(np.float64)
+    return _Asked(numbers, min(active, default=0), max(active, default=-1), by_gain)
+
+
+def _aligned(size: int) -> Array:
+    """Numbers (size,) from the border of a cache line on: vectors that lie across one take twice as long."""
+    space = np.empty(size + LINE // 8)
+    first = -_address(space) % LINE // 8
+    return space[first : first + size]
 
 
 def _pointer(name: str, array: Array, *shape: int) -> int:
@@ -240,16 +271,26 @@ def _pointer(name: str, array: Array, *shape: int) -> int:
     if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
         what = f"is {array.dtype} {array.shape}, and should be float64 {shape}, C-contiguous"
         raise ModelError(name, what, remedy="use np.ascontiguousarray, and the kernel's own sizes.")
-    return int(array.ctypes.data)
+    return _address(array)
 
 
-def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
+def _address(array: NDArray[Any]) -> int:
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # in half the time
+    except (TypeError, ValueError):  # read-only, or empty
+        return int(array.ctypes.data)
+
+
+def compile_model(model: Model, *, neutral: Sequence[str] = (), progress: Progress | None = None) -> Kernel:
     """The kernel of `model`, from memory, from the cache on disk, or made now (`progress` is told in words).
 
+    Parameters that are `neutral` are zero in all its passes, which then take a fraction of the time: see Kernel.
     Raises ModelError where its equations are wrong.
     """
     progress = progress or (lambda text: None)
     name = f"{model.name}-{fingerprint(model)}"
+    if neutral:
+        name = f"{name}-{digest(*sorted(neutral))}"
     if name not in _loaded:
         _loops(progress)
         found = machine_code.recall(name)
@@ -257,7 +298,7 @@ def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
             from models.codegen import generate
 
             progress(f"model {model.name}: compiling")
-            made = generate(model)
+            made = generate(model, neutral)
             found = machine_code.assemble(made.text, {"structure": made.structure})
             machine_code.keep(name, found)
         code = machine_code.load(found, FUNCTIONS)
@@ -266,13 +307,15 @@ def compile_model(model: Model, *, progress: Progress | None = None) -> Kernel:
             "functions": np.array([code.addresses[each] for each in FUNCTIONS], dtype=np.int64),
         }
         _loaded[name] = machine_code.Loaded(code.addresses, facts, code.engine)
+    names = tuple(parameter.name for parameter in model.parameters)
     return Kernel(
         states=tuple(state.name for state in model.states),
         inputs=tuple(each.name for each in model.inputs),
         outputs=tuple(each.name for each in model.outputs),
-        parameters=tuple(parameter.name for parameter in model.parameters),
+        parameters=names,
         defaults=np.array([parameter.value for parameter in model.parameters]),
         code=_loaded[name],
+        neutral=frozenset(map(names.index, neutral)),
     )
 
 

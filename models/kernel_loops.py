@@ -173,6 +173,7 @@ def run(
     lag = _at(first_order, NU)
     delay_input = _at(lag, NU)
     delay_parameter = _at(delay_input, ND)
+    driven = _at(delay_parameter, ND)  # how many states the inputs move, then which
     width = (na + LANES - 1) // LANES * LANES
     derive = 1 if na > 0 else 0
 
@@ -180,7 +181,20 @@ def run(
     moves = _at(places, NP)  # what delays that are active move: input, column
     shifting = _at(moves, 2 * ND)  # the columns whose delays move instants at which a step is cut
     lagged = _at(shifting, ND)
-    constants = work
+    B = work  # what has columns first, so that it lies on the borders of cache lines as `work` does
+    D = _at(B, NX * width)
+    shown = _at(D, NY * width)
+    S = _at(shown, NY * width)
+    total_S = _at(S, NX * width)
+    stage_S = _at(total_S, NX * width)
+    memory_S = _at(stage_S, NX * width)
+    mean_S = _at(memory_S, NU * width)
+    later = _at(mean_S, NU * width)
+    stretch = _at(later, width)
+    begin_S = _at(stretch, width)
+    end_S = _at(begin_S, width)
+    wide_gain_S = _at(end_S, width)
+    constants = _at(wide_gain_S, NX * NY * width)
     delay = _at(constants, NC)
     f = _at(delay, NU)
     A = _at(f, NX)
@@ -196,20 +210,7 @@ def run(
     slope = _at(held, NU)
     shift = _at(slope, NU)
     line = _at(shift, NU)
-    B = _at(line, 4 * NU)
-    D = _at(B, NX * width)
-    shown = _at(D, NY * width)
-    S = _at(shown, NY * width)
-    total_S = _at(S, NX * width)
-    stage_S = _at(total_S, NX * width)
-    memory_S = _at(stage_S, NX * width)
-    mean_S = _at(memory_S, NU * width)
-    later = _at(mean_S, NU * width)
-    stretch = _at(later, width)
-    begin_S = _at(stretch, width)
-    end_S = _at(begin_S, width)
-    wide_gain_S = _at(end_S, width)
-    share = _at(wide_gain_S, NX * NY * width)
+    share = _at(line, 4 * NU)
 
     _prepare(prepare, p, constants)
     for i in range(NP):
@@ -398,7 +399,8 @@ def run(
                             B[i] = 0.0
                     _equations(slopes, t, stage, value, slope, p, constants, column, width, derive, f, A, B, G, T)
                     if patched:
-                        for i in range(NX):
+                        for place in range(1, driven[0] + 1):
+                            i = driven[place]
                             if lines:
                                 for q in range(count):
                                     B[i * width + moves[2 * q + 1]] -= G[i * NU + moves[2 * q]] * slope[moves[2 * q]]
@@ -407,7 +409,8 @@ def run(
                                     if lagged[j]:
                                         for c in range(na):
                                             B[i * width + c] += G[i * NU + j] * mean_S[j * width + c]
-                            if moving:  # the instant of this stage moves, and with it what changes steadily
+                        if moving:  # the instant of this stage moves, and with it what changes steadily
+                            for i in range(NX):
                                 drift = T[i]
                                 for j in range(NU):
                                     if first_order[j]:

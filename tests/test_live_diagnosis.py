@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE
 
+from diagnosis.candidates import candidates_for
 from diagnosis.line import LineFinder
 from diagnosis.live import LiveDiagnosis
 from diagnosis.live_naming import LiveFinding, LiveResult
+from diagnosis.workspace import attached
 from estimators.identify import nominal_model
 from estimators.recursive_prediction_error import RecursivePredictionError
 from estimators.recursive_predictor import Seen
+from models.kernel import compile_model
+from models.model import ModelError
+from models.segment import Segment
 from service.cli.output import missing_effects
 from service.news import News
 from service.online_estimators import online_estimators
@@ -219,3 +224,32 @@ def test_the_terminal_says_what_it_is_since_when_and_what_else_it_may_be() -> No
     early = missing_effects({"verdict": "insufficient_data", "findings": [], "reason": "no [free] motion"})
     assert r"no \[free] motion" in early
     assert missing_effects(None) == ""
+
+
+def test_a_kernel_for_candidates_at_zero_says_what_that_of_the_whole_model_says() -> None:
+    model = nominal_model("monocab")
+    found, _ = candidates_for(model, (), ("coulomb_friction", "hysteresis", "position_cogging", "sensor_delay"))
+    found += candidates_for(model, (), ("gyro_bias", "sensor_scale", "cubic_stiffness"))[0]
+    wide, names = attached(model, found), [name for each in found for name in each.amplitudes]
+    whole, quick = compile_model(wide), compile_model(wide, neutral=names)
+    values = whole.vector(dict.fromkeys(names, 0.0))
+    random, time = np.random.default_rng(4), 0.004 * np.arange(300)
+    inputs = 0.01 * np.sin(np.outer(time, 3.0 + np.arange(len(whole.inputs))))
+    knots = np.ascontiguousarray(np.repeat(time[:, None], len(whole.inputs), axis=1))
+    # So slow that the steps can follow a hysteresis: where they cannot, rounding grows.
+    measured = 1e-4 * random.standard_normal((len(time), len(whole.outputs)))
+    segment = Segment(time, knots, inputs, measured)
+    gain = np.zeros((len(whole.states), len(whole.outputs)))
+    gain[:2] = 0.2 * np.eye(2)
+    initial, active = np.full(len(whole.states), 1e-3), [whole.index(name) for name in names]
+    full = whole.run(segment, values, initial, gain=gain, active=active)
+    told = quick.run(segment, values, initial, gain=gain, active=active)
+    np.testing.assert_allclose(told.predicted, full.predicted, rtol=1e-12, atol=1e-15)
+    scale = np.max(np.abs(full.sensitivity), axis=(0, 1))
+    assert (scale > 0.0).all()
+    np.testing.assert_allclose(told.sensitivity / scale, full.sensitivity / scale, atol=1e-11)  # rounding alone
+    with pytest.raises(ModelError):
+        quick.run(segment, values, initial, active=[whole.index(model.parameters[0].name)])
+    values[active[0]] = 1.0
+    with pytest.raises(ModelError):
+        quick.run(segment, values, initial, active=active)

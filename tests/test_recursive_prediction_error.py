@@ -317,7 +317,8 @@ def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -
         there = slice(rows, rows + count)
         np.testing.assert_allclose(chunk.segment.time[here], whole.time[there], atol=1e-9)
         np.testing.assert_allclose(chunk.segment.measured[here], whole.measured[there], atol=1e-12)
-        used = [place for place, each in enumerate(model.inputs) if each.name != "precession"]
+        # A batch fit leaves at zero what no equation of its model needs; effects may, which live data are kept for.
+        used = [place for place, each in enumerate(model.inputs) if each.name not in ("precession", "gyro_bias_std")]
         np.testing.assert_allclose(chunk.segment.knots[here][:, used], whole.knots[there][:, used], atol=1e-9)
         lines = [place for place in used if model.inputs[place].hold is Hold.FIRST_ORDER]
         # The inputs before and after the rows are there, too, as far as any delay reaches.
@@ -330,6 +331,21 @@ def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -
         )
         rows += count
     assert 0 <= len(whole) - rows < 60
+
+
+def test_what_no_device_tells_has_its_usual_value() -> None:
+    """As in a batch fit of a recording without the channel; all else that is not known ends the stretch."""
+    model = library.get("monocab_reduced")
+    (place,) = [place for place, each in enumerate(model.inputs) if each.usual is not None]
+    for lost, kept in ((model.inputs[place].name, True), ("precession", False)):
+        cutter = FrameChunks(model, MONOCAB, support=VEHICLE.support, rows=25)
+        column, chunks = MONOCAB.index_of(lost), []
+        for frame in multisine().frames(MONOCAB):
+            row = tuple(math.nan if number == column else value for number, value in enumerate(frame.values))
+            if chunk := cutter.update(Frame(frame.timestamp_ns, row)):
+                chunks.append(chunk)
+        assert bool(chunks) is kept
+        assert all((chunk.segment.inputs[:, place] == model.inputs[place].usual).all() for chunk in chunks)
 
 
 def _regression(own: int, held: int, **settings: bool) -> tuple[RecursiveGaussNewton, Callable[[Array, Array], None]]:
