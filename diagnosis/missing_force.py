@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 
 STEPS = np.logspace(-6.0, 3.0, 46)
 """Steps of the random walk that are tried, s^-1/2, in units of the force that shows in one row as much as the noise."""
+OWN = 1e-3
+"""Share of what a force shows that no forces at other joints show, above which it is told from them: derivatives agree
+to less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,11 @@ class MissingForce:
 
 
 def missing_force(found: Innovations, probed: Probe) -> tuple[MissingForce, ...]:
-    """What each joint lacks. All joints are estimated together, each with the random walk that is likeliest for it."""
+    """What each joint lacks, each with the random walk that is likeliest for it.
+
+    Joints are estimated together. Where a model has more of them than degrees of freedom, a record cannot share a force
+    out among them: one that shows as others before it do together is estimated as if all that is missing were there.
+    """
     if not probed.joints:
         return ()
     floor = found.floor
@@ -75,7 +82,7 @@ def missing_force(found: Innovations, probed: Probe) -> tuple[MissingForce, ...]
         steps.append(step)
         p_values.append(p_value)
         floors.append(noise)
-    forces, deviations = _smoothed(found, blocks, probed.response, np.array(steps))
+    forces, deviations = _by_joint(found, blocks, probed.response, np.array(steps))
     return tuple(
         MissingForce(
             joint=joint.name,
@@ -136,6 +143,40 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
     density = step**2 * walk
     noise = float(np.sum(density**2 * gain / (1.0 + density * gain) ** 2)) / lines
     return step, p_value, noise**0.5
+
+
+def _by_joint(
+    found: Innovations, blocks: Sequence[Block], response: Response, steps: Array
+) -> tuple[list[Array], Array]:
+    """`_smoothed` for all joints: of those that show in ways of their own together, of every other one alone."""
+    together, others = _independent(response)
+    forces = [np.zeros((len(part), len(steps))) for part in found.errors]
+    deviations = np.zeros(len(steps))
+    for group in (together, *([place] for place in others)):
+        few = replace(response, drive=response.drive[:, group], direct=response.direct[:, group])
+        own = [replace(each, own=_first_of(each, len(steps), group)) for each in blocks]
+        parts, deviations[group] = _smoothed(found, own, few, steps[group])
+        for force, part in zip(forces, parts, strict=True):
+            force[:, group] = part
+    return forces, deviations
+
+
+def _independent(response: Response) -> tuple[list[int], list[int]]:
+    """Places of joints whose forces show as no sum of those before them does, and of the rest."""
+    shown = np.vstack((response.drive, response.floor.whitener @ response.direct))
+    shown = shown / np.linalg.norm(shown, axis=0)
+    together: list[int] = []
+    for place in range(shown.shape[1]):
+        column, before = shown[:, place], shown[:, together]
+        if np.linalg.norm(column + before @ _least(before, column)) > OWN:
+            together.append(place)
+    return together, [place for place in range(shown.shape[1]) if place not in together]
+
+
+def _first_of(block: Block, joints: int, group: Sequence[int]) -> Array:
+    """The own columns of `block` with those of the first forces at the joints `group` alone."""
+    rest = block.own.shape[1] - joints
+    return block.own[:, [*range(rest), *(rest + place for place in group)]]
 
 
 def _smoothed(

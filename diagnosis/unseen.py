@@ -92,7 +92,8 @@ class UnseenCheck:
     def _fits(self, best: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
         base, workspace = self._base.model, self._workspace
         if part.begin not in self._few:
-            others = [each.effect for each in workspace.others(base)]
+            # Once each, whatever the number of its places.
+            others = tuple({each.effect.name: each.effect for each in workspace.others(base)}.values())
             self._few[part.begin] = Workspace.of(base, part.seen, workspace.support, others)
         few = self._few[part.begin]
         with_it = full(best.model, few).fit
