@@ -32,7 +32,7 @@ lint: $(READY) ## ruff, mypy --strict, import contract
 	$(BIN)/lint-imports
 
 native-test: $(READY) ## the tests that need neither SocketCAN nor systemd
-	@tests/setup/apt-needs mosquitto:mosquitto || $(OPTIONAL)
+	@tests/setup/apt-needs mosquitto:mosquitto chromium:chromium openssl:openssl || $(OPTIONAL)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile -m "not vcan and not systemd"
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed

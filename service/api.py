@@ -2,6 +2,8 @@
 
 A request is `{"verb": ..., arguments}`; the answer is a stream of lines, each with a `type` (`event`, `progress`,
 `estimates`), that ends with one of type `result` carrying `exit_code` and, when it failed, `code` and `text`.
+Whoever runs an experiment holds a lease on it, and sends `{"verb": "renew"}` on the same connection every so often; a
+connection that ends, or says nothing for too long, ends the experiment.
 Who may write to the socket may move the vehicle: it is readable and writable for its owner and group only.
 """
 
@@ -12,8 +14,11 @@ import json
 import os
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator
+import threading
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import aclosing, contextmanager, nullcontext, suppress
 from enum import IntEnum
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +26,15 @@ from telemetry.errors import UprightError
 
 Message = dict[str, Any]
 MAX_LINE = 1 << 16
+
+HELD = ("experiment",)
+"""Verbs that are held by a lease."""
+
+GONE = "gone"
+"""The verb with which a transport tells that a client went away."""
+
+RENEWAL_PERIOD = 0.075
+"""s between two signs of a client that holds a lease."""
 
 
 class ExitCode(IntEnum):
@@ -55,11 +69,22 @@ def default_socket(vehicle_id: str) -> Path:
 
 
 class ApiServer:
-    """Serves `answer(request)` on a Unix socket until closed."""
+    """Serves `answer(request)` on a Unix socket until closed.
 
-    def __init__(self, path: Path, answer: Callable[[Message], AsyncIterator[Message]]) -> None:
+    Where there is a `sign`, it is told what comes on a connection after its first line, and that the connection ended
+    (verb GONE); requests then have a `client` that names their connection, and no sender can choose it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        answer: Callable[[Message], AsyncGenerator[Message]],
+        sign: Callable[[Message], object] | None = None,
+    ) -> None:
         self._path = path
         self._answer = answer
+        self._sign = sign
+        self._numbers = count(1)
         self._server: asyncio.Server | None = None
         self._connections: set[asyncio.StreamWriter] = set()
 
@@ -96,27 +121,51 @@ class ApiServer:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._connections.add(writer)
+        client = f"terminal {next(self._numbers)}"
+        listening: asyncio.Task[None] | None = None
         try:
             line = await reader.readline()
             if not line:
                 return
             try:
-                request = json.loads(line)
-                if not isinstance(request, dict) or not isinstance(request.get("verb"), str):
-                    raise ValueError("a request is an object with a verb")
+                request = _request(line)
             except ValueError as error:
                 await _write(writer, result(ExitCode.USAGE, "bad_request", f"Not a request: {error}."))
                 return
+            if self._sign is not None:
+                request["client"] = client
+                listening = asyncio.create_task(_listen(reader, client, self._sign), name=f"listen to {client}")
             try:
-                async for message in self._answer(request):
-                    await _write(writer, message)
+                async with aclosing(self._answer(request)) as messages:
+                    async for message in messages:
+                        await _write(writer, message)
             except UprightError as error:
                 await _write(writer, result(ExitCode.FAILED, "failed", str(error)))
         except (ConnectionError, asyncio.LimitOverrunError, ValueError):
             pass  # The client went away, or sent a line without an end: nothing to answer.
         finally:
+            if listening is not None:
+                listening.cancel()
             self._connections.discard(writer)
             writer.close()
+
+
+async def _listen(reader: asyncio.StreamReader, client: str, sign: Callable[[Message], object]) -> None:
+    """Signs of a client while it is answered, and that it went away."""
+    try:
+        while line := await reader.readline():
+            sign({**_request(line), "client": client})
+    except (ConnectionError, asyncio.LimitOverrunError, ValueError):
+        pass  # Whoever talks nonsense cannot be taken at their word: gone, too.
+    sign({"verb": GONE, "client": client})
+
+
+def _request(line: bytes) -> Message:
+    """Raises ValueError for what is none."""
+    request = json.loads(line)
+    if not isinstance(request, dict) or not isinstance(request.get("verb"), str):
+        raise ValueError("a request is an object with a verb")
+    return request
 
 
 async def _write(writer: asyncio.StreamWriter, message: Message) -> None:
@@ -132,25 +181,47 @@ def result(exit_code: ExitCode, code: str = "", text: str = "", **more: Any) -> 
 def call(paths: list[Path], request: Message, *, timeout: float | None = 10.0) -> Iterator[Message]:
     """Ask the daemon behind the first of `paths` that answers; yields its lines, the result last.
 
+    What needs a lease is renewed by a thread until the result, or until the caller stops asking for lines and the
+    connection is closed.
+
     Raises:
         ApiError: no daemon there, or it went away before the result.
     """
     connection = _connect(paths)
     connection.settimeout(timeout)
-    with connection, connection.makefile("rwb") as stream:
-        stream.write(json.dumps(request).encode() + b"\n")
-        stream.flush()
+    with connection, connection.makefile("rb") as stream:
         try:
-            for line in stream:
-                message = json.loads(line)
-                yield message
-                if message.get("type") == "result":
-                    return
+            connection.sendall(json.dumps(request).encode() + b"\n")
+            with _renewed(connection) if request["verb"] in HELD else nullcontext():
+                for line in stream:
+                    message = json.loads(line)
+                    yield message
+                    if message.get("type") == "result":
+                        return
         except TimeoutError as error:
             raise ApiError(f"the daemon did not answer within {timeout} s.", remedy="See its log.") from error
         except ConnectionError as error:
             raise ApiError("the connection to the daemon was cut.", remedy="See its log.") from error
     raise ApiError("the daemon ended before it answered.", remedy="See its log; `upright status` tells if it is back.")
+
+
+@contextmanager
+def _renewed(connection: socket.socket) -> Iterator[None]:
+    """A thread gives signs of this process on `connection`."""
+    over = threading.Event()
+
+    def renew() -> None:
+        with suppress(OSError):  # The connection ended, which is told where it is read.
+            while not over.wait(RENEWAL_PERIOD):
+                connection.sendall(b'{"verb":"renew"}\n')
+
+    thread = threading.Thread(target=renew, name="renew", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def _connect(paths: list[Path]) -> socket.socket:

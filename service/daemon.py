@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import gc
 import time
-from collections.abc import AsyncIterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,18 +20,17 @@ from drivers.cia402.nmt import NmtCommand, command_frame
 from drivers.cia402.setup import DriveReport, Supervision, configure
 from drivers.imu_format import check_format
 from service import assembly
-from service.api import ApiServer, ExitCode, Message, result
+from service.api import ApiServer
+from service.commands import Commands
 from service.control_loop import QUICK_STOP_TIME, ControlLoop, Mode
-from service.news import News
+from service.health import HealthReports
+from service.mqtt_replies import MqttReplies
 from service.notify import Notifier
 from service.observer_client import ObserverClient
 from service.readiness import drive_states
 from service.vehicle_file import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame
-
-PROGRESS_PERIOD = 0.2
-"""s between two lines of progress."""
 
 RECONNECT_PERIOD = 0.5
 """s between attempts to open a bus that went down, and to set up drives that did not answer."""
@@ -80,7 +78,11 @@ class Daemon:
             unclaimed=self._on_unclaimed_frame,
             deadline=None if lock_step else vehicle.limits.missed_cycles * vehicle.period,
         )
-        self._api = ApiServer(places.socket, self._answer)
+        self.commands = Commands(vehicle, self.loop, self.observer, self.status)
+        self._replies = MqttReplies(self.commands, self.observer.reply)
+        self.observer.on_command = self._replies.take
+        self._health = HealthReports(vehicle)
+        self._api = ApiServer(places.socket, self.commands.answer, self.commands.sign)
 
     def stop(self) -> None:
         """End in order: a running experiment first lowers the vehicle."""
@@ -177,6 +179,7 @@ class Daemon:
                     self.loop.set_up_done({report.name: report.error_code for report in self.reports})
             self.loop.look_after_drives()
             self._publish_state()
+            self._publish_health()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)
 
@@ -226,10 +229,17 @@ class Daemon:
 
     def _publish_state(self) -> None:
         """Tell the observer, and so MQTT, what changed."""
-        state = self.loop.state()
+        lease = self.commands.lease
+        held = lease.holder if lease is not None and self.loop.mode is Mode.RUNNING else None
+        state = {**self.loop.state(), "held_by": held, "commands": self.vehicle.mqtt.commands}
         if state != self._published:
             self._published = state
             self.observer.publish_state(state)
+
+    def _publish_health(self) -> None:
+        """Tell the observer how this process does."""
+        buses = self._buses.statistics() if self._buses is not None else []
+        self.observer.health(self._health.report(time.monotonic(), self.loop.cycles, self.loop.missed_cycles, buses))
 
     async def _end_in_order(self) -> None:
         self.loop.end_experiment("the daemon was told to stop")
@@ -239,72 +249,6 @@ class Daemon:
         if self.loop.mode is Mode.RUNNING:
             self.loop.stop_now("the daemon was told to stop, and the vehicle was not down in time")
             await asyncio.sleep(QUICK_STOP_TIME)
-
-    # The control socket
-
-    async def _answer(self, request: Message) -> AsyncIterator[Message]:
-        match request["verb"]:
-            case "status":
-                yield result(ExitCode.DONE, status=self.status())
-            case "stop":
-                async for message in self._answer_stop(now=bool(request.get("now"))):
-                    yield message
-            case "reset":
-                refusal = self.loop.reset_fault()
-                yield result(ExitCode.REFUSED, "reset", refusal) if refusal else result(ExitCode.DONE)
-            case "experiment":
-                async for message in self._answer_experiment(str(request.get("name", ""))):
-                    yield message
-            case verb:
-                yield result(ExitCode.USAGE, "unknown_verb", f"The daemon knows no verb {verb!r}.")
-
-    async def _answer_stop(self, *, now: bool) -> AsyncIterator[Message]:
-        if self.loop.mode is not Mode.RUNNING:
-            yield result(ExitCode.DONE, text="Nothing was running.")
-            return
-        if now:
-            self.loop.stop_now("an operator asked for an immediate stop")
-        else:
-            self.loop.end_experiment("an operator asked for the end")
-        while self.loop.mode is Mode.RUNNING:
-            await asyncio.sleep(0.02)
-        yield result(ExitCode.DONE, text=self.loop.reason)
-
-    async def _answer_experiment(self, name: str) -> AsyncIterator[Message]:
-        experiment = self.vehicle.experiments.get(name)
-        if experiment is None:
-            there = ", ".join(self.vehicle.experiments)
-            yield result(ExitCode.USAGE, "unknown_experiment", f"No experiment {name!r}; this vehicle has {there}.")
-            return
-        interlocks = self.loop.interlocks()
-        if interlocks:
-            yield result(ExitCode.REFUSED, "interlock", " ".join(interlocks), interlocks=interlocks)
-            return
-        run = self.loop.start_experiment(name)
-        phase, news = None, News()
-        while self.loop.run is run:
-            if run.phase is not phase:
-                phase = run.phase
-                yield {"type": "event", "severity": "info", "code": phase.name.lower(), "text": phase.text}
-            for text in news.of(self.observer.diagnosis):
-                yield {"type": "event", "severity": "warning", "code": "missing_effect", "text": text}
-            self.observer.progress(name, run.fraction, run.remaining)
-            yield {
-                "type": "progress",
-                "phase": phase.name.lower(),
-                "fraction": run.fraction,
-                "remaining": run.remaining,
-                "estimates": self.observer.estimates,
-                "diagnosis": self.observer.diagnosis,
-            }
-            await asyncio.sleep(PROGRESS_PERIOD)
-        summary = await self.observer.finished_recording()
-        if self.loop.mode is Mode.FAULT:
-            yield result(ExitCode.VEHICLE_FAULT, self.loop.code, self.loop.reason, **summary)
-        elif run.failure:
-            yield result(ExitCode.FAILED, "experiment", run.failure, **summary)
-        else:
-            yield result(ExitCode.DONE, text=run.end_reason, **summary)
 
     def status(self) -> dict[str, Any]:
         """What `upright status --json` prints."""
@@ -319,6 +263,7 @@ class Daemon:
             "observer": self.observer.statistics(),
             "estimates": self.observer.estimates,
             "diagnosis": self.observer.diagnosis,
+            "lease": self.commands.held(),
             "socket": str(self.places.socket),
             "data": str(self.places.data),
         }

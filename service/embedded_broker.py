@@ -14,22 +14,31 @@ from amqtt.broker import Broker
 
 
 class EmbeddedBroker:
-    """`async with EmbeddedBroker() as broker:` serves on `broker.address` (HOST:PORT, a free port)."""
+    """`async with EmbeddedBroker() as broker:` serves on `broker.address` (HOST:PORT, a free port).
+
+    `broker.websocket` is the same for browsers, ws://HOST:PORT.
+    """
 
     def __init__(self) -> None:
         self.address = ""
+        self.websocket = ""
         self._broker: Any = None
 
     async def __aenter__(self) -> Self:
-        # It logs every connection as a warning or worse.
-        for name in ("amqtt", "transitions"):
+        # They log every connection as a warning or worse.
+        for name in ("amqtt", "transitions", "websockets"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        with socket.socket() as probe:
+        with socket.socket() as probe, socket.socket() as other:
             probe.bind(("127.0.0.1", 0))
-            self.address = f"127.0.0.1:{probe.getsockname()[1]}"
+            other.bind(("127.0.0.1", 0))
+            self.address, place = (f"127.0.0.1:{each.getsockname()[1]}" for each in (probe, other))
+            self.websocket = f"ws://{place}"
         self._broker = Broker(
             {
-                "listeners": {"default": {"type": "tcp", "bind": self.address}},
+                "listeners": {
+                    "default": {"type": "tcp", "bind": self.address},
+                    "browsers": {"type": "ws", "bind": place},
+                },
                 "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
             }
         )

@@ -1,9 +1,10 @@
 """MQTT: tells a broker what the vehicle does, and never minds whether there is one.
 
-Topics, under BASE/VEHICLE: `status` (online/offline, with last will), `state` and `parameters` retained, `telemetry`
-batches, `progress` and `event`. Whoever publishes here only leaves a message; one task talks to the broker, and comes
-back by itself when it went away. Of a retained topic the latest message counts; the others wait in bounded queues, and
-what does not fit is dropped and counted.
+Topics, under BASE/VEHICLE: `status` (online/offline, with last will), `state`, `parameters` and `diagnosis` retained,
+`telemetry` batches, `progress`, `event` and replies; `cmd/+` is subscribed to where commands are enabled, and what
+comes there is handed on unread (`service.command_inbox`). Whoever publishes here only leaves a message; one task talks
+to the broker, and comes back by itself when it went away. Of a retained topic the latest message counts; the others
+wait in bounded queues, and what does not fit is dropped and counted.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import ssl
 from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +42,12 @@ MOST_EVENTS = 200
 RETAINED = ("state", "parameters", "diagnosis")
 """Topics whose last message the broker keeps; with `status`."""
 
+MOST_COMMANDS = 200
+"""Commands that wait to be looked at; further ones are lost."""
+
+OnCommand = Callable[[str, bytes, bool], None]
+"""Called with verb, payload, and whether it was retained."""
+
 
 class MqttConfigError(UprightError):
     """The broker's address or password cannot be used."""
@@ -55,6 +64,8 @@ class MqttConfig:
     client_id: str
     username: str | None = None
     password: str | None = None
+    tls: ssl.SSLContext | None = None
+    commands: bool = False
 
     @classmethod
     def of(cls, section: dict[str, Any], vehicle: str) -> MqttConfig | None:
@@ -74,8 +85,26 @@ class MqttConfig:
                     remedy="Give a file that the service may read, with the password in its first line.",
                 ) from error
         return cls(
-            host, int(port), f"{section['base']}/{vehicle}", f"upright-{vehicle}", section["username"] or None, password
+            host=host,
+            port=int(port),
+            topic=f"{section['base']}/{vehicle}",
+            client_id=f"upright-{vehicle}",
+            username=section["username"] or None,
+            password=password,
+            tls=_tls(section["ca_file"]) if section["tls"] else None,
+            commands=section["commands"],
         )
+
+
+def _tls(ca_file: str) -> ssl.SSLContext:
+    """A context that checks the broker's certificate and host name. Raises MqttConfigError."""
+    try:
+        return ssl.create_default_context(cafile=ca_file or None)
+    except (OSError, ssl.SSLError) as error:
+        raise MqttConfigError(
+            f"mqtt.ca_file {ca_file}: {error.strerror or error}.",
+            remedy="Give a PEM file that the service may read, with the certificate of whoever signed the broker's.",
+        ) from error
 
 
 @dataclass(slots=True)
@@ -90,11 +119,22 @@ class MqttStatistics:
 
 
 class MqttPublisher:
-    """Publishes for one vehicle. `run()` is the task that talks to the broker; the rest neither waits nor fails."""
+    """Publishes for one vehicle. `run()` is the task that talks to the broker; the rest neither waits nor fails.
 
-    def __init__(self, config: MqttConfig) -> None:
+    `on_command` gets what comes on cmd/+, where the configuration takes commands. `announced` are topics, whole, and
+    documents that are retained on each connection.
+    """
+
+    def __init__(
+        self,
+        config: MqttConfig,
+        on_command: OnCommand = lambda verb, payload, retained: None,
+        announced: Iterable[tuple[str, Any]] = (),
+    ) -> None:
         self.statistics = MqttStatistics()
         self._config = config
+        self._on_command = on_command
+        self._announced = [(topic, encode(document)) for topic, document in announced]
         self._retained: dict[str, bytes] = {}
         self._changed: dict[str, None] = {}
         self._telemetry: deque[bytes] = deque()
@@ -122,7 +162,7 @@ class MqttPublisher:
         self._wake.set()
 
     def tell(self, name: str, document: Any) -> None:
-        """A message of topic `progress` or `event`; it waits for the broker."""
+        """A message of a topic that is not retained (`progress`, `event`, `reply/CLIENT`); it waits for the broker."""
         if len(self._events) >= MOST_EVENTS:
             self._events.popleft()
             self.statistics.dropped += 1
@@ -137,7 +177,7 @@ class MqttPublisher:
                 async with self._client() as client:
                     retry = FIRST_RETRY
                     await self._serve(client)
-            except (aiomqtt.MqttError, UnicodeError) as error:  # UnicodeError: a host name that cannot be one.
+            except (aiomqtt.MqttError, UnicodeError, OSError) as error:  # a name that cannot be one; a bad certificate
                 self.statistics.trouble = str(error) or type(error).__name__
             finally:
                 self.statistics.connected = False
@@ -161,6 +201,8 @@ class MqttPublisher:
             will=aiomqtt.Will(f"{config.topic}/status", b"offline", qos=1, retain=True),
             timeout=ANSWER_TIME,
             keepalive=KEEPALIVE,
+            tls_context=config.tls,
+            max_queued_incoming_messages=MOST_COMMANDS,
         )
 
     async def _serve(self, client: aiomqtt.Client) -> None:
@@ -178,12 +220,20 @@ class MqttPublisher:
                 raise outcome
 
     async def _listen(self, client: aiomqtt.Client) -> None:
-        async for _ in client.messages:  # Nothing is subscribed to: this ends when the connection does.
-            pass
+        """Hand on what comes on cmd/+; ends when the connection does, also where nothing is subscribed to."""
+        prefix = f"{self._config.topic}/cmd/"
+        async for message in client.messages:
+            topic = str(message.topic)
+            if topic.startswith(prefix) and isinstance(message.payload, bytes):
+                self._on_command(topic.removeprefix(prefix), message.payload, bool(message.retain))
 
     async def _publish(self, client: aiomqtt.Client) -> None:
         statistics, prefix = self.statistics, self._config.topic
+        if self._config.commands:
+            await client.subscribe(f"{prefix}/cmd/+", qos=1)
         await client.publish(f"{prefix}/status", b"online", qos=1, retain=True)
+        for topic, payload in self._announced:
+            await client.publish(topic, payload, qos=1, retain=True)
         statistics.connected, statistics.trouble = True, ""
         statistics.connections += 1
         self._changed = dict.fromkeys(self._retained)

@@ -1,11 +1,13 @@
 """What goes over MQTT: telemetry in batches and parameters, as JSON documents.
 
 telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    row i was measured at t0 + i * dt
+            now and then with "health" (how control does) and "predictions" (what the model says)
 parameters  {NAME: {"value", "std", "unit", "status", "method", "coverage_percent", "reason"}}
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
@@ -16,6 +18,10 @@ LONGEST_STEP = 1.5
 """Periods from one row to the next within a batch; a gap begins a new batch, as its rows share one `dt`."""
 
 
+MOST_PREDICTIONS = 8
+"""Stretches in one batch."""
+
+
 class TelemetryBatches:
     """Cuts control cycles of channels `names`, `rate` a second, into `batch_rate` batches a second of data time."""
 
@@ -24,10 +30,26 @@ class TelemetryBatches:
         self._period_ns = 1e9 / rate
         self._span_ns = round(1e9 / batch_rate)
         self._gathered: list[Frame] = []
+        self._health: dict[str, Any] | None = None
+        self._predictions: list[dict[str, Any]] = []
+        self._last_ns = 0
+        self._longest_ns = 0
+
+    def health(self, report: Mapping[str, Any]) -> None:
+        """Goes along with the next batch, with the longest time between two cycles since the one before."""
+        self._health = {**report, "longest_step": round(self._longest_ns * 1e-9, 6) if self._longest_ns else None}
+        self._longest_ns = 0
+
+    def prediction(self, stretch: dict[str, Any]) -> None:
+        """Goes along with the next batch."""
+        self._predictions.append(stretch)
+        del self._predictions[:-MOST_PREDICTIONS]
 
     def add(self, frames: Sequence[Frame]) -> Iterator[bytes]:
         """The batches that are complete with these cycles, each a JSON document."""
         for frame in frames:
+            self._longest_ns = max(self._longest_ns, frame.timestamp_ns - self._last_ns) if self._last_ns else 0
+            self._last_ns = frame.timestamp_ns
             gathered = self._gathered
             if gathered:
                 step_ns = frame.timestamp_ns - gathered[-1].timestamp_ns
@@ -42,7 +64,14 @@ class TelemetryBatches:
         step_ns = (last - first) / (len(frames) - 1) if len(frames) > 1 else self._period_ns
         columns = zip(*(frame.values for frame in frames), strict=True)
         arrays = (f'"{name}":[{_numbers(column)}]' for name, column in zip(self._names, columns, strict=True))
-        return f'{{"t0":{first * 1e-9:.6f},"dt":{step_ns * 1e-9:.6g},{",".join(arrays)}}}'.encode()
+        beside = ""
+        if self._health is not None:
+            beside = f',"health":{json.dumps(self._health, separators=(",", ":"))}'
+            self._health = None
+        if self._predictions:
+            beside += f',"predictions":{json.dumps(self._predictions, separators=(",", ":"))}'
+            self._predictions = []
+        return f'{{"t0":{first * 1e-9:.6f},"dt":{step_ns * 1e-9:.6g},{",".join(arrays)}{beside}}}'.encode()
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -18,18 +18,23 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from service import link
+from service.command_inbox import CommandInbox
+from service.home_assistant import discovery
+from service.live_prediction import LivePrediction, live_prediction
 from service.mqtt import GOODBYE_TIME, MqttConfig, MqttConfigError, MqttPublisher
 from service.mqtt_payloads import TelemetryBatches, parameters
 from service.news import News
 from service.online_estimators import EstimatorBank, online_estimators
 from service.recorder import Recorder
 from telemetry.channels import TABLES
+from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame
 
 NICENESS = 5
@@ -81,10 +86,18 @@ class Observer:
         self._storing: set[asyncio.Task[None]] = set()
         self._trouble = ""
         self._telemetry = TelemetryBatches(self._channels.names, hello["rate"], hello["mqtt"]["telemetry_rate"])
+        self._new_prediction = partial(live_prediction, hello, self._channels)
+        self._prediction: LivePrediction | None = None
         self._mqtt: MqttPublisher | None = None
+        self._inbox = CommandInbox(self._forward, self._tell_mqtt, time.time)
         try:
             config = MqttConfig.of(hello["mqtt"], hello["vehicle"])
-            self._mqtt = MqttPublisher(config) if config is not None else None
+            if config is not None:
+                units = {name: entry["unit"] for name, entry in given.items()}
+                announced = discovery(config.topic, hello["vehicle"], hello["version"], units)
+                self._mqtt = MqttPublisher(
+                    config, self._inbox.take, announced if hello["mqtt"]["home_assistant"] else ()
+                )
         except MqttConfigError as error:
             self._complain("mqtt", str(error))
 
@@ -140,8 +153,19 @@ class Observer:
             if self._recorder.complete:
                 self._close_recording()
         if self._mqtt is not None:
+            self._predict(frames)
             for batch in self._telemetry.add(frames):
                 self._mqtt.telemetry(batch)
+
+    def _predict(self, frames: list[Frame]) -> None:
+        if self._prediction is None:
+            return
+        try:
+            for stretch in self._prediction.update(frames):
+                self._telemetry.prediction(stretch)
+        except (ArithmeticError, ValueError) as error:
+            self._prediction = None
+            self._complain("prediction", f"nothing is predicted any more: {type(error).__name__}: {error}")
 
     def _take_can(self, frames: list[CanFrame]) -> None:
         if self._recorder is not None:
@@ -159,6 +183,10 @@ class Observer:
                 self._mqtt.retain("state", message["state"])
             case "progress" | "event" as topic if self._mqtt is not None:
                 self._mqtt.tell(topic, message)
+            case "health":
+                self._telemetry.health(message["health"])
+            case "reply":
+                self._inbox.reply(message["client"], message["reply"])
 
     # Recording
 
@@ -245,7 +273,7 @@ class Observer:
                         self._complain("recorder", f"{recorder.path}: {error}")
             self._send({
                 "type": "report",
-                "mqtt": self._mqtt.summary() if self._mqtt is not None else None,
+                "mqtt": {**self._mqtt.summary(), "commands": self._inbox.gate.counts} if self._mqtt else None,
                 "trouble": self._trouble,
             })  # fmt: skip
 
@@ -254,28 +282,31 @@ class Observer:
     async def _compile(self) -> None:
         """Once in a thread, so that from then on all estimators are made at once. The end does not wait for it."""
         loop = asyncio.get_running_loop()
-        finished: asyncio.Future[None] = loop.create_future()
+        finished: asyncio.Future[LivePrediction | None] = loop.create_future()
 
-        def finish(error: Exception | None) -> None:
+        def finish(error: Exception | None, prediction: LivePrediction | None) -> None:
             if finished.done():
                 return
             if error is None:
-                finished.set_result(None)
+                finished.set_result(prediction)
             else:
                 finished.set_exception(error)
 
         def work() -> None:
             _give_way()
             failure: Exception | None = None
+            prediction: LivePrediction | None = None
             try:
                 self._new_bank().join()
+                with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimates do without it
+                    prediction = self._new_prediction() if self._mqtt is not None else None
             except Exception as error:
                 failure = error
             with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                loop.call_soon_threadsafe(finish, failure)
+                loop.call_soon_threadsafe(finish, failure, prediction)
 
         threading.Thread(target=work, name="compile", daemon=True).start()
-        await finished
+        self._prediction = await finished
         self._compiled.set()
         self._estimators.join()
 
@@ -299,7 +330,10 @@ class Observer:
         if self._mqtt is None:
             return
         if estimates:
-            self._mqtt.retain("parameters", parameters(estimates))
+            found = parameters(estimates)
+            self._mqtt.retain("parameters", found)
+            if self._prediction is not None:
+                self._prediction.believe(found)
         if diagnosis is not None and diagnosis != self._published:
             self._published = diagnosis
             self._mqtt.retain("diagnosis", diagnosis)
@@ -313,10 +347,20 @@ class Observer:
         if self._mqtt is not None:
             self._mqtt.tell("event", {"severity": "error", "code": code, "text": text})
 
-    def _send(self, message: dict[str, Any]) -> None:
-        """To control, unless it is gone or does not listen: the next message tells it more."""
-        with contextlib.suppress(OSError):
+    def _forward(self, command: dict[str, Any]) -> bool:
+        return self._send({"type": "command", **command})
+
+    def _tell_mqtt(self, topic: str, document: dict[str, Any]) -> None:
+        if self._mqtt is not None:
+            self._mqtt.tell(topic, document)
+
+    def _send(self, message: dict[str, Any]) -> bool:
+        """To control, unless it is gone or does not listen, which is False: the next message tells it more."""
+        try:
             self._connection.send(link.pack_json(message))
+        except OSError:
+            return False
+        return True
 
 
 async def observe(connection: socket.socket) -> None:

@@ -42,6 +42,8 @@ class ObserverClient:
         """What the running or last recording's live diagnosis says, as `diagnose --json`."""
         self.on_exit: Callable[[int], None] = lambda status: None
         """Called with the exit status when the observer ended without being told to."""
+        self.on_command: Callable[[dict[str, Any]], None] = lambda command: None
+        """Called with a command that came over MQTT: verb, client, id, arguments."""
         self._hello = hello
         self._lossless = lossless
         self._counts = PipeStatistics()
@@ -191,6 +193,14 @@ class ObserverClient:
         """Something happened: severity "info", "warning" or "error", a code for programs, a text for people."""
         self._tell("event", severity=severity, code=code, text=text)
 
+    def health(self, report: dict[str, Any]) -> None:
+        """How the control process does; goes along with the telemetry."""
+        self._tell("health", health=report)
+
+    def reply(self, client: str, reply: dict[str, Any]) -> None:
+        """The answer to a command that came over MQTT."""
+        self._tell("reply", client=client, reply=reply)
+
     def statistics(self) -> dict[str, Any]:
         """For `upright status`: counts of the pipe, and what the observer said last of itself."""
         return {"alive": self.alive, **asdict(self._counts), **self._report}
@@ -207,6 +217,8 @@ class ObserverClient:
                 self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
             case "report":
                 self._report = message
+            case "command":
+                self.on_command(message)
             case "finished" if message["recording"] == self._recording.get("recording"):
                 self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
                 if self._finished is not None and not self._finished.done():

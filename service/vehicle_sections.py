@@ -52,6 +52,8 @@ class ControlSection(Section):
     """s between heartbeats of the control loop."""
     heartbeat_timeout: Positive = 0.12
     """s after which a drive that misses the heartbeat stops by itself (written to 1016h)."""
+    lease: Annotated[float, Field(ge=0.2, le=2.0)] = 0.3
+    """s without a sign of whoever started an experiment after which it ends in order."""
 
     @field_validator("rate")
     @classmethod
@@ -258,10 +260,19 @@ class MqttSection(Section):
     broker: Annotated[str, Field(pattern=r"^$|^[^:\s]+:\d+$")] = ""
     """HOST:PORT; empty turns MQTT off."""
     base: Annotated[str, Field(pattern=r"^[^#+\s]+$")] = "upright"
+    """Topics are BASE/VEHICLE_ID/..."""
     telemetry_rate: Annotated[int, Field(ge=1, le=50)] = 20
     username: str = ""
     password_file: str = ""
     """File whose first line is the password."""
+    tls: bool = False
+    """Whether to speak TLS; the broker's certificate must be valid for its host name."""
+    ca_file: str = ""
+    """File with the certificate of whoever signed the broker's; empty: the system's."""
+    commands: bool = False
+    """Whether commands are taken over MQTT."""
+    home_assistant: bool = False
+    """Whether the vehicle presents itself to Home Assistant, with sensors only."""
 
 
 class VehicleFile(Section):

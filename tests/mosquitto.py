@@ -15,15 +15,10 @@ from typing import Any
 import aiomqtt
 import pytest
 
-PUBLISHER, WATCHER, STRANGER = "upright", "watcher", "stranger"
-PASSWORDS = {PUBLISHER: "balance", WATCHER: "look", STRANGER: "touch"}
-
-ACL = """
-user upright
-topic write upright/monocab/#
-user watcher
-topic read upright/#
-"""
+PUBLISHER, WATCHER, STRANGER, OPERATOR = "upright", "viewer", "stranger", "dashboard"
+PASSWORDS = {PUBLISHER: "balance", WATCHER: "look", STRANGER: "touch", OPERATOR: "steer", "homeassistant": "see"}
+ACL = Path(__file__).resolve().parents[1] / "broker" / "acl"
+"""The access list that is shipped."""
 
 
 def _command(name: str) -> str:
@@ -34,24 +29,28 @@ def _command(name: str) -> str:
 
 
 class Mosquitto:
-    """A broker on a free port of this machine. It keeps nothing when it ends."""
+    """A broker on a free port of this machine, with the shipped access list. It keeps nothing when it ends.
 
-    def __init__(self, folder: Path) -> None:
+    With `tls` it speaks that, with a certificate for "localhost" that `ca_file` signed.
+    """
+
+    def __init__(self, folder: Path, *, tls: bool = False) -> None:
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port: int = probe.getsockname()[1]
-        passwords, acl = folder / "passwords", folder / "acl"
+        passwords = folder / "passwords"
         passwords.write_text("".join(f"{user}:{password}\n" for user, password in PASSWORDS.items()))
         subprocess.run([_command("mosquitto_passwd"), "-U", passwords], check=True)
-        acl.write_text(ACL)
+        self.ca_file = folder / "ca.pem"
         (folder / "password").write_text(PASSWORDS[PUBLISHER] + "\nignored\n")
         self._config = folder / "mosquitto.conf"
         self._config.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {acl}\n"
+            f"listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nacl_file {ACL}\n"
             "persistence false\nlog_dest stderr\n"
-            "user root\n"  # Started by root it would become a user that cannot read this folder; else without effect.
+            + (_certificates(folder) if tls else "")
+            + "user root\n"  # Started by root it would become a user that cannot read this folder; else without effect.
         )
 
     @property
@@ -86,12 +85,28 @@ class Mosquitto:
             self._process = None
 
 
+def _certificates(folder: Path) -> str:
+    """Makes an authority and a certificate for localhost; the lines of the configuration."""
+
+    def openssl(*words: str | Path) -> None:
+        subprocess.run([_command("openssl"), *words], check=True, capture_output=True, cwd=folder)
+
+    key = ("-newkey", "rsa:2048", "-nodes")
+    openssl("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-days", "2", "-subj", "/CN=test authority",
+            "-addext", "keyUsage=critical,keyCertSign,cRLSign")  # fmt: skip
+    openssl("req", *key, "-keyout", "server.key", "-out", "server.csr", "-subj", "/CN=localhost")
+    (folder / "extensions").write_text("subjectAltName=DNS:localhost\n")
+    openssl("x509", "-req", "-in", "server.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2",
+            "-extfile", "extensions", "-out", "server.pem")  # fmt: skip
+    return f"certfile {folder / 'server.pem'}\nkeyfile {folder / 'server.key'}\n"
+
+
 class Watcher:
     """Somebody who looks at all topics. `messages` are (topic below the vehicle, payload, retained), in order."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, user: str = WATCHER) -> None:
         self.messages: list[tuple[str, Any, bool]] = []
-        self._client = aiomqtt.Client("127.0.0.1", port, username=WATCHER, password=PASSWORDS[WATCHER])
+        self._client = aiomqtt.Client("127.0.0.1", port, username=user, password=PASSWORDS[user])
 
     async def __aenter__(self) -> Watcher:
         await self._client.__aenter__()
@@ -110,6 +125,10 @@ class Watcher:
             assert isinstance(message.payload, bytes)
             text = message.payload.decode()
             self.messages.append((topic, text if topic == "status" else json.loads(text), bool(message.retain)))
+
+    async def publish(self, topic: str, payload: bytes | str, *, retain: bool = False) -> None:
+        """To a topic below the vehicle, as the broker lets this user."""
+        await self._client.publish(f"upright/monocab/{topic}", payload, qos=1, retain=retain)
 
     def of(self, topic: str) -> list[Any]:
         """Payloads of a topic, in order."""

@@ -20,6 +20,7 @@ from service.embedded_broker import EmbeddedBroker
 from service.mqtt import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
 from service.mqtt_payloads import TelemetryBatches, parameters
 from service.observer_client import ObserverClient
+from service.vehicle_sections import MqttSection
 from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
 
@@ -93,7 +94,7 @@ async def test_telemetry_is_the_cycles_in_batches(client: ObserverClient, broker
     assert len(batches) >= 36  # 20 a second of 2 s, less those that are not full yet
     rows = 0
     for batch in batches:
-        assert set(batch) == {"t0", "dt", *MONOCAB.names}
+        assert set(batch) - {"predictions"} == {"t0", "dt", *MONOCAB.names}
         assert batch["dt"] == pytest.approx(0.004)
         for name in ("roll", "excitation"):
             place = MONOCAB.index_of(name)
@@ -183,7 +184,7 @@ async def test_a_wrong_password_is_told_and_tried_again(tmp_path: Path, broker: 
 
 
 def section(**changes: Any) -> dict[str, Any]:
-    return {"broker": "localhost:1883", "base": "upright", "username": "", "password_file": "", **changes}
+    return {**MqttSection().model_dump(), "broker": "localhost:1883", **changes}
 
 
 def test_settings() -> None:
@@ -232,7 +233,10 @@ async def test_the_embedded_broker_keeps_what_is_retained() -> None:
         publisher.retain("state", STATE)
         running = asyncio.create_task(publisher.run())
         await until(lambda: publisher.statistics.published == 1)
-        async with aiomqtt.Client(host, int(port)) as watcher:
+        # As a browser would: by its websockets.
+        place, _, websocket = broker.websocket.removeprefix("ws://").partition(":")
+        assert (host, int(port)) != (place, int(websocket))
+        async with aiomqtt.Client(place, int(websocket), transport="websockets") as watcher:
             await watcher.subscribe("upright/#")
             seen: dict[str, bytes] = {}
             async for message in watcher.messages:

@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, benchmark, live, model, talk, vehicle
+from service.cli import batch, benchmark, dashboard, live, model, talk, vehicle
 from telemetry.errors import UprightError
 
 app = typer.Typer(
@@ -32,6 +32,7 @@ batch.register(app)
 vehicle.register(app)
 model.register(app)
 benchmark.register(app)
+dashboard.register(app)
 
 
 def main() -> None:

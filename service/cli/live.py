@@ -125,11 +125,18 @@ def serve(
     mqtt: Annotated[
         str | None, typer.Option("--mqtt", help="Broker, HOST:PORT.", show_default="the vehicle file's")
     ] = None,
+    virtual: Annotated[
+        bool,
+        typer.Option("--virtual", help="With a virtual vehicle instead of a bus, at the pace of the wall's clock."),
+    ] = False,
+    hide: HideOption = None,
+    seed: Annotated[int, typer.Option(help="With --virtual: of the simulated sensors' noise.")] = 1,
 ) -> None:
     """The daemon: balances and identifies the vehicle. Comes up disarmed; `upright experiment NAME` starts a run."""
     import asyncio
     import logging
     import os
+    from contextlib import nullcontext
 
     # Matrices of six rows gain nothing from threads, and threads cost the control loop its punctuality.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -139,11 +146,16 @@ def serve(
     from service.api import default_socket
     from service.daemon import Daemon, Places
     from service.vehicle_file import load
+    from service.virtual_serving import BUS, virtual_vehicle_beside
 
     file = load(vehicle)
     if mqtt is not None:
         file = file.model_copy(update={"mqtt": file.mqtt.model_copy(update={"broker": mqtt})})
-    drives, imu = buses(file, bus)
+    if virtual and bus:
+        raise typer.BadParameter("a virtual vehicle brings its own bus", param_hint="--bus")
+    if hide and not virtual:
+        raise typer.BadParameter("only a virtual vehicle can hide effects: --virtual", param_hint="--hide")
+    drives, imu = (BUS, BUS) if virtual else buses(file, bus)
     places = Places(
         drives_bus=drives,
         imu_bus=imu,
@@ -152,7 +164,7 @@ def serve(
     )
 
     async def run() -> None:
-        daemon = Daemon(file, places)
+        daemon = Daemon(file, places, lock_step=virtual)
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, daemon.stop)
@@ -162,7 +174,8 @@ def serve(
         people.print(f"Talk to it with `upright status` or `upright experiment NAME` (socket {places.socket}).")
         await daemon.run()
 
-    asyncio.run(run())
+    with virtual_vehicle_beside(file, hide or [], seed) if virtual else nullcontext():
+        asyncio.run(run())
 
 
 def buses(vehicle: VehicleFile, options: list[str] | None) -> tuple[str, str]:

@@ -1,0 +1,268 @@
+"""The dashboard's server: the static page, what it has to know, recordings, and jobs. It commands no vehicle.
+
+What is live comes to the page from the broker, over MQTT websockets; commands go the same way and end in the daemon's
+command layer. Everything here is for the machine itself: requests for another host name are refused, what changes
+something must come from the page (a header that no foreign page can send), and the page loads nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from models.effects import CATALOGUE
+from service import assembly
+from service.dashboard.charts import CHARTS
+from service.dashboard.jobs import Jobs
+from service.dashboard.recordings import Folder, UnknownRecording
+from service.vehicle_file import VehicleFile
+from telemetry.errors import UprightError
+
+STATIC = Path(__file__).with_name("static")
+LOCAL = ["localhost", "127.0.0.1", "[::1]"]
+MARK = "x-upright"
+"""Header of requests that change something. A page from elsewhere cannot send it without being asked first (CORS)."""
+LARGEST_BODY = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the page connects to, and where recordings are. `websocket` is the broker's, ws://HOST:PORT."""
+
+    vehicle: VehicleFile
+    data: Path
+    websocket: str
+    user: str = ""
+    password: str = ""
+    host: str = "127.0.0.1"
+
+
+class Dashboard:
+    """The application, as `app`."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._folder = Folder(settings.data)
+        self._jobs = Jobs()
+        self._models = self._folder.path / "models"
+        self._reports = self._folder.path / "reports"
+        routes = [
+            Route("/api/config", self._config),
+            Route("/api/recordings", self._list),
+            Route("/api/recordings/{name}", self._open),
+            Route("/api/recordings/{name}/{what}", self._download),
+            Route("/api/model", self._model),
+            Route("/api/jobs", self._start, methods=["POST"]),
+            Route("/api/jobs/{number:int}", self._job, methods=["GET", "DELETE"]),
+            Route("/reports/{name}", self._report),
+            Mount("/", StaticFiles(directory=STATIC, html=True)),
+        ]
+        self.app = Starlette(
+            routes=routes,
+            lifespan=self._lifespan,
+            middleware=[
+                Middleware(TrustedHostMiddleware, allowed_hosts=LOCAL),
+                Middleware(Guard, policy=_policy(settings.websocket)),
+            ],
+            exception_handlers={
+                UnknownRecording: _refuse(404),
+                UprightError: _refuse(422),
+                HTTPException: _plainly,
+            },
+        )
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        yield
+        await self._jobs.close()
+
+    async def _config(self, request: Request) -> Response:
+        vehicle, settings = self._settings.vehicle, self._settings
+        return JSONResponse({
+            "vehicle": vehicle.vehicle.id,
+            "description": vehicle.vehicle.description,
+            "kind": vehicle.vehicle.kind,
+            "version": assembly.version(),
+            "websocket": settings.websocket,
+            "topic": f"{vehicle.mqtt.base}/{vehicle.vehicle.id}",
+            "user": settings.user,
+            "password": settings.password,
+            "lease": vehicle.control.lease,
+            "rate": vehicle.control.rate,
+            "support_deg": vehicle.limits.support_deg,
+            "limits": vehicle.limits.model_dump(),
+            "parameters": {
+                name: getattr(vehicle.parameters, name).model_dump() for name in vehicle.parameters.values
+            },
+            "experiments": {
+                name: each.model_dump(exclude_none=True) for name, each in vehicle.experiments.items()
+            },
+            "charts": [asdict(chart) for chart in CHARTS[vehicle.vehicle.kind]],
+        })  # fmt: skip
+
+    async def _list(self, request: Request) -> Response:
+        return JSONResponse({"recordings": await asyncio.to_thread(self._folder.list)})
+
+    async def _open(self, request: Request) -> Response:
+        points = request.query_params.get("points", "1500")
+        most = int(points) if points.isdecimal() and len(points) < 6 else 1500
+        return JSONResponse(await asyncio.to_thread(self._folder.open, request.path_params["name"], most))
+
+    async def _download(self, request: Request) -> Response:
+        path = await asyncio.to_thread(self._folder.download, request.path_params["name"], request.path_params["what"])
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+    async def _model(self, request: Request) -> Response:
+        """The model file that effects are added to, as `upright model show` tells it; null where there is none yet."""
+        return JSONResponse({"model": await asyncio.to_thread(self._read_model)})
+
+    def _read_model(self) -> dict[str, Any] | None:
+        from models.model_file import read
+
+        if not self._model_file.is_file():
+            return None
+        file = read(self._model_file)
+        return {
+            "file": str(self._model_file),
+            "effects": [each.name for each in file.model.effects],
+            "history": [{key: str(value) for key, value in entry.items()} for entry in file.history],
+        }
+
+    @property
+    def _model_file(self) -> Path:
+        return self._models / f"{self._settings.vehicle.vehicle.id}.toml"
+
+    async def _start(self, request: Request) -> Response:
+        if int(request.headers.get("content-length", "0")) > LARGEST_BODY:
+            raise HTTPException(413, "too large")
+        try:
+            asked = await request.json()
+        except ValueError:
+            raise HTTPException(400, "not JSON") from None
+        if not isinstance(asked, dict):
+            raise HTTPException(400, "not an object")
+        kind = asked.get("kind")
+        words = await asyncio.to_thread(self._words, kind, asked)
+        return JSONResponse(self._jobs.start(str(kind), words).to_json(), 202)
+
+    def _words(self, kind: object, asked: dict[str, Any]) -> list[str]:
+        """The command line of a job; what came from outside is looked up, never passed on as it is."""
+        vehicle = ["--vehicle", self._settings.vehicle.path or self._settings.vehicle.vehicle.id]
+        names = asked.get("recordings", [])
+        if not isinstance(names, list) or not 0 < len(names) <= 8:
+            if kind != "undo":
+                raise HTTPException(400, "name one to eight recordings")
+            names = []
+        paths = [str(self._folder.find(str(name))) for name in names]
+        base, own = assembly_model(self._settings.vehicle), self._model_file
+        match kind:
+            case "compare":
+                return ["compare", *paths, *vehicle, *(["--model", str(own)] if own.is_file() else [])]
+            case "identify":
+                return ["identify", *paths, *vehicle]
+            case "diagnose" | "report":
+                words = ["diagnose", *paths, *vehicle, *(["--model", str(own)] if own.is_file() else [])]
+                self._reports.mkdir(parents=True, exist_ok=True)
+                return [*words, "--report", str(self._reports / f"{Path(paths[0]).stem}.html")]
+            case "add":
+                effect = asked.get("effect")
+                if effect not in CATALOGUE:
+                    raise HTTPException(400, "no effect of the catalogue")
+                self._models.mkdir(parents=True, exist_ok=True)
+                start = [str(own)] if own.is_file() else [base]
+                output = [] if own.is_file() else ["--output", str(own)]
+                recordings = [word for path in paths for word in ("--recording", path)]
+                return ["model", "add", *start, str(effect), *recordings, *vehicle, *output]
+            case "undo" if own.is_file():
+                return ["model", "undo", str(own)]
+        raise HTTPException(400, "no such job")
+
+    async def _job(self, request: Request) -> Response:
+        job = self._jobs.find(request.path_params["number"])
+        if job is None:
+            raise HTTPException(404, "no such job")
+        if request.method == "DELETE":
+            self._jobs.cancel(job)
+        return JSONResponse(job.to_json())
+
+    async def _report(self, request: Request) -> Response:
+        """A page of its own, in which nothing can run."""
+        name = request.path_params["name"]
+        there = [each.name for each in self._reports.iterdir()] if self._reports.is_dir() else []
+        if name not in there or not name.endswith(".html"):
+            raise HTTPException(404, "no such report")
+        return FileResponse(self._reports / name, media_type="text/html", headers={"content-security-policy": REPORT})
+
+
+REPORT = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+
+
+def assembly_model(vehicle: VehicleFile) -> str:
+    """The shipped model that a vehicle of this kind starts from."""
+    from estimators.identify import NOMINAL
+
+    return NOMINAL[vehicle.vehicle.kind][0]
+
+
+def _policy(websocket: str) -> str:
+    place = urlsplit(websocket)
+    return (
+        f"default-src 'self'; connect-src 'self' {place.scheme}://{place.netloc}; img-src 'self' data:;"
+        " object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
+class Guard:
+    """Headers of every answer, and the mark that every request which changes something must carry."""
+
+    def __init__(self, app: ASGIApp, policy: str) -> None:
+        self._app = app
+        self._headers = {
+            b"content-security-policy": policy.encode(),
+            b"x-content-type-options": b"nosniff",
+            b"referrer-policy": b"no-referrer",
+            b"cache-control": b"no-cache",
+        }
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        if scope["method"] not in ("GET", "HEAD") and MARK.encode() not in dict(scope["headers"]):
+            await JSONResponse({"error": "not from the page"}, 403)(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                there = {name for name, _ in message["headers"]}
+                message["headers"] += [(name, value) for name, value in self._headers.items() if name not in there]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+
+def _refuse(status: int) -> Callable[[Request, Exception], Awaitable[Response]]:
+    async def refuse(request: Request, error: Exception) -> Response:
+        return JSONResponse({"error": str(error)}, status)
+
+    return refuse
+
+
+async def _plainly(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return JSONResponse({"error": error.detail}, error.status_code)

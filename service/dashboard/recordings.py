@@ -1,0 +1,107 @@
+"""The recordings in a folder, as the dashboard shows them. A name is only ever looked up among those that are there."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from telemetry.errors import RecordingError, UprightError
+from telemetry.recording import Recording
+
+SUFFIXES = (".arrow", ".parquet", ".csv")
+MOST_LISTED = 500
+MOST_POINTS = 4000
+
+
+class UnknownRecording(UprightError):
+    """There is no recording of that name in the folder."""
+
+
+class Folder:
+    """Recordings of one folder, the newest first."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+
+    def names(self) -> list[str]:
+        """Newest first, as their names begin with the time."""
+        if not self.path.is_dir():
+            return []
+        found = [each.name for each in self.path.iterdir() if each.suffix in SUFFIXES and each.is_file()]
+        return sorted(found, reverse=True)[:MOST_LISTED]
+
+    def find(self, name: str) -> Path:
+        """Raises UnknownRecording. A name that is not in the listing leads nowhere, whatever it contains."""
+        if name not in self.names():
+            raise UnknownRecording("there is no recording of that name.", remedy="Load the list again.")
+        return self.path / name
+
+    def list(self) -> list[dict[str, Any]]:
+        """Of each recording what its file system and its name say; reading them all would take long."""
+        listed = []
+        for name in self.names():
+            path = self.path / name
+            try:
+                stat = path.stat()
+            except OSError:
+                continue
+            listed.append(
+                {
+                    "name": name,
+                    "bytes": stat.st_size,
+                    "modified": stat.st_mtime,
+                    "log": path.with_suffix(".log").is_file(),
+                    "estimates": path.with_suffix(".estimates.json").is_file(),
+                }
+            )
+        return listed
+
+    def open(self, name: str, points: int) -> dict[str, Any]:
+        """Channels thinned to at most `points` rows, with metadata and the live estimates beside it.
+
+        Raises UnknownRecording, RecordingError.
+        """
+        path = self.find(name)
+        recording = Recording.load(path)
+        step = max(1, math.ceil(len(recording) / max(2, min(points, MOST_POINTS))))
+        return {
+            "name": name,
+            "metadata": {key: str(value)[:400] for key, value in recording.metadata.items()},
+            "truncated": recording.truncated,
+            "seconds": recording.duration,
+            "rows": len(recording),
+            "time": _numbers(recording.time[::step]),
+            "channels": {
+                channel.name: {"unit": channel.unit, "values": _numbers(recording[channel.name][::step])}
+                for channel in recording.channels
+            },
+            "estimates": self._beside(path),
+        }
+
+    def download(self, name: str, what: str) -> Path:
+        """The file itself, its raw log or its estimates. Raises UnknownRecording."""
+        path = self.find(name)
+        beside = {"recording": path, "log": path.with_suffix(".log"), "estimates": path.with_suffix(".estimates.json")}
+        target = beside.get(what)
+        if target is None or not target.is_file():
+            raise UnknownRecording(f"this recording has no {what[:20]}.", remedy="Download the recording itself.")
+        return target
+
+    def _beside(self, path: Path) -> dict[str, Any] | None:
+        try:
+            document = json.loads(path.with_suffix(".estimates.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return document if isinstance(document, dict) else None
+
+
+def _numbers(values: Any) -> list[float | None]:
+    finite = np.isfinite(values)
+    return [float(f"{value:.7g}") if known else None for value, known in zip(values, finite, strict=True)]
+
+
+__all__ = ["Folder", "RecordingError", "UnknownRecording"]

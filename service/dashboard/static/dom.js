@@ -1,0 +1,47 @@
+// Elements made of text and other elements. Nothing here, or anywhere on this page, parses markup: whatever a message or
+// a file name contains ends up as text.
+
+export const $ = (id) => document.getElementById(id);
+
+export function h(tag, props = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [key, value] of Object.entries(props)) {
+    if (value === undefined || value === null || value === false) continue;
+    if (key === "class") element.className = value;
+    else if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else element.setAttribute(key, value === true ? "" : String(value));
+  }
+  element.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined).map((child) =>
+    child instanceof Node ? child : document.createTextNode(String(child))));
+  return element;
+}
+
+export function fill(element, ...children) {
+  element.replaceChildren(...children.flat(Infinity).filter((child) => child !== null && child !== undefined).map((child) =>
+    child instanceof Node ? child : document.createTextNode(String(child))));
+  return element;
+}
+
+export function text(element, value) {
+  const wanted = String(value);
+  if (element.textContent !== wanted) element.textContent = wanted;
+}
+
+// A number as people read it; what is not one is a dash.
+export function number(value, digits = 4) {
+  if (typeof value !== "number" || !Number.isFinite(value)) return "–";
+  if (value !== 0 && (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-3)) return value.toExponential(Math.max(0, digits - 2));
+  return String(Number(value.toPrecision(digits)));
+}
+
+export function seconds(value) {
+  return typeof value === "number" && Number.isFinite(value) ? `${Math.max(0, Math.round(value))} s` : "–";
+}
+
+export function table(headings, rows, caption) {
+  return h("div", { class: "scroll" }, h("table", {},
+    caption ? h("caption", {}, caption) : null,
+    h("thead", {}, h("tr", {}, headings.map((heading) => h("th", { scope: "col" }, heading)))),
+    h("tbody", {}, rows.map((row) => h("tr", {}, row.map((cell, place) =>
+      h(place === 0 ? "th" : "td", place === 0 ? { scope: "row" } : {}, cell)))))));
+}

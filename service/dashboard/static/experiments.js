@@ -1,0 +1,77 @@
+// Experiments: start one and hold it, see how far it is and what the limits are, and whether it did what it should.
+
+import { h, fill, number, seconds, text } from "./dom.js";
+
+const WORDS = {
+  amplitude_deg: (x) => `amplitude ${x} deg`, amplitude: (x) => `amplitude ${x}`, start_frequency: (x) => `from ${x} Hz`,
+  stop_frequency: (x) => `to ${x} Hz`, frequency: (x) => `${x} Hz`, width: (x) => `${x} s wide`, lines: (x) => `${x} lines`,
+};
+
+export class Experiments {
+  constructor(place, app) {
+    this.app = app;
+    this.buttons = [];
+    this.bar = h("progress", { id: "progress", max: 1, value: 0, "aria-label": "Progress" });
+    this.what = h("p", { id: "progress-text" }, "Nothing is running.");
+    this.outcome = h("p", { id: "outcome", role: "status" });
+    this.reset = h("button", { id: "reset", hidden: true, onclick: () => this.acknowledge() }, "Reset the fault: its cause is mended");
+    const cards = Object.entries(app.config.experiments).map(([name, each]) => {
+      const button = h("button", { class: "primary", "data-experiment": name, onclick: () => this.start(name) }, "Start");
+      this.buttons.push(button);
+      const details = Object.entries(WORDS).filter(([key]) => each[key] !== undefined).map(([key, words]) => words(number(each[key])));
+      return h("li", { class: "card" }, h("h3", {}, name), h("p", {}, each.title),
+        h("p", { class: "quiet" }, [`${number(each.duration)} s`, each.excitation === "none" ? "no excitation" : each.excitation.replaceAll("_", " "), ...details].join(", ")), button);
+    });
+    const limits = Object.entries(app.config.limits).map(([key, value]) => [h("dt", {}, key.replaceAll("_", " ")), h("dd", {}, number(value))]);
+    fill(place,
+      h("section", { class: "card wide" }, h("h2", {}, "Running"), this.what, this.bar, this.outcome, this.reset,
+        h("p", { class: "quiet" }, "Whoever starts an experiment holds it: if this page is closed, hidden or cut off for ",
+          `${1000 * app.config.lease} ms, it ends in order and the vehicle is lowered. Escape stops it.`)),
+      h("h2", {}, "Experiments"), h("ul", { class: "cards plain" }, cards),
+      h("section", { class: "card wide" }, h("h2", {}, "Limits of this vehicle"), h("dl", { class: "columns" }, limits)));
+  }
+
+  async start(name) {
+    text(this.outcome, "");
+    const first = await this.app.link.experiment(name, (reply) => this.over(name, reply));
+    if (!first.ok) this.over(name, first);
+    this.state(this.app.state);
+  }
+
+  over(name, reply) {
+    this.outcome.dataset.ok = String(reply.ok);
+    const early = reply.ok && reply.text;
+    text(this.outcome, `${name}: ${reply.ok ? (early ? `ended early: ${reply.text}` : "accepted, it did what it should") : `${reply.code}: ${reply.text}`}`
+      + (typeof reply.recording === "string" ? ` Recording: ${reply.recording.split("/").pop()}` : ""));
+  }
+
+  async acknowledge() {
+    const reply = await this.app.link.command("reset");
+    text(this.outcome, reply.ok ? "The drives are set up again." : `${reply.code}: ${reply.text}`);
+  }
+
+  state(state) {
+    if (!state) return;
+    this.reset.hidden = state.mode !== "fault" || !state.commands;
+    const running = state.mode === "running";
+    const ready = !running && state.commands && state.interlocks.length === 0;
+    for (const button of this.buttons) {
+      button.disabled = !ready;
+      button.title = !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file"
+        : running ? "An experiment is running" : state.interlocks.join(" ");
+    }
+    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${state.held_by ?? "nobody"}`);
+    else {
+      text(this.what, !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file."
+        : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "Nothing is running.");
+      this.bar.value = 0;
+    }
+  }
+
+  progress(message) {
+    this.bar.value = Math.min(1, Math.max(0, message.fraction));
+    if (this.app.state?.mode === "running") {
+      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.state.held_by ?? "nobody"}`);
+    }
+  }
+}

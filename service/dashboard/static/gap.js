@@ -1,0 +1,148 @@
+// Gap: where the model fails, which torque is missing and by what it goes, which effects explain it, and what adding does.
+
+import { h, fill, number, table } from "./dom.js";
+import { Chart } from "./charts.js";
+import { ask, picker, run } from "./jobs.js";
+
+const percent = (value) => (typeof value === "number" ? `${number(value, 3)} %` : "–");
+const EFFECT = /^[a-z][a-z0-9_]{0,60}$/;
+
+export class Gap {
+  constructor(place, app) {
+    this.app = app;
+    this.picker = picker("Recording", "gap-recording");
+    this.live = h("div", { id: "gap-live" }, h("p", { class: "quiet" }, "Nothing yet: effects are looked for while an experiment runs."));
+    this.busy = h("div");
+    this.where = h("div", { id: "gap-where" });
+    this.ranked = h("div", { id: "gap-ranked" });
+    this.repair = h("div", { id: "gap-repair" });
+    this.model = h("div", { id: "gap-model" });
+    this.charts = [];
+    fill(place,
+      h("h2", {}, "While it runs"), this.live,
+      h("h2", {}, "On a recording"),
+      h("p", { class: "row" }, this.picker.element,
+        h("button", { class: "primary", id: "gap-compare", onclick: () => this.compare() }, "Where does it fail?"),
+        h("button", { class: "primary", id: "gap-diagnose", onclick: () => this.diagnose() }, "What is missing?")),
+      this.busy, this.repair, this.ranked, this.where,
+      h("h2", {}, "The model"), this.model);
+  }
+
+  shown() {
+    this.picker.load().then(() => this.tellModel()).catch((error) => this.app.notice(error.message));
+  }
+
+  diagnosis(message) {
+    this.latest = message;
+  }
+
+  draw() {
+    if (this.latest) this.rank(this.live, this.latest, false);
+    for (const chart of this.charts) chart.draw();
+  }
+
+  rank(place, diagnosis, whole) {
+    const key = JSON.stringify([diagnosis.verdict, diagnosis.findings, diagnosis.seconds]);
+    if (place.dataset.key === key) return; // a button must not vanish under the finger
+    place.dataset.key = key;
+    const verdict = { adequate: "The model is adequate: nothing shows that it lacks.", missing_effect: "An effect is missing.",
+      unknown: "Something is missing that has no name here.", insufficient_data: "This record cannot tell yet." }[diagnosis.verdict] ?? "";
+    const rows = diagnosis.findings.map((each, place) => {
+      const sizes = Object.entries(each.parameters ?? {}).map(([name, entry]) =>
+        `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : entry.unit ?? ""}`).join(", ");
+      const add = EFFECT.test(each.effect) ? h("button", { class: "primary", "data-add": each.effect, onclick: () => this.add(each.effect) }, "Add") : null;
+      return [`${place + 1}. ${each.effect}`, sizes, typeof each.since === "number" && each.since ? `since ${number(each.since, 4)} s` : "",
+        typeof each.probability === "number" ? percent(100 * each.probability) : "–", percent(each.held_out_error_closed_percent),
+        (each.tied_with ?? []).length ? `tied with ${each.tied_with.join(", ")}` : "", add];
+    });
+    fill(place, h("p", { class: diagnosis.adequate ? "good" : "told" }, verdict, diagnosis.reason ? ` ${diagnosis.reason}` : ""),
+      rows.length ? table(["Effect", "Size", "", "Probability", "Held-out error closed", "Ties", ""], rows) : null,
+      whole && typeof diagnosis.innovation_ratio_before === "number" && typeof diagnosis.innovation_ratio_after === "number"
+        ? h("p", {}, `Innovation ratio: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} with it.`) : null,
+      whole && diagnosis.suggested_experiment ? h("p", {}, `Next experiment: ${String(diagnosis.suggested_experiment.name ?? "")}. ${String(diagnosis.suggested_experiment.reason ?? "")}`) : null);
+  }
+
+  async diagnose() {
+    const name = this.picker.select.value;
+    if (!name) return;
+    const result = await run(this.busy, { kind: "diagnose", recordings: [name] }, "Looking for what is missing");
+    if (result) this.rank(this.ranked, result, true);
+  }
+
+  async compare() {
+    const name = this.picker.select.value;
+    if (!name) return;
+    const result = await run(this.busy, { kind: "compare", recordings: [name] }, "Comparing model and measurement");
+    if (!result) return;
+    this.charts.forEach((chart) => chart.destroy());
+    this.charts = [];
+    fill(this.where, result.models.map((model) => this.fails(model)));
+    this.charts.forEach((chart) => chart.draw());
+  }
+
+  fails(model) {
+    const { time = [], frequency = [], state = [] } = model.fails ?? {};
+    const coordinates = [...new Set(state.map((each) => each.coordinate))];
+    const top = (rows, key) => [...rows].sort((a, b) => b[key] - a[key]).slice(0, 6);
+    return h("section", { class: "card wide" },
+      h("h3", {}, `${model.name}: ${model.adequate ? "adequate" : "fails"}`),
+      h("p", {}, `Innovation ratio ${number(model.innovation_ratio, 3)}. `, (model.summary ?? []).join(" ")),
+      h("div", { class: "charts" }, coordinates.map((coordinate) => this.missing(coordinate, state.filter((each) => each.coordinate === coordinate)))),
+      time.length ? table(["From", "To", "Channel", "Energy over the floor"], top(time, "energy_over_floor").map((each) =>
+        [`${number(each.from, 4)} s`, `${number(each.to, 4)} s`, each.channel, number(each.energy_over_floor, 3)]), "Where in time") : null,
+      frequency.length ? table(["From", "To", "Channel", "Power over the floor"], top(frequency, "power_over_floor").map((each) =>
+        [`${number(each.from_hz, 3)} Hz`, `${number(each.to_hz, 3)} Hz`, each.channel, number(each.power_over_floor, 3)]), "Where in frequency") : null);
+  }
+
+  missing(coordinate, bins) {
+    const box = h("div", { class: "plot" });
+    const sorted = bins.map((bin) => ({ ...bin, x: 0.5 * (bin.from + bin.to) })).sort((a, b) => a.x - b.x);
+    const chart = new Chart(box, { xLabel: `${coordinate}, ${bins[0].coordinate_unit}`, yLabel: bins[0].unit, series: [
+      { label: "missing", stroke: "orange", width: 2, points: true },
+      { label: "± 2 std", stroke: "grey", width: 0.5 }, { label: "", stroke: "grey", width: 0.5 }] }, 200);
+    chart.data = [sorted.map((bin) => bin.x), sorted.map((bin) => bin.missing_force),
+      sorted.map((bin) => bin.missing_force + 2 * bin.std), sorted.map((bin) => bin.missing_force - 2 * bin.std)];
+    this.charts.push(chart);
+    return h("figure", { class: "chart" }, h("figcaption", {}, `Missing at ${bins[0].joint}, by ${coordinate}`), box);
+  }
+
+  async add(effect) {
+    const recordings = await this.picker.load().catch(() => []);
+    const name = this.picker.select.value || recordings[0]?.name;
+    if (!name) return this.app.notice("There is no recording to fit the model to yet.");
+    fill(this.repair);
+    const result = await run(this.busy, { kind: "add", effect, recordings: [name] }, `Adding ${effect}, fitted to ${name}`);
+    if (result) this.tellRepair(effect, result);
+    await this.tellModel();
+  }
+
+  tellRepair(effect, result) {
+    const repair = result.repair;
+    if (!repair) return fill(this.repair, h("p", {}, `${effect} added.`));
+    const far = repair.horizons.length - 1;
+    const rows = Object.keys(repair.before.held_out).map((channel) => {
+      const before = repair.before.held_out[channel][far], after = repair.after.held_out[channel][far];
+      const floor = repair.floor?.held_out?.[channel]?.[far];
+      const bar = h("div", { class: "fall", role: "img", "aria-label": `falls to ${percent(100 * after / before)}` }, h("i"), h("b"));
+      bar.lastChild.style.width = `${Math.min(100, 100 * after / before)}%`;
+      return [channel, h("output", { "data-before": channel, "data-value": before }, number(before, 3)),
+        h("output", { "data-after": channel, "data-value": after }, number(after, 3)), number(floor, 3), bar];
+    });
+    fill(this.repair, h("section", { class: "card wide", role: "status" }, h("h3", {}, `${effect}: what it did`),
+      (repair.words ?? []).map((each) => h("p", {}, each)),
+      table([`Error ${number(repair.horizons[far], 2)} s ahead, held out`, "Before", "After", "Noise floor", "What is left"], rows),
+      h("p", {}, `Innovation ratio: ${number(repair.before.innovation_ratio, 3)} before, ${number(repair.after.innovation_ratio, 3)} after.`)));
+  }
+
+  async tellModel() {
+    const { model } = await ask("api/model");
+    const effects = model?.effects ?? [];
+    const undo = effects.length ? h("button", { id: "gap-undo", onclick: () => this.undo() }, `Take back ${effects.at(-1)}`) : null;
+    fill(this.model, h("p", {}, model ? `Added so far: ${effects.join(", ") || "nothing"}.` : "The vehicle's own with its CAD values; nothing added yet."), undo);
+  }
+
+  async undo() {
+    if (await run(this.busy, { kind: "undo" }, "Taking back")) fill(this.repair);
+    await this.tellModel();
+  }
+}

@@ -1,0 +1,111 @@
+// Identify: the parameters as they settle while the vehicle moves, and on a recording all methods side by side.
+
+import { h, fill, number, table } from "./dom.js";
+import { Chart } from "./charts.js";
+import { picker, run } from "./jobs.js";
+
+const BAND = 1.96; // standard deviations of a 95 % band
+const MOST = 600; // points of a curve; beyond that every second one is forgotten
+
+export class Identify {
+  constructor(place, app) {
+    this.app = app;
+    this.tracks = new Map();
+    this.plots = h("div", { class: "charts" });
+    this.now = h("div", { id: "parameters-now" }, h("p", { class: "quiet" }, "No estimates yet: they come while an experiment runs."));
+    this.picker = picker("Recording", "identify-recording");
+    this.answer = h("div", { id: "methods" });
+    this.busy = h("div");
+    const button = h("button", { class: "primary", id: "identify-run", onclick: () => this.identify() }, "Compare the methods");
+    fill(place, h("h2", {}, "While it runs"), this.now, this.plots,
+      h("h2", {}, "Methods side by side"), h("p", { class: "row" }, this.picker.element, button), this.busy, this.answer);
+  }
+
+  shown() {
+    this.picker.load().catch(() => {});
+  }
+
+  state(state) {
+    if (state.mode === "running" && this.running !== state.since) {
+      this.running = state.since;
+      for (const track of this.tracks.values()) track.data = [[], [], [], [], []];
+    }
+  }
+
+  parameters(parameters) {
+    const time = this.app.newest ?? 0;
+    this.latest = parameters;
+    for (const [name, entry] of Object.entries(parameters)) {
+      const track = this.track(name, entry);
+      const known = typeof entry.value === "number" && typeof entry.std === "number";
+      const cad = this.app.config.parameters[name]?.value ?? null;
+      if (!known || !time) continue;
+      const columns = [time, entry.value, entry.value + BAND * entry.std, entry.value - BAND * entry.std, cad];
+      if (track.data[0].length && time <= track.data[0].at(-1)) continue;
+      track.data.forEach((column, place) => column.push(columns[place]));
+      if (track.data[0].length > MOST) track.data = track.data.map((column) => column.filter((_, row) => row % 2 === 1));
+    }
+  }
+
+  track(name, entry) {
+    let track = this.tracks.get(name);
+    if (!track && this.tracks.size < 20) {
+      const box = h("div", { class: "plot" });
+      const figure = h("figure", { class: "chart", hidden: true }, h("figcaption", {}, name, " ", String(entry.unit ?? "")), box);
+      this.plots.append(figure);
+      const chart = new Chart(box, { xLabel: "s", series: [
+        { label: "estimate", stroke: "blue", width: 2 }, { label: "95 % band", stroke: "blue", width: 0.5 },
+        { label: "", stroke: "blue", width: 0.5 }, { label: "CAD", stroke: "grey", width: 1.5, dash: [6, 3] }],
+      bands: [{ series: [2, 3], fill: "rgba(0, 114, 178, 0.18)" }] });
+      track = { chart, figure, data: [[], [], [], [], []] };
+      this.tracks.set(name, track);
+    }
+    return track ?? { data: [[], [], [], [], []] };
+  }
+
+  draw() {
+    if (this.latest) {
+      fill(this.now, table(["Parameter", "Value", "±", "Unit", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => [
+        name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, number(entry.value, 5)), number(entry.std, 2), String(entry.unit ?? ""),
+        number(this.app.config.parameters[name]?.value, 5), String(entry.method ?? ""), String(entry.status ?? ""), String(entry.reason ?? "")])));
+    }
+    for (const { chart, data, figure } of this.tracks.values()) {
+      const first = data[0][0] ?? 0;
+      figure.hidden = !data[0].length; // one retained value is no curve
+      if (data[0].length) chart.set([data[0].map((time) => time - first), ...data.slice(1)]);
+    }
+  }
+
+  async identify() {
+    const name = this.picker.select.value;
+    if (!name) return;
+    const result = await run(this.busy, { kind: "identify", recordings: [name] }, "Comparing the methods");
+    if (!result) return;
+    const methods = Object.entries(result.methods ?? {});
+    const names = [...new Set(methods.flatMap(([, each]) => Object.keys(each.parameters ?? {})))];
+    fill(this.answer, names.map((parameter) => this.figure(parameter, methods)));
+  }
+
+  // As in the paper's figure 3: a row a method, its value with a 95 % bar, on one scale.
+  figure(parameter, methods) {
+    const rows = methods.map(([method, each]) => [method, each.parameters?.[parameter], each]).filter(([, entry]) => entry);
+    const known = rows.filter(([, entry]) => typeof entry.value === "number");
+    const ends = known.flatMap(([, { value, std }]) => [value - BAND * (std ?? 0), value + BAND * (std ?? 0)]);
+    const middle = known.map(([, { value }]) => value).sort((a, b) => a - b)[known.length >> 1] ?? 0;
+    const reach = Math.max(1e-12, Math.min(Math.max(...ends.map((end) => Math.abs(end - middle)), 0), 0.3 * Math.abs(middle) || Infinity));
+    const place = (value) => Math.min(100, Math.max(0, 50 + 50 * (value - middle) / reach));
+    const unit = known[0]?.[1].unit ?? "";
+    return table(["Method", "Value", "±", ""], rows.map(([method, entry, each]) => {
+      const bar = h("div", { class: "interval", role: "img", "aria-label": `${number(entry.value, 5)} ± ${number(entry.std, 2)}` });
+      if (typeof entry.value === "number") {
+        const low = place(entry.value - BAND * (entry.std ?? 0)), high = place(entry.value + BAND * (entry.std ?? 0));
+        const line = h("i"), dot = h("b");
+        line.style.left = `${low}%`;
+        line.style.width = `${Math.max(0.5, high - low)}%`;
+        dot.style.left = `${place(entry.value)}%`;
+        bar.append(line, dot);
+      }
+      return [method, number(entry.value, 5), number(entry.std, 2), entry.value === null || entry.value === undefined ? String(each.reason || entry.reason || "") : bar];
+    }), `${parameter}${unit ? `, ${unit}` : ""}`);
+  }
+}

@@ -1,0 +1,168 @@
+// The connection to the broker: what comes is checked before anything sees it, what goes carries an id and a time, and
+// whatever moves the vehicle is held by a lease that this page renews for as long as it is there.
+
+const LARGEST = 200_000; // characters of a message
+const RENEWAL = 75; // ms between two signs
+const PATIENCE = 5000; // ms that a reply may take
+
+const random = () => Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+const isText = (value) => typeof value === "string";
+const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
+
+const CHECKS = {
+  state: (m) => isText(m.mode) && Array.isArray(m.interlocks) && m.interlocks.every(isText) && Array.isArray(m.faults),
+  telemetry: isTelemetry,
+  parameters: (m) => Object.values(m).every((entry) => isObject(entry) && "value" in entry),
+  diagnosis: (m) => isText(m.verdict) && Array.isArray(m.findings) && m.findings.every((each) => isObject(each) && isText(each.effect)),
+  progress: (m) => isNumber(m.fraction) && isText(m.task),
+  event: (m) => isText(m.severity) && isText(m.text),
+};
+
+function isTelemetry(message) {
+  if (!isNumber(message.t0) || !isNumber(message.dt) || message.dt <= 0) return false;
+  let rows = 0;
+  for (const [key, value] of Object.entries(message)) {
+    if (["t0", "dt", "health", "predictions"].includes(key)) continue;
+    if (!Array.isArray(value) || value.length > 5000 || (rows && value.length !== rows)) return false;
+    if (!value.every((each) => each === null || isNumber(each))) return false;
+    rows = value.length;
+  }
+  const predictions = message.predictions ?? [];
+  return rows > 0 && Array.isArray(predictions) && predictions.every((each) =>
+    isObject(each) && isNumber(each.t0) && isNumber(each.dt) && isObject(each.values) && isObject(each.innovations) &&
+    [...Object.values(each.values), ...Object.values(each.innovations)].every(Array.isArray));
+}
+
+export class Link {
+  constructor(config, handlers) {
+    this.client = `page-${random()}`;
+    this.ignored = { malformed: 0, huge: 0, reordered: 0 };
+    this.online = false; // the vehicle's own word, or its last will
+    this.connected = false;
+    this.trouble = "connecting";
+    this.config = config;
+    this.handlers = handlers;
+    this.waiting = new Map();
+    this.held = null; // id of the experiment that this page holds
+    this.latest = -Infinity;
+    this.login = { username: config.user || undefined, password: config.password || undefined };
+    this.open();
+    addEventListener("pagehide", () => this.release());
+  }
+
+  open() {
+    this.socket?.end(true);
+    const socket = this.socket = mqtt.connect(this.config.websocket, {
+      ...this.login, clientId: this.client, clean: true, keepalive: 10, reconnectPeriod: 1000, connectTimeout: 5000,
+      queueQoSZero: false, resubscribe: false, timerVariant: "native",
+    });
+    socket.on("connect", () => {
+      const mine = `${this.config.topic}/`;
+      const names = ["status", "state", "telemetry", "parameters", "diagnosis", "progress", "event", `reply/${this.client}`];
+      socket.subscribe(names.map((name) => mine + name), { qos: 1 }, (error) => this.say(error ? "the broker lets nobody listen" : ""));
+    });
+    socket.on("close", () => this.say(this.trouble || "no connection to the broker"));
+    socket.on("error", (error) => {
+      const refused = [4, 5, 134, 135].includes(error.code);
+      this.say(refused ? "user or password refused" : "no connection to the broker", refused);
+    });
+    socket.on("message", (topic, payload) => this.take(topic, payload));
+  }
+
+  say(trouble, refused = false) {
+    this.trouble = trouble;
+    this.connected = !trouble && this.socket.connected;
+    if (!this.connected) this.online = false;
+    this.handlers.link(this, refused);
+  }
+
+  ignore(why) {
+    this.ignored[why] += 1;
+    this.handlers.ignored(this.ignored);
+  }
+
+  take(topic, payload) {
+    const name = topic.slice(this.config.topic.length + 1);
+    if (payload.length > LARGEST) return this.ignore("huge");
+    const words = new TextDecoder().decode(payload);
+    if (name === "status") {
+      this.online = words === "online";
+      return this.handlers.link(this, false);
+    }
+    let message;
+    try {
+      message = JSON.parse(words);
+    } catch {
+      return this.ignore("malformed");
+    }
+    if (!isObject(message)) return this.ignore("malformed");
+    if (name === `reply/${this.client}`) return this.answered(message);
+    if (!CHECKS[name]?.(message)) return this.ignore("malformed");
+    if (name === "telemetry") {
+      // The same batch again, or one that was overtaken, has nothing new; a clock that was set back has.
+      if (message.t0 <= this.latest && message.t0 > this.latest - 5) return this.ignore("reordered");
+      this.latest = message.t0;
+    }
+    this.handlers[name]?.(message);
+  }
+
+  // Commands
+
+  send(verb, args = {}, qos = 1) {
+    const id = random();
+    this.socket.publish(`${this.config.topic}/cmd/${verb}`,
+      JSON.stringify({ id, client: this.client, timestamp: Date.now() / 1000, arguments: args }), { qos });
+    return id;
+  }
+
+  command(verb, args = {}) {
+    if (!this.socket.connected || !this.online) {
+      return Promise.resolve({ ok: false, code: "offline", text: "The vehicle is not reached from here.", done: true });
+    }
+    const id = this.send(verb, args);
+    return new Promise((resolve) => {
+      const timer = setTimeout(() => {
+        this.waiting.delete(id);
+        resolve({ ok: false, code: "silent", text: "No answer came: are commands enabled, and may this user give them?", done: true });
+      }, PATIENCE);
+      this.waiting.set(id, { resolve, timer });
+    });
+  }
+
+  // An experiment is held from the moment that it is asked for; `done` is called with its last reply.
+  async experiment(name, done) {
+    if (this.held) return { ok: false, code: "held", text: "This page holds an experiment already.", done: true };
+    const renewing = setInterval(() => this.socket.connected && this.send("renew", {}, 0), RENEWAL);
+    const asked = this.command("experiment", { name });
+    this.held = { done: (reply) => { clearInterval(renewing); this.held = null; done(reply); }, id: null, renewing };
+    const first = await asked;
+    if (!this.held) return first;
+    if (!first.ok || first.done) {
+      clearInterval(renewing);
+      this.held = null;
+    } else {
+      this.held.id = first.id;
+    }
+    return first;
+  }
+
+  release() {
+    if (this.held && this.socket.connected) this.send("release", {}, 0);
+  }
+
+  answered(reply) {
+    if (!isText(reply.id) || typeof reply.ok !== "boolean" || !isText(reply.text)) return this.ignore("malformed");
+    const waiting = this.waiting.get(reply.id);
+    if (waiting) {
+      clearTimeout(waiting.timer);
+      this.waiting.delete(reply.id);
+      waiting.resolve(reply);
+    } else if (this.held?.id && reply.id === this.held.id && reply.done) {
+      this.held.done(reply);
+    } else if (this.held?.id && reply.code === "no_lease") {
+      clearInterval(this.held.renewing); // latched: it does not come back
+      setTimeout(() => this.held?.done({ ok: false, code: "lost", text: reply.text, done: true }), 4 * PATIENCE);
+    }
+  }
+}

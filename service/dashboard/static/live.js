@@ -1,0 +1,84 @@
+// Live: what the vehicle does, and what the model says it would do.
+
+import { h, fill, number, text } from "./dom.js";
+import { Chart, Rolling, WINDOW, turned } from "./charts.js";
+
+const source = (curve) => (curve.look === "predicted" || curve.look === "innovation" ? `${curve.look}:${curve.channel}` : curve.channel);
+
+export class Live {
+  constructor(place, app) {
+    this.app = app;
+    const charts = app.config.charts;
+    const names = [...new Set(charts.flatMap((chart) => chart.curves.map(source)))];
+    this.rolling = new Rolling(names);
+    this.values = {};
+    this.events = [];
+    this.interlocks = h("ul", { id: "interlocks" });
+    this.figures = Object.fromEntries(["rate", "missed", "longest", "load", "held"].map((name) => [name, h("dd", { id: `figure-${name}` }, "–")]));
+    this.now = Object.fromEntries(charts.map((chart) => [chart.id, h("output", { id: `value-${chart.id}` }, "–")]));
+    this.log = h("ol", { id: "events", class: "log" });
+    const boxes = charts.map((chart) => {
+      const box = h("div", { class: "plot" });
+      const last = chart.curves[0];
+      const figure = h("figure", { class: "chart" },
+        h("figcaption", {}, chart.title, " ", last.look === "innovation" ? null : this.now[chart.id], " ", chart.unit), box);
+      this.values[chart.id] = new Chart(box, { yLabel: chart.unit, series: chart.curves,
+        scales: { x: { time: false, range: (_, low, high) => [Math.max(low, high - WINDOW), high] } } });
+      return figure;
+    });
+    fill(place,
+      h("div", { class: "cards" },
+        h("section", { class: "card", "aria-label": "State" }, h("h2", {}, "What keeps it from starting"), this.interlocks),
+        h("section", { class: "card", "aria-label": "Loop" }, h("h2", {}, "Control loop"), h("dl", {},
+          h("dt", {}, "rate"), this.figures.rate, h("dt", {}, "missed cycles"), this.figures.missed,
+          h("dt", {}, "longest step"), this.figures.longest, h("dt", {}, "bus load"), this.figures.load,
+          h("dt", {}, "held by"), this.figures.held)),
+        h("section", { class: "card", "aria-label": "Events" }, h("h2", {}, "Events"), this.log)),
+      h("div", { class: "charts" }, boxes));
+  }
+
+  state(state) {
+    const words = [...state.faults.map((fault) => `Fault: ${fault.text}`), ...state.interlocks];
+    fill(this.interlocks, words.length ? words.map((each) => h("li", {}, each)) : h("li", { class: "good" }, "Nothing: an experiment may start."));
+    text(this.figures.held, state.held_by ?? "nobody");
+  }
+
+  telemetry(message) {
+    this.rolling.add(message.t0, message.dt, message);
+    for (const stretch of message.predictions ?? []) {
+      for (const [name, values] of Object.entries(stretch.values)) this.rolling.merge(stretch.t0, stretch.dt, `predicted:${name}`, values);
+      for (const [name, values] of Object.entries(stretch.innovations)) this.rolling.merge(stretch.t0, stretch.dt, `innovation:${name}`, values);
+    }
+    const health = message.health;
+    if (health && typeof health === "object") {
+      const wanted = this.app.config.rate;
+      text(this.figures.rate, `${number(health.rate, 4)} of ${wanted} Hz`);
+      text(this.figures.missed, number(health.missed_cycles, 9));
+      text(this.figures.longest, typeof health.longest_step === "number" ? `${number(1e3 * health.longest_step, 3)} ms` : "–");
+      text(this.figures.load, Array.isArray(health.buses) && health.buses.length
+        ? health.buses.map((bus) => `${number(bus.load_percent, 3)} %`).join(", ") : "–");
+    }
+  }
+
+  event(event) {
+    this.events.unshift(event);
+    this.events.length = Math.min(this.events.length, 30);
+    fill(this.log, this.events.map((each) => h("li", { "data-severity": each.severity }, each.text)));
+  }
+
+  draw() {
+    const { time, columns } = this.rolling;
+    if (!time.length) return;
+    const zero = time[time.length - 1];
+    const ago = time.map((each) => each - zero);
+    for (const chart of this.app.config.charts) {
+      const data = chart.curves.map((curve) => turned(columns[source(curve)], chart.factor));
+      this.values[chart.id].set([ago, ...data]);
+      const last = data[0][data[0].length - 1];
+      const output = this.now[chart.id];
+      text(output, typeof last === "number" ? last.toFixed(2) : "–");
+      output.dataset.si = String(columns[source(chart.curves[0])].at(-1));
+      output.dataset.time = String(zero);
+    }
+  }
+}

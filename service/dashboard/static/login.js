@@ -1,0 +1,21 @@
+// Asks for user and password where the broker refused; they are kept by this page alone, for as long as it is open.
+
+import { h, fill, $ } from "./dom.js";
+
+export function login(link, notice) {
+  if ($("login")) return;
+  link.socket.end(true);
+  const user = h("input", { name: "user", autocomplete: "username", value: link.login.username ?? "", required: true });
+  const password = h("input", { name: "password", type: "password", autocomplete: "current-password", required: true });
+  const form = h("form", { id: "login", onsubmit: (event) => {
+    event.preventDefault();
+    link.login = { username: user.value, password: password.value };
+    notice("");
+    link.open();
+  } },
+  h("strong", {}, "The broker asks who you are. "),
+  h("label", {}, "User ", user), h("label", {}, " Password ", password), h("button", {}, "Connect"));
+  fill($("notice"), form);
+  $("notice").hidden = false;
+  user.focus();
+}

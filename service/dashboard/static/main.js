@@ -1,0 +1,157 @@
+// The page: views, the connection, and the one stop. Each view takes messages and draws itself when it is on the screen.
+
+import { $, fill, text } from "./dom.js";
+import { Link } from "./link.js";
+import { Live } from "./live.js";
+import { Experiments } from "./experiments.js";
+import { Identify } from "./identify.js";
+import { Gap } from "./gap.js";
+import { Recordings } from "./recordings.js";
+import { login } from "./login.js";
+
+const STALE = 1500; // ms without telemetry after which what is shown is old
+
+const response = await fetch("api/config");
+const config = await response.json();
+const views = {};
+const app = { config, link: null, state: null, show, notice, stop };
+let shown = "live";
+let heard = 0;
+let drawnAt = 0;
+const delays = [];
+
+function notice(words) {
+  fill($("notice"), words);
+  $("notice").hidden = !words;
+}
+
+function show(name) {
+  if (!views[name]) return;
+  shown = name;
+  for (const each of Object.keys(views)) {
+    $(`view-${each}`).hidden = each !== name;
+    const tab = $(`tab-${each}`);
+    tab.setAttribute("aria-selected", String(each === name));
+    tab.tabIndex = each === name ? 0 : -1;
+  }
+  if (location.hash !== `#${name}`) history.replaceState(null, "", `#${name}`);
+  views[name].shown?.();
+  views[name].dirty = true;
+}
+
+async function stop() {
+  if ($("stop").disabled) return;
+  $("stop").classList.add("pressed");
+  const reply = await app.link.command("stop", { now: false });
+  $("stop").classList.remove("pressed");
+  if (!reply.ok) notice(`Stop: ${reply.text}`);
+}
+
+function tellLink() {
+  const link = app.link;
+  const old = heard && performance.now() - heard > STALE;
+  const word = link.trouble ? link.trouble : !link.online ? "vehicle offline" : !heard || old ? "stale" : "live";
+  const badge = $("link");
+  badge.dataset.kind = word === "live" ? "good" : word === "stale" || word === "connecting" ? "warn" : "bad";
+  const ago = old ? `: last heard ${Math.round((performance.now() - heard) / 1000)} s ago` : "";
+  text(badge, word === "stale" ? `stale${ago}` : word);
+  document.body.classList.toggle("stale", word !== "live");
+  // Whatever the page believes: a stop where nothing runs does no harm.
+  $("stop").disabled = !(link.connected && link.online && app.state?.commands);
+  $("stop").classList.toggle("idle", app.state?.mode !== "running");
+  $("stop").title = app.state && !app.state.commands ? "Commands over MQTT are off: [mqtt] commands in the vehicle file" : "";
+}
+
+function tellState(state) {
+  app.state = state;
+  const mode = $("mode");
+  text(mode, state.mode);
+  mode.dataset.kind = { fault: "bad", running: "active", disarmed: "good" }[state.mode] ?? "warn";
+  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${state.phase}` : state.reason || "");
+  tellLink();
+  each("state", state);
+}
+
+function each(kind, message) {
+  for (const view of Object.values(views)) {
+    view[kind]?.(message);
+    view.dirty = true;
+  }
+}
+
+function frame() {
+  const view = views[shown];
+  if (view?.dirty) {
+    view.dirty = false;
+    view.draw?.();
+    if (drawnAt !== heard && app.newest) {
+      drawnAt = heard;
+      delays.push(Date.now() - app.newest * 1000);
+      if (delays.length > 200) delays.shift();
+    }
+  }
+  requestAnimationFrame(frame);
+}
+
+function tellLatency() {
+  if (!delays.length) return;
+  const middle = [...delays].sort((a, b) => a - b)[delays.length >> 1];
+  $("latency").dataset.ms = String(Math.round(middle));
+  text($("latency"), Math.abs(middle) < 60_000 ? `sample to screen: ${Math.round(middle)} ms` : "the vehicle's clock is not this one's");
+}
+
+text($("vehicle"), config.vehicle);
+document.title = `${config.vehicle} – upright`;
+text($("version"), `upright ${config.version}`);
+Object.assign(views, {
+  live: new Live($("view-live"), app),
+  experiments: new Experiments($("view-experiments"), app),
+  identify: new Identify($("view-identify"), app),
+  gap: new Gap($("view-gap"), app),
+  recordings: new Recordings($("view-recordings"), app),
+});
+
+const tabs = [...document.querySelectorAll("[role=tab]")];
+tabs.forEach((tab, place) => {
+  tab.addEventListener("click", () => show(tab.id.slice(4)));
+  tab.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!step) return;
+    const next = tabs[(place + step + tabs.length) % tabs.length];
+    next.focus();
+    next.click();
+  });
+});
+$("stop").addEventListener("click", stop);
+addEventListener("keydown", (event) => {
+  if (event.key === "Escape") stop();
+}, true);
+addEventListener("hashchange", () => show(location.hash.slice(1)));
+show(views[location.hash.slice(1)] ? location.hash.slice(1) : "live");
+
+app.link = new Link(config, {
+  link: (link, refused) => {
+    app.link = link;
+    tellLink();
+    if (refused) login(link, notice);
+  },
+  ignored: (counts) => {
+    const total = Object.values(counts).reduce((a, b) => a + b, 0);
+    text($("ignored"), `messages ignored: ${total}`);
+    $("ignored").dataset.count = String(total);
+    $("ignored").title = Object.entries(counts).map(([why, count]) => `${why}: ${count}`).join(", ");
+  },
+  state: tellState,
+  telemetry: (message) => {
+    heard = performance.now();
+    const rows = Object.values(message).find((value) => Array.isArray(value) && typeof value[0] !== "object")?.length ?? 1;
+    app.newest = message.t0 + (rows - 1) * message.dt;
+    each("telemetry", message);
+  },
+  parameters: (message) => each("parameters", message),
+  diagnosis: (message) => each("diagnosis", message),
+  progress: (message) => each("progress", message),
+  event: (message) => each("event", message),
+});
+setInterval(() => { tellLink(); tellLatency(); }, 250);
+requestAnimationFrame(frame);

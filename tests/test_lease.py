@@ -1,0 +1,228 @@
+"""The lease on what moves: signs that come, come twice, late or never; clients that are killed or suspended."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.api import RENEWAL_PERIOD, call
+from service.control_loop import Mode
+from service.daemon import Daemon, Places
+from service.lease import LOOK, Lease
+from service.vehicle_file import load
+from service.vehicle_sections import VehicleFile
+from service.virtual_serving import virtual_vehicle_beside
+
+LENGTH = 0.3
+SLACK = 1.0
+"""s beyond the lease that a busy machine may take to notice."""
+
+UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
+
+pytestmark = pytest.mark.timeout(120)
+
+
+# --- the rule
+
+
+def test_it_holds_as_long_as_signs_come() -> None:
+    lease = Lease("me", LENGTH)
+    for _ in range(1000):
+        assert lease.pass_time(LOOK)
+        assert lease.renew("me")
+    assert not lease.ended
+
+
+def test_it_is_over_when_none_comes_and_no_late_sign_brings_it_back() -> None:
+    lease = Lease("me", LENGTH)
+    held = 0
+    while lease.pass_time(LOOK):
+        held += 1
+    assert held * LOOK == pytest.approx(LENGTH)
+    assert lease.ended == "me has given no sign for 300 ms"
+    assert not lease.renew("me")
+    assert not lease.pass_time(LOOK)
+    assert not lease.release("me", "late")
+
+
+def test_a_farewell_ends_it_at_once_and_only_once() -> None:
+    lease = Lease("me", LENGTH)
+    assert lease.release("me", "me let go")
+    assert not lease.release("me", "again")
+    assert lease.ended == "me let go"
+    assert not lease.pass_time(0.0)
+
+
+def test_nobody_else_can_hold_or_end_it() -> None:
+    lease = Lease("me", LENGTH)
+    assert not lease.renew("you")
+    assert not lease.release("you", "you let go")
+    assert lease.pass_time(LOOK)
+
+
+def test_a_daemon_that_was_held_up_does_not_blame_its_client() -> None:
+    lease = Lease("me", LENGTH)
+    assert lease.pass_time(30.0)
+    assert lease.renew("me")
+    assert lease.pass_time(30.0)
+
+
+@given(st.lists(st.tuples(st.sampled_from(["sign", "stranger", "pass"]), st.floats(0.0, 0.2)), max_size=60))
+def test_it_ends_exactly_when_its_holder_was_silent_for_too_long(course: list[tuple[str, float]]) -> None:
+    lease, silence, over = Lease("me", LENGTH), 0.0, False
+    for what, elapsed in course:
+        if what == "pass":
+            silence += min(elapsed, 2 * LOOK)
+            over = over or silence > LENGTH
+            assert lease.pass_time(elapsed) is not over
+        elif what == "sign":
+            assert lease.renew("me") is not over
+            silence = 0.0 if not over else silence
+        else:
+            assert not lease.renew("you")
+    assert bool(lease.ended) is over
+
+
+# --- in the daemon, with a virtual vehicle at the pace of the wall's clock
+
+
+def _vehicle() -> VehicleFile:
+    vehicle = load("monocab")
+    hold = vehicle.experiments["hold"].model_copy(update={"duration": 60.0})
+    return vehicle.model_copy(update={"experiments": {**vehicle.experiments, "hold": hold}})
+
+
+@asynccontextmanager
+async def _serving(folder: Path, bus: str) -> AsyncIterator[Daemon]:
+    vehicle = _vehicle()
+    with virtual_vehicle_beside(vehicle, [], 1, bus):
+        daemon = Daemon(vehicle, Places(bus, bus, folder, folder / "s.sock"), lock_step=True)
+        serving = asyncio.create_task(daemon.run())
+        try:
+            await _until(lambda: daemon.loop.mode is Mode.DISARMED and not daemon.loop.interlocks())
+            yield daemon
+        finally:
+            daemon.stop()
+            await serving
+
+
+async def _until(what: Any, seconds: float = 40.0) -> float:
+    began = time.monotonic()
+    while not what():
+        assert time.monotonic() - began < seconds, "not in time"
+        await asyncio.sleep(0.01)
+    return time.monotonic() - began
+
+
+async def _connect(folder: Path, name: str = "hold") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    reader, writer = await asyncio.open_unix_connection(str(folder / "s.sock"))
+    writer.write(json.dumps({"verb": "experiment", "name": name}).encode() + b"\n")
+    return reader, writer
+
+
+async def _ended(daemon: Daemon) -> str:
+    """Why the run ends, once it was told to."""
+    run = daemon.loop.run
+    assert run is not None
+    await _until(lambda: run.end_reason, LENGTH + SLACK)
+    await _until(lambda: daemon.loop.mode is not Mode.RUNNING, 30.0)
+    assert daemon.loop.mode is Mode.DISARMED, daemon.loop.reason
+    assert not any(drive.state and drive.state.value == "Operation enabled" for drive in daemon.loop.io.drives)
+    await _until(lambda: not daemon.loop.interlocks())
+    return run.end_reason
+
+
+async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
+    async with _serving(tmp_path, "virtual:lease-signs") as daemon:
+        # Never a sign, though the connection is open and what comes is read.
+        _, writer = await _connect(tmp_path)
+        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        assert "no sign" in await _ended(daemon)
+        # A late sign is refused and brings nothing back.
+        assert daemon.commands.sign({"verb": "renew", "client": daemon.commands.lease.holder})["code"] == "no_lease"  # type: ignore[union-attr]
+        assert daemon.loop.mode is Mode.DISARMED
+        writer.close()
+        # Signs, each of them twice, hold it past the length of a lease; the farewell ends it.
+        _, writer = await _connect(tmp_path)
+        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        for _ in range(12):
+            writer.write(b'{"verb": "renew"}\n{"verb": "renew"}\n')
+            await asyncio.sleep(RENEWAL_PERIOD)
+        assert daemon.loop.run is not None
+        assert not daemon.loop.run.end_reason
+        writer.write(b'{"verb": "release"}\n')
+        assert "let go" in await _ended(daemon)
+        writer.close()
+        # The connection is cut.
+        _, writer = await _connect(tmp_path)
+        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        writer.transport.abort()
+        assert "went away" in await _ended(daemon)
+        # Nonsense instead of a sign.
+        _, writer = await _connect(tmp_path)
+        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        writer.write(b"nonsense\n")
+        assert "went away" in await _ended(daemon)
+        writer.close()
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Path]:
+    """The daemon as a process of its own; its socket."""
+    socket = tmp_path / "s.sock"
+    with (tmp_path / "log").open("wb") as log:
+        words = ["serve", "monocab", "--virtual", "--data", str(tmp_path), "--socket", str(socket)]
+        daemon = subprocess.Popen([*UPRIGHT, *words], stderr=log)
+    try:
+        _await(socket, lambda status: not status["interlocks"])
+        yield socket
+    finally:
+        daemon.terminate()
+        daemon.wait(40)
+
+
+def _status(socket: Path) -> dict[str, Any]:
+    found: dict[str, Any] = list(call([socket], {"verb": "status"}))[-1]["status"]
+    return found
+
+
+def _await(socket: Path, what: Any, limit: float = 40.0) -> dict[str, Any]:
+    end = time.monotonic() + limit
+    status: dict[str, Any] = {}
+    while time.monotonic() < end:
+        if socket.exists():
+            status = _status(socket)
+            if what(status):
+                return status
+        time.sleep(0.1)
+    raise AssertionError(status)
+
+
+@pytest.mark.parametrize(("blow", "word"), [(signal.SIGKILL, "went away"), (signal.SIGSTOP, "no sign")])
+def test_a_terminal_that_is_killed_or_suspended_ends_its_experiment(
+    blow: signal.Signals, word: str, served: Path
+) -> None:
+    terminal = subprocess.Popen([*UPRIGHT, "experiment", "hold", "--socket", str(served)], stderr=subprocess.DEVNULL)
+    try:
+        _await(served, lambda status: status["phase"] == "rise")
+        os.kill(terminal.pid, blow)
+        status = _await(served, lambda status: status["mode"] == "disarmed", 20.0)
+        assert word in status["reason"]
+        assert word in status["lease"]["ended"]
+        assert {drive["state"] for drive in status["drives"]} == {"Switch on disabled"}
+    finally:
+        terminal.kill()
+        terminal.wait()
