@@ -20,8 +20,8 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
-demo: $(READY) ## the whole story on a virtual bus: balance, excite, identify, compare (no hardware needed)
-	$(BIN)/upright demo
+demo: $(READY) ## the whole story on a virtual bus, no hardware needed; ARGS="--dashboard" shows it in a browser
+	$(BIN)/upright demo $(ARGS)
 
 test: lint native-test vcan-test ## lint and every test, those on real SocketCAN and under a real systemd included
 

@@ -1,14 +1,17 @@
 """The whole story without hardware: a virtual vehicle on a lock-step bus, the real daemon, and a broker.
 
 The simulation runs in a thread of this process and hands over its time with every frame, so the story runs as fast as
-the machine allows. All else is what runs on a vehicle: the same control loop, observer process, recorder and MQTT.
+the machine allows; with the dashboard beside it, at the pace of the wall's clock. All else is what runs on a vehicle:
+the same control loop, observer process, recorder and MQTT.
 """
 
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ from service.control_loop import Mode
 from service.daemon import Daemon, Places
 from service.embedded_broker import EmbeddedBroker
 from service.vehicle_file import VehicleFile
+from service.virtual_serving import virtual_vehicle_beside
 from telemetry.errors import UprightError
 
 BUS = "virtual:upright-demo"
@@ -30,42 +34,101 @@ class DemoError(UprightError):
 
 
 Follow = Callable[[Iterator[dict[str, Any]]], dict[str, Any]]
+Told = Callable[[list[Path]], None]
 
 
 def run_demo(
-    vehicle: VehicleFile, hide: list[str], experiments: list[str], data: Path, seed: int, follow: Follow
-) -> list[Path]:
-    """Run `experiments` on a virtual vehicle; the recordings' paths. `follow` shows an experiment and gives its result.
+    vehicle: VehicleFile,
+    hide: list[str],
+    experiments: list[str],
+    data: Path,
+    seed: int,
+    follow: Follow,
+    tell: Told,
+    *,
+    port: int | None = None,
+) -> None:
+    """Run `experiments` on a virtual vehicle. `follow` shows one and gives its result; `tell` what recordings say.
+
+    With `port` the dashboard is served there meanwhile, and until Ctrl-C.
 
     Raises:
-        DemoError: the vehicle did not get ready, or an experiment did not end well.
+        DemoError: the vehicle did not get ready, an experiment did not end well, or the port is taken.
     """
-    return asyncio.run(_run(vehicle, hide, experiments, data, seed, follow))
+    recordings = asyncio.run(_run(vehicle, hide, experiments, data, seed, follow, tell, port))
+    if port is None:
+        tell(recordings)
 
 
 async def _run(
-    vehicle: VehicleFile, hide: list[str], experiments: list[str], data: Path, seed: int, follow: Follow
+    vehicle: VehicleFile,
+    hide: list[str],
+    experiments: list[str],
+    data: Path,
+    seed: int,
+    follow: Follow,
+    tell: Told,
+    port: int | None,
 ) -> list[Path]:
-    truth = virtual_vehicle.configuration(vehicle, hide, seed)
-    stop = threading.Event()
-    simulation = threading.Thread(
-        target=virtual_vehicle.run, args=(truth, BUS, BUS), kwargs={"stop": stop, "lock_step": True}, name="simulation"
-    )
     async with EmbeddedBroker() as broker:
-        vehicle = vehicle.model_copy(update={"mqtt": vehicle.mqtt.model_copy(update={"broker": broker.address})})
+        mqtt = {"broker": broker.address, "commands": port is not None}
+        vehicle = vehicle.model_copy(update={"mqtt": vehicle.mqtt.model_copy(update=mqtt)})
         places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
         daemon = Daemon(vehicle, places, lock_step=True)
-        simulation.start()
-        serving = asyncio.create_task(daemon.run(), name="daemon")
-        try:
-            people.print(f"MQTT: {broker.address}, topics {vehicle.mqtt.base}/{vehicle.vehicle.id}/#")
-            await _until_ready(daemon, serving)
-            return [await _experiment(name, places.socket, follow) for name in experiments]
-        finally:
-            daemon.stop()
-            await serving
-            stop.set()
-            await asyncio.to_thread(simulation.join)
+        shown = nullcontext() if port is None else _dashboard(vehicle, data, broker.websocket, port)
+        plant = _hurrying(vehicle, hide, seed) if port is None else virtual_vehicle_beside(vehicle, hide, seed, BUS)
+        with shown, plant:
+            serving = asyncio.create_task(daemon.run(), name="daemon")
+            try:
+                people.print(f"MQTT: {broker.address}, topics {vehicle.mqtt.base}/{vehicle.vehicle.id}/#")
+                await _until_ready(daemon, serving)
+                recordings = [await _experiment(name, places.socket, follow) for name in experiments]
+                if port is not None:
+                    await asyncio.to_thread(tell, recordings)
+                    people.print(f"Dashboard: http://localhost:{port}, until Ctrl-C.")
+                    await serving
+                return recordings
+            finally:
+                daemon.stop()
+                await serving
+
+
+@contextmanager
+def _hurrying(vehicle: VehicleFile, hide: list[str], seed: int) -> Iterator[None]:
+    """The virtual vehicle in a thread, as fast as the daemon answers."""
+    truth, stop = virtual_vehicle.configuration(vehicle, hide, seed), threading.Event()
+    given = {"stop": stop, "lock_step": True}
+    thread = threading.Thread(target=virtual_vehicle.run, args=(truth, BUS, BUS), kwargs=given, name="simulation")
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def _dashboard(vehicle: VehicleFile, data: Path, websocket: str, port: int) -> Iterator[None]:
+    """The dashboard on this machine's `port`, in a thread of its own. Raises DemoError where that is taken."""
+    import uvicorn
+
+    from service.dashboard.app import Dashboard, Settings
+
+    try:
+        place = socket.create_server(("127.0.0.1", port))
+    except OSError as error:
+        raise DemoError(f"port {port}: {error.strerror}.", remedy="Choose another one with --port.") from error
+    application = Dashboard(Settings(vehicle, data, websocket)).app
+    server = uvicorn.Server(uvicorn.Config(application, log_level="warning", access_log=False))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, name="dashboard")
+    thread.start()
+    people.print(f"Dashboard: http://localhost:{port}")
+    try:
+        yield
+    finally:
+        server.should_exit = True
+        thread.join()
+        place.close()
 
 
 async def _until_ready(daemon: Daemon, serving: asyncio.Task[None]) -> None:

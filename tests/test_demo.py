@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
+import socket
 import subprocess
 import sys
+import time
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -88,3 +92,33 @@ def test_an_effect_that_does_not_exist_lists_those_that_do(tmp_path: Path) -> No
     said = upright("demo", "--hide", "gremlins", "--data", str(tmp_path), code=1)
     assert "gremlins" in said
     assert "coulomb_friction" in said
+
+
+def test_the_dashboard_is_there_while_it_runs_and_ends_with_it(tmp_path: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ["demo", "--dashboard", "--port", str(port), "--experiment", "hold", "--data", str(tmp_path)]
+    with subprocess.Popen([*UPRIGHT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+        assert running.stdout is not None
+        until = time.monotonic() + 90.0
+        said = ""
+        while "Experiment hold" not in said and time.monotonic() < until:
+            said += running.stdout.readline()
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=10.0) as answer:
+            page = answer.read().decode()
+        running.send_signal(signal.SIGINT)
+        said += running.communicate(timeout=60.0)[0]
+    assert "<title>" in page
+    assert f"http://localhost:{port}" in said
+    assert "Traceback" not in said
+    with pytest.raises(OSError):
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=1.0)
+
+
+def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        said = upright("demo", "--dashboard", "--port", port, "--data", str(tmp_path), code=1)
+    assert port in said
+    assert "--port" in said

@@ -49,6 +49,10 @@ def demo(
     ] = None,
     data: DataOption = None,
     seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Show the page live, in real time, and go on until Ctrl-C.")
+    ] = False,
+    port: Annotated[int, typer.Option(help="Of the dashboard, on this machine alone.")] = 8765,
 ) -> None:
     """The whole story without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
     from diagnosis.compare import compare as compare_models
@@ -66,24 +70,29 @@ def demo(
     with working() as step:
         step("preparing the estimators (on the first start on a computer, their model is compiled)")
         online_estimators(file.vehicle.kind, given.values, given.deviations, file.support).join()
-    recordings = run_demo(file, hide or [], experiment or ["step", "sweep"], data or Path("recordings"), seed, follow)
-    for path in recordings:
-        picture = path.with_suffix(".png")
-        with working() as step:
-            step(f"comparing and drawing {path.name}")
-            recording = load_recording(path, vehicle)
-            models = read_models([str(estimates_beside(path))], file)
-            comparisons = compare_models(models, [recording], support=file.support, progress=step)
-            save_run(recording, file, picture)
-        page.print(comparison_table(comparisons, title=path.stem))
-        page.print(f"  recording {path}\n  picture   {picture}")
-    from service.cli.diagnose import diagnose
 
-    report = recordings[-1].with_name("diagnosis.html")
-    diagnose([recordings[-1]], vehicle=vehicle, report=report)
-    page.print(
-        "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add what is missing."
-    )
+    def tell(recordings: list[Path]) -> None:
+        for path in recordings:
+            picture = path.with_suffix(".png")
+            with working() as step:
+                step(f"comparing and drawing {path.name}")
+                recording = load_recording(path, vehicle)
+                models = read_models([str(estimates_beside(path))], file)
+                comparisons = compare_models(models, [recording], support=file.support, progress=step)
+                save_run(recording, file, picture)
+            page.print(comparison_table(comparisons, title=path.stem))
+            page.print(f"  recording {path}\n  picture   {picture}")
+        from service.cli.diagnose import diagnose
+
+        report = recordings[-1].with_name("diagnosis.html")
+        diagnose([recordings[-1]], vehicle=vehicle, report=report)
+        page.print(
+            "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add what is"
+            " missing."
+        )
+
+    experiments, data = experiment or ["step", "sweep"], data or Path("recordings")
+    run_demo(file, hide or [], experiments, data, seed, follow, tell, port=port if dashboard else None)
 
 
 def simulate(
