@@ -28,7 +28,7 @@ from telemetry.recording import load as load_recording
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 
 VEHICLE = load("monocab")
-DURATIONS = {"hold": 8.0, "sweep": 30.0, "output_sweep": 20.0, "square": 10.0, "sine_stream": 16.0}
+DURATIONS = {"hold": 8.0, "sweep": 30.0, "output_sweep": 20.0, "square": 10.0, "sine_stream": 20.0}
 """s, of the experiments that are longer than real time needs to show that they run."""
 
 
