@@ -1,7 +1,8 @@
 """The sending side of the pipe to the observer: frames in batches, messages in their place between them, never waiting.
 
-What finds the pipe full: frames are dropped and counted, messages wait in a bounded queue. A pipe that is `lossless`
-waits instead; that is for a simulated bus, whose time stands still meanwhile.
+What finds the pipe full waits in a bounded queue, which a stalled observer may take half a minute to empty; what finds
+that full is dropped and counted. A pipe that is `lossless` waits itself; that is for a simulated bus, whose time stands
+still meanwhile.
 """
 
 from __future__ import annotations
@@ -24,8 +25,14 @@ MOST_FRAMES = 32
 MOST_CAN_FRAMES = 512
 """Frames of a batch that is sent whatever its time: a clock that was set back must not hold it up."""
 
-MOST_MESSAGES = 256
-"""Messages that wait for room in the pipe."""
+MOST_WAITING = 4 << 20
+"""Bytes that wait for room in the pipe: more than half a minute of 250 Hz with its raw frames."""
+
+RESERVED = 64 << 10
+"""Bytes of it that are for messages: they are few, and what they tell matters more than one more cycle."""
+
+PACKETS_A_TURN = 32
+"""Packets that waited and are sent in one go."""
 
 LONGEST_WAIT = 5.0
 """s that a lossless pipe waits for room."""
@@ -33,7 +40,7 @@ LONGEST_WAIT = 5.0
 
 @dataclass(slots=True)
 class PipeStatistics:
-    """Counts of all pipes to one observer. `dropped` found the pipe full or the observer gone."""
+    """Counts of all pipes to one observer. `dropped` found pipe and queue full, or the observer gone."""
 
     frames: int = 0
     frames_dropped: int = 0
@@ -69,7 +76,8 @@ class ObserverPipe:
         self._flush_at_ns = 0
         self._can_frames: list[CanFrame] = []
         self._flush_can_at_ns = 0
-        self._messages: deque[bytes] = deque()
+        self._waiting: deque[bytes] = deque()
+        self._waiting_size = 0
         self._room_wanted = False
         self._loop.add_reader(connection, self.receive)
 
@@ -88,19 +96,11 @@ class ObserverPipe:
             self._flush_can_frames()
 
     def post(self, packet: bytes, *, order: bool = False) -> None:
-        """A message: after the frames that came before it, queued where there is no room. An `order` is never dropped,
-        however many messages wait."""
+        """A message: after the frames that came before it. An `order` is never dropped, however much waits."""
         self.flush()
         self._flush_at_ns = 0  # The next cycle may be the last one that an order asks for.
-        if self._send(packet):
-            return
-        if not self.is_open or (len(self._messages) >= MOST_MESSAGES and not order):
+        if not self._send(packet, MOST_WAITING if not order else None):
             self._statistics.messages_dropped += 1
-            return
-        self._messages.append(packet)
-        if not self._room_wanted:
-            self._room_wanted = True
-            self._loop.add_writer(self._socket, self._send_messages)
 
     def flush(self) -> None:
         """Send what has gathered."""
@@ -110,10 +110,10 @@ class ObserverPipe:
             self._flush_can_frames()
 
     async def end(self, time: float) -> None:
-        """Tell the other end that nothing more comes, after the messages that wait, for which it gets `time` s."""
+        """Tell the other end that nothing more comes, after all that waits, for which it gets `time` s."""
         self.flush()
         limit = self._loop.time() + time
-        while self._messages and self.is_open and self._loop.time() < limit:
+        while self._waiting and self.is_open and self._loop.time() < limit:
             await asyncio.sleep(0.01)
         if self.is_open:
             self._socket.shutdown(socket.SHUT_WR)
@@ -142,33 +142,47 @@ class ObserverPipe:
 
     def _flush_frames(self) -> None:
         frames, self._frames = self._frames, []
-        if self._send(self._codec.pack(frames)):
+        if self._send(self._codec.pack(frames), MOST_WAITING - RESERVED):
             self._statistics.frames += len(frames)
         else:
             self._statistics.frames_dropped += len(frames)
 
     def _flush_can_frames(self) -> None:
         frames, self._can_frames = self._can_frames, []
-        if self._send(link.pack_can(frames)):
+        if self._send(link.pack_can(frames), MOST_WAITING - RESERVED):
             self._statistics.can_frames += len(frames)
         else:
             self._statistics.can_frames_dropped += len(frames)
 
-    def _send_messages(self) -> bool:
-        """Whether no message waits any more."""
-        while self._messages:
-            if not self._try_send(self._messages[0]):
+    def _send_waiting(self) -> bool:
+        """Whether nothing waits any more, after a few packets: the next control cycle is not to wait for them."""
+        for _ in range(min(PACKETS_A_TURN, len(self._waiting))):
+            if not self._try_send(self._waiting[0]):
                 return False
-            self._messages.popleft()
+            self._waiting_size -= len(self._waiting.popleft())
+        if self._waiting:
+            return False
         if self._room_wanted and self.is_open:
             self._room_wanted = False
             self._loop.remove_writer(self._socket)
         return True
 
-    def _send(self, packet: bytes) -> bool:
-        while not (self._send_messages() and self._try_send(packet)):
+    def _send(self, packet: bytes, most_waiting: int | None) -> bool:
+        """Whether the packet is sent, or waits, after which at most so many bytes do (None: any number)."""
+        while not (self._send_waiting() and self._try_send(packet)):
             if not (self._lossless and self._wait_for_room()):
-                return False
+                return self._queue(packet, most_waiting)
+        return True
+
+    def _queue(self, packet: bytes, most: int | None) -> bool:
+        size = self._waiting_size + len(packet)
+        if not self.is_open or (most is not None and size > most):
+            return False
+        self._waiting.append(packet)
+        self._waiting_size = size
+        if not self._room_wanted:
+            self._room_wanted = True
+            self._loop.add_writer(self._socket, self._send_waiting)
         return True
 
     def _try_send(self, packet: bytes) -> bool:

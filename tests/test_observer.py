@@ -24,7 +24,7 @@ from estimators.torque_balance import make as make_plain
 from service import link, replay
 from service.observer import Observer
 from service.observer_client import ObserverClient
-from service.observer_pipe import MOST_MESSAGES
+from service.observer_pipe import MOST_WAITING
 from service.online_estimators import EstimatorBank, online_estimators
 from telemetry.candump import CandumpReader
 from telemetry.channels import MONOCAB
@@ -199,7 +199,7 @@ async def test_slow_it_costs_frames_that_are_counted_and_nothing_else(client: Ob
     os.kill(client.pid, signal.SIGSTOP)
     client.start_recording("sweep", 0, {})
     values = (0.0,) * len(MONOCAB)
-    total = 20_000  # 80 s: more than twice what the pipe holds. A single wait in it would hang this test.
+    total = 100_000  # 400 s: more than twice what pipe and queue hold. A single wait in it would hang this test.
     for i in range(total):
         client.offer(Frame(1 + 4_000_000 * i, values))
     client.stop_recording("done", 4_000_000 * total)
@@ -214,14 +214,31 @@ async def test_slow_it_costs_frames_that_are_counted_and_nothing_else(client: Ob
     assert recording.metadata["dropped_frames"] == str(counts["frames_dropped"])
 
 
+async def test_cycles_wait_for_an_observer_that_stalls_for_half_a_minute(client: ObserverClient) -> None:
+    await up(client)
+    assert client.pid is not None
+    os.kill(client.pid, signal.SIGSTOP)
+    client.start_recording("sweep", 0, {})
+    values = (0.0,) * len(MONOCAB)
+    total = 30 * 250
+    for i in range(total):
+        client.offer(Frame(1 + 4_000_000 * i, values))
+    client.event("info", "test", "in the middle")
+    client.stop_recording("done", 4_000_000 * total)
+    os.kill(client.pid, signal.SIGCONT)
+    assert (await client.finished_recording())["rows"] == total
+    assert client.statistics()["frames_dropped"] == 0
+
+
 async def test_messages_wait_for_a_slow_observer_up_to_a_bound(client: ObserverClient) -> None:
     await up(client)
     assert client.pid is not None
     os.kill(client.pid, signal.SIGSTOP)
+    text = "x" * 1000
     for i in range(20_000):
-        client.event("info", "test", f"number {i}")
+        client.event("info", "test", f"number {i}, {text}")
     dropped = client.statistics()["messages_dropped"]
-    assert 0 < dropped < 20_000 - MOST_MESSAGES
+    assert 0 < dropped < 20_000 - MOST_WAITING / 1200
     # The order comes while there is no room for a message, and is not lost.
     summary_of_later = asyncio.create_task(record(client, cycles()[:500]))
     await asyncio.sleep(0.1)

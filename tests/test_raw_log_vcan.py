@@ -96,6 +96,8 @@ async def test_every_frame_of_both_buses_from_start_to_end(
     sender: Sender, start: Start, events: Heard, tmp_path: Path
 ) -> None:
     process = start("vcan0", "vcan1")
+    process.open(tmp_path / "first.log", 0)
+    await until((tmp_path / "first.log").exists)  # However long a slow machine takes to start it, it listens now.
     path = tmp_path / "folder" / "run.log"
     start_ns = time.time_ns() + 300_000_000
     process.open(path, start_ns)
