@@ -4,6 +4,9 @@ The first one had to stand for all that is missing: quadratic drag and dry frict
 and beside that like Stribeck friction. Beside Stribeck friction, though, quadratic drag is what is missing, and beside
 quadratic drag plain dry friction. So each effect is taken out in turn and looked for as if it had not been found, until
 no name changes: a floating search (Pudil, Novovicova, Kittler, "Floating search methods in feature selection", 1994).
+
+Taken out one at a time, an effect that has the parameters of two is never compared with these two: friction that
+differs between the directions, with dry friction and a static torque. What is made of two is taken apart.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from diagnosis.findings import Finding
-from diagnosis.refit import FullFit, by_chance, full
+from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.step import Named, Tell, find, look, surprising, unseen_at_zero
 from diagnosis.ties import LEVEL, alike
 from diagnosis.workspace import Workspace
@@ -58,6 +61,36 @@ def exchange(
     if {each.effect for each in found} == set(place):
         return sorted(found, key=lambda each: place[each.effect]), whole
     return sorted(found, key=lambda each: -each.log_likelihood_gain), whole
+
+
+def taken_apart(
+    findings: Sequence[Finding], whole: FullFit, workspace: Workspace, masked: Collection[str], tell: Tell
+) -> tuple[list[Finding], FullFit]:
+    """`findings` with two in place of one that is made of two, where these explain more of what it and they cost.
+
+    What the two are called, each is looked for as in `exchange`: beside a static torque plain dry friction may be none.
+    """
+    for made in findings:
+        parts = [each for each in workspace.candidates if each.name in made.definition.made_of]
+        if len(parts) != 2 or {each.name for each in parts} & {each.effect for each in findings}:
+            continue
+        tell(f"taking {made.effect} apart", 0.97)
+        others = [each for each in findings if each is not made]
+        first = parts[0]
+        start = with_effect(whole.model.remove(made.effect), first, first.variants[0])
+        one = _beside(full(start, workspace, first), workspace, masked)
+        if one is None or one.finding.effect == made.effect:
+            continue
+        other = _beside(full(one.fit.model.remove(first.name), workspace), workspace, masked)
+        if other is None or other.finding.effect == made.effect or other.fit.evidence <= whole.evidence:
+            continue
+        return exchange([*others, one.finding, other.finding], other.fit, workspace, masked, tell)
+    return list(findings), whole
+
+
+def _beside(base: FullFit, workspace: Workspace, masked: Collection[str]) -> Named | None:
+    screened = look(base, workspace)
+    return find(base, screened, workspace, masked, lambda text, share: None) if surprising(screened) else None
 
 
 def one_by_one(findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> list[FullFit]:

@@ -152,13 +152,19 @@ def by_chance(fitted: FullFit, base: FullFit) -> float:
 def surety(fitted: FullFit) -> float:
     """By how many standard deviations the surest amplitude of the effect that was added last is away from zero.
 
-    One that is not leaves all that was gained to the others, which another start would have brought there, too.
+    One that is not leaves all that was gained to the others, which another start would have brought there, too. Its
+    shape is taken for known: of a creep whose end the record does not show, the torque it settles at is anything, and
+    that there is one beyond doubt.
     """
     assert fitted.candidate is not None
     names = [p.name for p in fitted.fit.problem.parameters]
-    deviations = np.sqrt(np.diag(inverse(fitted.fit.minimum.information)))
+    information = fitted.fit.minimum.information
+    given = [place for place, name in enumerate(names) if name in fitted.candidate.shapes]
+    known = np.delete(np.arange(len(information)), given)
+    deviations = np.sqrt(np.diag(inverse(information[np.ix_(known, known)])))
+    std = dict(zip(known.tolist(), deviations.tolist(), strict=True))
     places = [names.index(name) for name in fitted.candidate.amplitudes if name in names]
-    return max((abs(float(fitted.fit.minimum.common[place] / deviations[place])) for place in places), default=0.0)
+    return max((abs(float(fitted.fit.minimum.common[place])) / std[place] for place in places), default=0.0)
 
 
 def off_prior(fitted: Fit) -> float:

@@ -100,8 +100,9 @@ class Effect:
     """One physical effect that a model may lack.
 
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
-    experiment tells them apart. `dissipative`: it never adds energy. `in_radians`: names that are an angle in rad, or
-    the effect makes no sense. `source` is where the equation is from.
+    experiment tells them apart. `made_of`: two others that do almost the same together. `dissipative`: it never adds
+    energy. `in_radians`: names that are an angle in rad, or the effect makes no sense. `source` is where the equation
+    is from.
     """
 
     name: str
@@ -121,6 +122,7 @@ class Effect:
     angle_reading: str = ""
     rate_reading: str = ""
     states: tuple[EffectState, ...] = ()
+    made_of: tuple[str, ...] = ()
     dissipative: bool = False
     in_radians: tuple[str, ...] = ()
     source: str = ""

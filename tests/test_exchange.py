@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.refit import by_chance, full
+from diagnosis.refit import by_chance, full, surety, with_effect
+from diagnosis.unseen import SURE
 from diagnosis.workspace import Workspace
+from estimators.fit_result import inverse
 from estimators.identify import nominal_model, with_values
 from service.vehicle_file import load
 from service.virtual_run import record
@@ -69,3 +72,27 @@ def test_a_likelihood_ratio_counts_the_further_parameters() -> None:
     assert by_chance(one, base) < 1e-6
     # The second one is not there. A false alarm of one in a thousand, with a fixed seed.
     assert by_chance(two, one) > 1e-3
+
+
+def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> None:
+    """Friction that differs between the directions explains most of dry friction with a creeping torque, alone."""
+    candidates = ("coulomb_friction", "static_torque", "torque_drift", "asymmetric_friction")
+    found = found_in("coulomb_friction=0.03", "torque_drift=0.04", candidates=candidates)
+    assert found.screens[0].scores[0].candidate.name == "asymmetric_friction"
+    names = [{each.effect, *each.tied_with} for each in found.findings]
+    assert len(names) == 2
+    assert {"coulomb_friction"} in names
+    assert any("torque_drift" in each for each in names)
+
+
+def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:
+    """20 s show no end of a creep of 45 s: where it settles is anything, that it creeps is beyond doubt."""
+    recording = record("monocab", "multisine", hide=("torque_drift=0.1",), seed=31, duration=20.0)
+    workspace = Workspace.of(MODEL, [recording], VEHICLE.support, ("torque_drift",))
+    (candidate,) = workspace.candidates
+    fitted = full(with_effect(MODEL, candidate, candidate.variants[0]), workspace, candidate)
+    names = [each.name for each in fitted.fit.problem.parameters]
+    place = names.index("torque_drift.torque")
+    deviation = np.sqrt(inverse(fitted.fit.minimum.information)[place, place])
+    assert abs(fitted.fit.minimum.common[place]) < SURE * deviation, "or this record tells where it settles"
+    assert surety(fitted) > 2.0 * SURE

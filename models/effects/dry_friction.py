@@ -128,6 +128,7 @@ ASYMMETRIC_FRICTION = Effect(
     ),
     separated_by="Motion and long rests in one record: at rest the mean of friction is gone, that of a static torque "
     "is not.",
+    made_of=("coulomb_friction", "static_torque"),
     dissipative=True,
     source="Armstrong-Helouvry, Control of Machines with Friction (1991)",
 )
