@@ -13,7 +13,8 @@ from scipy.stats import chi2, norm
 
 from diagnosis.candidates import Candidate
 from diagnosis.exchange import FURTHER, FURTHER_ALIKE
-from diagnosis.onset import BEGINNING, Amplitudes, Onset, Products, onsets
+from diagnosis.onset import BEGINNING, Amplitudes, Onset, onsets
+from diagnosis.products import Products
 from diagnosis.ties import SIMPLER, TIED, alike
 from estimators.problem import Problem
 from estimators.recursive_predictor import Seen

@@ -15,11 +15,13 @@ systems", IEEE Transactions on Automatic Control 21 (1976) 108-112.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from diagnosis.products import Products
 
 Array = NDArray[np.float64]
 
@@ -56,52 +58,6 @@ class Onset:
     inflation: float
     sizes: Array
     standard_errors: Array
-
-
-class Products:
-    """The products of the columns of each second, the last ones apart and earlier ones together, in `kept` parts.
-
-    Columns (n, `width`) are the nuisances first, then those of effects, the innovations last. `prior` (p,) is one over
-    the variances of the p nuisances, `mean` (p,) where they are expected.
-    """
-
-    def __init__(self, prior: Array, mean: Array, width: int, kept: int) -> None:
-        self.prior, self.mean = prior, mean
-        self._blocks: Array = np.zeros((kept + 1, width, width))
-        self._starts: list[int] = []
-        self._running: Array = np.zeros((width, width))
-        self.seconds = 0
-        """Complete seconds."""
-        self.rows = 0
-        """Numbers gathered."""
-
-    def add(self, columns: Array) -> None:
-        """Further rows (n, width) of the running second."""
-        self._running += columns.T @ columns
-        self.rows += len(columns)
-
-    def end_second(self, held: Iterable[int] = ()) -> None:
-        """The running second is over. The seconds `held`, and those before them, stay apart from earlier ones."""
-        self._blocks[len(self._starts)] = self._running
-        self._starts.append(self.seconds)
-        self._running[:] = 0.0
-        self.seconds += 1
-        if len(self._starts) == len(self._blocks):
-            apart = {second - late for second in held for late in (0, 1)}
-            one = next((i for i in range(1, len(self._starts)) if self._starts[i] not in apart), 1)
-            self._blocks[one - 1] += self._blocks[one]
-            self._blocks[one:-1] = self._blocks[one + 1 :]
-            del self._starts[one]
-
-    def forget(self, columns: Sequence[int]) -> None:
-        """These columns are others from now on."""
-        for block in (self._blocks, self._running[None]):
-            block[:, columns, :] = 0.0
-            block[:, :, columns] = 0.0
-
-    def latest(self) -> tuple[Array, NDArray[np.int64]]:
-        """Products of each part (n, width, width), and the second with which it begins (n,)."""
-        return self._blocks[: len(self._starts)], np.array(self._starts)
 
 
 def onsets(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.onset import BEGINNING, Amplitudes, Onset, Products, onsets
+from diagnosis.onset import BEGINNING, Amplitudes, Onset, onsets
+from diagnosis.products import Products
 
 ROWS = 200
 """Rows a second."""
