@@ -22,6 +22,7 @@ from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
 from diagnosis.workspace import Workspace
 from estimators.as_recorded import as_recorded
+from estimators.contract import Status
 from estimators.methods.prediction_error import result
 from estimators.segments import DataError
 from models.effect import Effect
@@ -112,13 +113,16 @@ def _part(tell: Progress, begin: float, width: float, text: str, share: float) -
 
 
 def unidentified(base: FullFit, unasked: Collection[str] = ()) -> str:
-    """Why the record does not even tell the model's own parameters; empty where it does."""
+    """Why the record does not even tell the model's own parameters; empty where it does.
+
+    One alone that it does not tell stays what was known before: most of them have to be told. One that others stand
+    in for is as good as its combination with them is. One at its bound, or a fit that does not settle, is what a model
+    looks like that lacks something: that is to be found out."""
     told = result(base.fit, 0.0)
     nuisances = {name for each in base.model.inputs for name in each.delays}.union(unasked)
-    for name, each in told.parameters.items():
-        if name not in nuisances and not each.identifiable:
-            return f"{name}: {each.reason}"
-    return ""
+    own = {name: each for name, each in told.parameters.items() if name not in nuisances}
+    silent = [name for name, each in own.items() if each.status is Status.TOO_LITTLE_EXCITATION]
+    return f"{silent[0]}: {own[silent[0]].reason}" if 2 * len(silent) > len(own) else ""
 
 
 def _verdict(

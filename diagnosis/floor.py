@@ -6,7 +6,8 @@ R is the sensors' noise as it shows in the record itself, Q the process noise th
 record shows less (diagnosis.process_noise), P and the gain from the Riccati equation (estimators.innovations). The
 ratio is about 1 where the model is right, and large where something is missing. Fourth differences of a white signal
 have 70 times its variance, while motion below a tenth of the sampling rate all but vanishes in them; so the record's
-noise is told apart from its motion without any model.
+noise is told apart from its motion without any model. Where a vehicle moves faster than that, what a predictor leaves
+has less: no predictor leaves less than the noise.
 """
 
 from __future__ import annotations
@@ -118,11 +119,15 @@ def at(task: Problem, values: Array, free: tuple[int, ...] = ()) -> Problem:
     return moved.refined(moved.kernel.defaults[list(free)])
 
 
-def sensor_noise(task: Problem) -> tuple[Array, Array]:
-    """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,)."""
+def sensor_noise(task: Problem, errors: Sequence[Array] = ()) -> tuple[Array, Array]:
+    """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,).
+
+    `errors`: innovations by stretch, (n, ny), whose noise is taken where there is less of it."""
     stated = np.array([output.noise for output in task.model.outputs])
-    known = np.array([output.noise_known for output in task.model.outputs])
+    known = np.array([output.noise_known or output.counted for output in task.model.outputs])
     variance, freedom = white_variance([segment.measured for segment in task.segments])
+    if errors:
+        variance = np.minimum(variance, white_variance(errors)[0])
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 
@@ -141,23 +146,23 @@ def _lowered(found: Innovations) -> Floor:
     noise = NoiseModel.of(task)
     every = np.eye(len(noise.process))[list(noise.noisy)]
     systems = [
-        _noise(task, share).covariances(values, np.zeros(noise.size))
+        _noise(task, share, found.errors).covariances(values, np.zeros(noise.size))
         for share in (np.zeros(len(noise.process)), *every)
     ]
     shares = shown_shares(found.errors, found.floor.gain, systems[0], systems[1:], found.floor.informative)
-    return _floor(task, values, shares @ every)
+    return _floor(task, values, shares @ every, found.errors)
 
 
-def _noise(task: Problem, shares: Array) -> NoiseModel:
+def _noise(task: Problem, shares: Array, errors: Sequence[Array] = ()) -> NoiseModel:
     """The noise with the sensors' from the record, and shares (nx,) of the variance of process noise not known."""
     noise = NoiseModel.of(task)
     known = np.ones(len(shares))
     known[list(noise.noisy)] = shares[list(noise.noisy)]
-    return replace(noise, sensor=sensor_noise(task)[0], process=noise.process * np.sqrt(known))
+    return replace(noise, sensor=sensor_noise(task, errors)[0], process=noise.process * np.sqrt(known))
 
 
-def _floor(task: Problem, values: Array, shares: Array) -> Floor:
-    noise, freedom = _noise(task, shares), sensor_noise(task)[1]
+def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] = ()) -> Floor:
+    noise, freedom = _noise(task, shares, errors), sensor_noise(task)[1]
     gain = noise.gain(values, np.zeros(noise.size))
     if gain is None:
         what = "has no stable predictor at these parameter values"

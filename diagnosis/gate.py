@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import Status
 from estimators.segments import DataError, segments
+from models.expressions import names_in
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -44,15 +45,12 @@ def check(model: Model, recordings: Sequence[Recording], support: float | None =
             f"{span:.1f} s of free motion cannot tell effects apart",
             remedy=f"record {SHORTEST:g} s or more, best a multisine of 30 s.",
         )
-    joint = model.joints[0].rate if model.joints else ""
-    rates = [
-        segment.measured[:, [each.name for each in model.outputs].index(joint)]
-        for segment in rows
-        if joint in {each.name for each in model.outputs}
-    ]
-    if not rates:
+    moving = {name for joint in model.joints for name in names_in(joint.rate)}
+    measured = [place for place, each in enumerate(model.outputs) if each.name in moving]
+    if not measured:
         return
-    moved = sum(moving_time(rate, segment.time) for rate, segment in zip(rates, rows, strict=True))
+    rates = [[(segment.measured[:, place], segment.time) for segment in rows] for place in measured]
+    moved = max(sum(moving_time(rate, time) for rate, time in each) for each in rates)
     if moved < SHORTEST:
         raise DataError(
             Status.TOO_LITTLE_EXCITATION,
@@ -60,7 +58,8 @@ def check(model: Model, recordings: Sequence[Recording], support: float | None =
             f"the vehicle moves by more than {MOVING:g} times its sensor's noise for {moved:.1f} s only",
             remedy=f"excite it for {SHORTEST:g} s or more, best with a multisine.",
         )
-    lines = [line_share(rate, segment.time) for rate, segment in zip(rates, rows, strict=True)]
+    # What one rate does not tell, another may that moves otherwise: wheels coast where the body only swings.
+    lines = [line_share(rate, time) for each in rates for rate, time in each]
     frequencies = {round(frequency, 1) for share, frequency in lines if share > ONE_LINE}
     if len(frequencies) == 1 and all(share > ONE_LINE for share, _ in lines):
         frequency = lines[0][1]
@@ -83,7 +82,10 @@ def moving_time(signal: Array, time: Array) -> float:
         return 0.0
     noise = 1.4826 * float(np.median(np.abs(np.diff(known, 4)))) / np.sqrt(70.0 * rows)
     means = known[: len(known) // (size * rows) * size * rows].reshape(-1, size, rows).mean(axis=2)
-    return float(np.sum(np.std(means, axis=1) > MOVING * noise) * size * rows * spacing)
+    moves = np.std(means, axis=1) > MOVING * noise
+    # What swings faster than that is seen row by row.
+    moves |= np.std(known[: means.size * rows].reshape(len(means), -1), axis=1) > MOVING * noise * np.sqrt(rows)
+    return float(np.sum(moves) * size * rows * spacing)
 
 
 def line_share(signal: Array, time: Array) -> tuple[float, float]:

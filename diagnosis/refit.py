@@ -22,7 +22,9 @@ from diagnosis.workspace import Workspace
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, minimise
 from estimators.methods.prediction_error import Fit, fit
+from models.effect import Place
 from models.model import Model
+from models.sensing import delayed
 
 Array = NDArray[np.float64]
 
@@ -109,6 +111,11 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
     alone = begin.copy()
     alone[[size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]] = 0.0
     before = evaluate(np.clip(alone, lower, upper), own)
+    # What a delay of the command is to take over begins where it was known to be: two of them do not add up.
+    commands = delayed(task.model, task.model.effects[-1]) if candidate.effect.place is Place.ACTUATOR else ()
+    same = {name for each in model.inputs if each.name in commands for name in each.delays}
+    taken = [place for place, p in enumerate(base.problem.parameters) if p.name in same]
+    begin[taken] = base.problem.start[taken]
     minimum = None
     if before is not None:
         minimum = minimise(

@@ -108,6 +108,9 @@ def _contenders(
 ) -> list[FullFit]:
     """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
+    # Where the model alone is far off, a line from there may miss what would do the same as the surest.
+    near = worth[0].candidate.effect.confused_with if worth else ()
+    worth += [score for score in screened.scores if score.candidate.name in near and score not in worth]
     for score in worth:  # compiled one after the other, where that was not done yet
         workspace.problem(with_effect(base.model, score.candidate, score.starts[0]))
     quicks: list[QuickFit] = []

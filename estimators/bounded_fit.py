@@ -46,9 +46,9 @@ CHANGE = 0.01
 class BoundedFit:
     """A minimum within bounds. Arrays are in the order of `parameters`, (p,).
 
-    `kkt_residual` is the largest slope of the cost along a parameter inside its bounds, for a change by its own
-    standard deviation with all others held, 0 at an exact minimum. `multipliers` are the slopes at bounds, by name,
-    >= 0 where the minimum is one. `sensitivity` is by how much the cost rises when a parameter alone is changed by 1 %.
+    `kkt_residual` is the largest slope of the cost along a parameter that no bound holds, for a change by its own
+    standard deviation with all others held, 0 at an exact minimum. `multipliers` are the slopes of those that a bound
+    holds, by name, >= 0. `sensitivity` is by how much the cost rises when a parameter alone is changed by 1 %.
     `singular_values` (p,) and `directions` (p, p), one a row, are of the Jacobian by relative changes: a change of
     1 / singular value along a direction is one standard deviation.
     """
@@ -152,7 +152,7 @@ def examined(fitted: Fit) -> BoundedFit:
     lower, upper = (np.concatenate((each, np.full(len(slope) - size, w))) for each, w in _widened(task.bounds))
     common = minimum.common
     at_lower, at_upper = common <= lower, common >= upper
-    inside = ~(at_lower | at_upper)
+    inside = ~((at_lower & (slope >= 0.0)) | (at_upper & (slope <= 0.0)))
     unit = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     names = tuple(each.name for each in task.parameters)
     # What the noise does as well is no information about the parameters.

@@ -26,6 +26,10 @@ LEAST_DAMPING, FIRST_DAMPING, STIFFER = 1e-7, 1e-3, 10.0
 PATIENCE = 12
 """Steps, taken or refused, over which the cost has to fall by what is enough for each: at a kink, where a delay meets a
 sample, none does what is foreseen."""
+ROUNDING = 1e-10
+"""Share of the largest square of normal equations, each unknown in its own unit, below which one is rounding."""
+SILENT = 1e-7
+"""Share of the most that any unknown shows, in its typical size, below which one shows nothing."""
 LAST_DAMPING = 1e-4
 """The same for the last step, which is not tried: where the data tell nothing it must not go far."""
 
@@ -230,7 +234,16 @@ def _normal(block: Block) -> Normal:
 
 
 def _solved(matrix: Array, vector: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(matrix, vector, rcond=None)[0]) if len(vector) else vector
+    """The solution without what the data do not tell: of a matrix that is positive but for rounding, so that half its
+    product with `vector` is a fall, never a rise."""
+    if not len(vector):
+        return vector
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > SILENT * np.max(size), size, np.inf)
+    squares, turned = np.linalg.eigh(matrix / np.outer(size, size))
+    told = squares > ROUNDING * squares[-1]
+    along = (turned.T @ (vector / size))[told] / squares[told]
+    return np.asarray(turned[:, told] @ along / size)
 
 
 def _is_definite(matrix: Array) -> bool:

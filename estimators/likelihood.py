@@ -101,7 +101,9 @@ class Likelihood:
             moments.append((columns.T @ columns, columns.T @ error))
             ends.append((part - initial[list(task.own)]) / spread)
         covariance = squares / task.rows + np.diag(self._floor)
-        if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance) > RUNAWAY:
+        # In units of its own: a wheel that is stuck is no predictor that runs away.
+        unit = np.sqrt(np.diag(covariance))
+        if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > RUNAWAY:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
         normals = tuple(_weighted(*moment, weights, end, spread) for moment, end in zip(moments, ends, strict=True))

@@ -138,6 +138,7 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
     """Raises DataError for channels that cannot be what they are called."""
     used = _used_names(model)
     measured = [each.name for each in model.outputs]
+    counted = {each.name for each in model.outputs if each.counted}
     held = {each.name for each in model.inputs if each.hold is Hold.ZERO_ORDER or each.usual is not None}
     measured += [each.name for each in model.inputs if each.name in used and each.name not in held]
     for name in measured:
@@ -145,7 +146,8 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
         if name in {each.name for each in model.outputs} and np.ptp(values) == 0.0:
             remedy = "check the sensor and its scaling."
             raise DataError(Status.BAD_DATA, f"channel {name}", "never moves", remedy=remedy)
-        share = clipped_share(values)
+        # What is counted stays where it is until the next count.
+        share = 0.0 if name in counted else clipped_share(values)
         if share > 0.0:
             raise DataError(
                 Status.BAD_DATA,

@@ -217,7 +217,7 @@ def _sizes(model: Model) -> dict[str, float]:
         known |= {sensor.angle: sensor.angle_scale, sensor.rate: sensor.rate_scale}
     for joint in model.joints:
         known |= {joint.coordinate: joint.coordinate_scale, joint.rate: joint.rate_scale}
-    known |= {actuator.command: actuator.command_scale for actuator in model.actuators}
+    known |= {name: actuator.command_scale for actuator in model.actuators for name in actuator.commands}
     return sizes | {name: size for name, size in known.items() if name in sizes}
 
 

@@ -77,7 +77,7 @@ def compose(model: Model) -> Equations:
     parameters = tuple(symbols[parameter.name] for parameter in model.parameters)
 
     for actuator in model.actuators:
-        symbols[actuator.command] = _command(model, actuator, symbols)
+        symbols |= {name: _command(model, actuator, name, symbols) for name in actuator.commands}
     for name, text in model.definitions.items():
         symbols[name] = _real(parse(text, symbols, f"definition {name}"))
     forces: dict[str, tuple[tuple[str, sympy.Expr], ...]] = {}
@@ -142,7 +142,7 @@ def _real(expression: sympy.Expr) -> sympy.Expr:
 
 def _acts_on(model: Model, attached: AttachedEffect, name: str) -> bool:
     return attached.effect.place is Place.ACTUATOR and any(
-        actuator.name == attached.at and actuator.command == name for actuator in model.actuators
+        actuator.name == attached.at and name in actuator.commands for actuator in model.actuators
     )
 
 
@@ -159,9 +159,9 @@ def _mover(actuator: Actuator, symbols: Symbols) -> dict[str, sympy.Expr]:
     return {name: _real(parse(text, symbols, where)) for name, text in known.items() if text}
 
 
-def _command(model: Model, actuator: Actuator, symbols: Symbols) -> sympy.Expr:
-    """The command as it acts, after the effects on this actuator."""
-    command = symbols[actuator.command]
+def _command(model: Model, actuator: Actuator, name: str, symbols: Symbols) -> sympy.Expr:
+    """Its command `name` as it acts, after the effects on this actuator."""
+    command = symbols[name]
     for attached in model.effects:
         if attached.at == actuator.name and attached.effect.place is Place.ACTUATOR and attached.effect.command:
             names = _local(attached, symbols, {**_mover(actuator, symbols), "command": command})

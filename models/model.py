@@ -117,7 +117,8 @@ class Input:
 @dataclass(frozen=True, slots=True)
 class Output:
     """A measured channel and what the model says it shows. `noise`: standard deviation of a sample, where its
-    estimation starts, or, with `noise_known`, what it is. `age` as for an input."""
+    estimation starts, or, with `noise_known`, what it is. `age` as for an input. What is `counted`, as by an encoder,
+    has the same error from count to count, for many rows: no scatter tells its size, which is `noise`."""
 
     name: str
     unit: str
@@ -126,6 +127,7 @@ class Output:
     age: str = ""
     noise_known: bool = False
     meaning: str = ""
+    counted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +155,7 @@ class Joint:
 class Actuator:
     """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions of what
     it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives.
+    `also`: further inputs that are commands of its kind, as of two wheels: an effect acts on all of them alike.
     Where it is not `commanded`, `command` is the motion as it was measured, which no effect of a command can change.
     """
 
@@ -167,6 +170,12 @@ class Actuator:
     command_scale: float = 1.0
     angle_scale: float = 1.0
     commanded: bool = True
+    also: tuple[str, ...] = ()
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """All inputs that an effect on it acts on."""
+        return (self.command, *self.also)
 
 
 @dataclass(frozen=True, slots=True)

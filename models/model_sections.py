@@ -60,6 +60,7 @@ class OutputSection(Section):
     age: str = ""
     noise_known: bool = False
     meaning: str = ""
+    counted: bool = False
 
 
 class ParameterSection(Section):
@@ -99,6 +100,7 @@ class ActuatorSection(Section):
     command_scale: Positive = 1.0
     angle_scale: Positive = 1.0
     commanded: bool = True
+    also: list[str] = []
 
 
 class FilterSection(Section):

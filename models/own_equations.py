@@ -117,7 +117,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
         outputs=built(Output, tables.outputs),
         base_parameters=tuple(_in_bounds(each, f"{file}: parameters.{each.name}") for each in parameters),
         joints=built(Joint, tables.joints),
-        actuators=built(Actuator, tables.actuators),
+        actuators=built(Actuator, tables.actuators, also=tuple),
         sensors=built(Sensor, tables.sensors, filter=lambda each: Filter(**each)),
         definitions=dict(tables.definitions),
     )
@@ -147,6 +147,7 @@ def _check_references(tables: ModelSection, file: str) -> None:
         references += [(f"inputs.{name}.lag", each.lag, "parameters")]
     for name, actuator in tables.actuators.items():
         references += [(f"actuators.{name}.command", actuator.command or "''", "inputs")]
+        references += [(f"actuators.{name}.also", each, "inputs") for each in actuator.also]
         # An actuator alone moves nothing else that the model knows.
         references += [(f"actuators.{name}.joint", actuator.joint or ("''" if tables.joints else ""), "joints")]
     for name, sensor in tables.sensors.items():

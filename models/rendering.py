@@ -152,7 +152,7 @@ def to_json(model: Model) -> dict[str, Any]:
 
 def _shifts(model: Model) -> Iterator[Line]:
     for each in model.inputs:
-        shifting = [(a, a.effect) for a in _acting(model, Place.ACTUATOR) if _actuator(model, a).command == each.name]
+        shifting = [(a, a.effect) for a in _acting(model, Place.ACTUATOR) if each.name in _actuator(model, a).commands]
         late = [a.qualified(a.effect.delay) for a in model.effects if each.name in delayed(model, a)]
         delays = [*each.delays, *late]
         if delays:
@@ -167,9 +167,9 @@ def _shifts(model: Model) -> Iterator[Line]:
 def _commands(model: Model) -> Iterator[Line]:
     for attached in _acting(model, Place.ACTUATOR):
         actuator = _actuator(model, attached)
-        if attached.effect.command:
-            names = {**_moved(actuator), "command": actuator.command, **_own(attached)}
-            yield Line(Kind.COMMAND, actuator.command, renamed(attached.effect.command, names), attached.name)
+        for name in actuator.commands if attached.effect.command else ():
+            names = {**_moved(actuator), "command": name, **_own(attached)}
+            yield Line(Kind.COMMAND, name, renamed(attached.effect.command, names), attached.name)
 
 
 def _forces(model: Model, joint: Joint) -> Iterator[Line]:

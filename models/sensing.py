@@ -71,7 +71,7 @@ def delayed(model: Model, attached: AttachedEffect) -> tuple[str, ...]:
     if not effect.delay:
         return ()
     if effect.place is Place.ACTUATOR:
-        commands = {actuator.command for actuator in model.actuators if actuator.name == attached.at}
+        commands = {name for each in model.actuators if each.name == attached.at for name in each.commands}
         return tuple(each.name for each in model.inputs if each.channel in commands)
     shown = {name for sensor in model.sensors if sensor.name == attached.at for name in (sensor.angle, sensor.rate)}
     # What a filter says of itself comes with the readings.

@@ -7,9 +7,11 @@ which is the paper's theta. With the mean rolling angle (`travel`) and the wheel
 the mass matrix falls into two rows and one, and its inverse can be written down. The armature current is settled, since
 its time constant L/R is about 5 microseconds; so L has no part in the equations.
 
-Effects act at four joints: `tilt` (the body alone: a centre of mass beside the axle's plumb line is its
-`static_torque`), the two wheels (between wheel and body: friction and play of the gears), and `travel` (between wheels
-and floor: a slope of angle a is a `static_torque` of -(body_mass + 2 wheel_mass) g wheel_radius sin(a)).
+Effects act at three joints: `tilt` (the body alone: a centre of mass beside the axle's plumb line is its
+`static_torque`), `travel` (between the wheels and the floor: a slope of angle a is a `static_torque` of
+-(body_mass + 2 wheel_mass) g wheel_radius sin(a)) and `wheels` (between the wheels and the body: friction of the
+gears). A torque is that of both wheels together, and `motors` has the commands of both: one controller gives both the
+same voltage, and what only one of them has makes the robot turn, which no effect explains.
 A joint's inertia is what a torque there meets while all else is free to move.
 """
 
@@ -22,6 +24,8 @@ from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter,
 GRAVITY = 9.81
 COUNT = 2.0 * math.pi / 700.0
 """rad of a wheel that its encoder counts as one."""
+PERIOD = 5e-3
+"""s from row to row."""
 
 
 def _number(name: str, unit: str, value: float, bounds: tuple[float, float], meaning: str, *, known: bool) -> Parameter:
@@ -50,30 +54,17 @@ _PARAMETERS = (
         "voltage_offset",
         "s",
         0.0,
-        std=0.002,
+        std=0.001,
         lower=-0.05,
         upper=0.05,
         meaning="how much later than its row a voltage begins to act",
     ),
-    Parameter(
-        "filter_proportional_gain",
-        "1/s",
-        0.5,
-        lower=0.0,
-        upper=100.0,
-        estimated=False,
-        meaning="with which the tilt filter's tilt follows the accelerometer",
-    ),
-    Parameter(
-        "filter_integral_gain",
-        "1/s^2",
-        0.1,
-        lower=0.0,
-        upper=100.0,
-        estimated=False,
-        meaning="with which the tilt filter's gyro bias follows the accelerometer",
-    ),
 )
+
+# The tilt filter's own (estimators.roll_filter): densities of gyro and accelerometer as the vehicle file states them.
+_GYRO, _ACCELEROMETER = 0.001**2, 0.2**2 / (200.0 * GRAVITY**2)
+_SMOOTHING = 1.0
+"""s, of its accelerometer's low pass."""
 
 _DEFINITIONS = {
     "reflected_inertia": "gear_ratio ** 2 * rotor_inertia",
@@ -82,6 +73,13 @@ _DEFINITIONS = {
     "heading_gain": "wheel_radius / wheel_distance",
     "lean": "body_mass * com_height * sin(tilt)",
     "travel_rate": "0.5 * (left_wheel_rate + right_wheel_rate) + tilt_rate",
+    # The tilt filter's gains, by how well it knows the tilt: what the bias is followed with is told by Riccati's
+    # equation, in which the variance P of the tilt goes as P' = gyro + 2 integral accelerometer - P^2 / accelerometer.
+    "filter_proportional": f"tilt_std ** 2 / {_ACCELEROMETER}",
+    "filter_integral": f"max(0, 0.5 * (filter_proportional ** 2 - {_GYRO / _ACCELEROMETER})"
+    f" + tilt_std * tilt_std_slope / {_ACCELEROMETER})",
+    # Driving off is a lean backward to the accelerometer: its low pass, in which acceleration is the change of speed.
+    "level": f"level_error - wheel_radius / {GRAVITY * _SMOOTHING} * travel_rate",
     "turn_rate": "right_wheel_rate - left_wheel_rate",
     # Inertias against the mean rolling angle, the tilt, both together, and the wheels' difference.
     "travel_mass": "(3 * wheel_mass + body_mass) * wheel_radius ** 2 + 2 * reflected_inertia",
@@ -101,42 +99,36 @@ _DEFINITIONS = {
     " * (2 * com_height * cos(tilt) * tilt_rate + wheel_radius * travel_rate)",
     "travel_acceleration": "(tilt_mass * travel_torque - shared_mass * tilt_torque) / determinant",
     "tilt_acceleration": "(travel_mass * tilt_torque - shared_mass * travel_torque) / determinant",
-    "turn_acceleration": "turn_torque / turn_mass",
-    # What a torque of 1 N m does: between a wheel and the body to that wheel's angle and to the other's.
-    "mean_mobility": "(travel_mass + tilt_mass + 2 * shared_mass) / determinant",
-    "own_mobility": "mean_mobility + 1 / (2 * turn_mass)",
-    "other_mobility": "mean_mobility - 1 / (2 * turn_mass)",
+    # What a torque of 1 N m between both wheels and the body does to the mean of their angles against it.
+    "wheels_mobility": "(travel_mass + tilt_mass + 2 * shared_mass) / determinant",
     "tilt_load": "tilt_acceleration * determinant / travel_mass",
-    "left_wheel_load": "(travel_acceleration - tilt_acceleration - 0.5 * turn_acceleration) / own_mobility",
-    "right_wheel_load": "(travel_acceleration - tilt_acceleration + 0.5 * turn_acceleration) / own_mobility",
+    "wheels_load": "(travel_acceleration - tilt_acceleration) / wheels_mobility",
     "travel_load": "travel_acceleration * determinant / tilt_mass",
 }
+_MEAN_RATE = "0.5 * (left_wheel_rate + right_wheel_rate)"
+
+# What effects add.
+_ON_TILT = "(tilt_force - tilt_load - wheels_force + wheels_load)"
+_ON_TRAVEL = "(travel_force - travel_load + wheels_force - wheels_load)"
+_TILT = f"tilt_acceleration + (travel_mass * {_ON_TILT} - shared_mass * {_ON_TRAVEL}) / determinant"
 
 
-def _wheel(own: str, other: str, sign: str) -> str:
-    """A wheel's acceleration against the body; the differences are what effects add at the joints."""
+def _wheel(sign: str) -> str:
+    """A wheel's acceleration against the body."""
     return (
-        f"travel_acceleration - tilt_acceleration {sign} 0.5 * turn_acceleration"
-        f" + own_mobility * ({own}_force - {own}_load) + other_mobility * ({other}_force - {other}_load)"
-        " + ((tilt_mass + shared_mass) * (travel_force - travel_load)"
-        " - (travel_mass + shared_mass) * (tilt_force - tilt_load)) / determinant"
+        f"travel_acceleration - tilt_acceleration {sign} 0.5 * turn_torque / turn_mass"
+        f" + ((tilt_mass + shared_mass) * {_ON_TRAVEL} - (travel_mass + shared_mass) * {_ON_TILT}) / determinant"
     )
 
 
-_TILT = (
-    "tilt_acceleration + (travel_mass * (tilt_force - tilt_load) - shared_mass * (travel_force - travel_load)"
-    " - (travel_mass + shared_mass)"
-    " * (left_wheel_force - left_wheel_load + right_wheel_force - right_wheel_load)) / determinant"
-)
-
-
-def _wheel_joint(side: str) -> Joint:
+def _joint(name: str, coordinate: str, rate: str, inertia: str, load: str) -> Joint:
+    """One of those that move as the wheels do."""
     return Joint(
-        name=f"{side}_wheel",
-        coordinate=f"{side}_wheel_angle",
-        rate=f"{side}_wheel_rate",
-        inertia="1 / own_mobility",
-        load=f"{side}_wheel_load",
+        name=name,
+        coordinate=coordinate,
+        rate=rate,
+        inertia=inertia,
+        load=load,
         force_unit="N m",
         coordinate_unit="rad",
         force_scale=0.05,
@@ -146,19 +138,18 @@ def _wheel_joint(side: str) -> Joint:
     )
 
 
-def _motor(side: str) -> Actuator:
-    """The rate is how far the rotor is behind its speed without load, which times the gain is its torque: so play is
-    gone through, and load passed on, as the torque turns. The command's unit is V."""
-    return Actuator(
-        name=f"{side}_motor",
-        command=f"{side}_voltage",
-        joint=f"{side}_wheel",
-        rate=f"{side}_voltage / (motor_constant * gear_ratio) - {side}_wheel_rate",
-        gain="(motor_constant * gear_ratio) ** 2 / armature_resistance",
-        rate_unit="V",
-        command_scale=5.0,
-        angle_scale=1.0,
-    )
+_MOTORS = Actuator(
+    name="motors",
+    command="left_voltage",
+    also=("right_voltage",),
+    joint="wheels",
+    # How far the rotors are behind their speed without load: times the gain, the torque of both motors.
+    rate=f"0.5 * (left_voltage + right_voltage) / (motor_constant * gear_ratio) - {_MEAN_RATE}",
+    gain="2 * (motor_constant * gear_ratio) ** 2 / armature_resistance",
+    rate_unit="V",
+    command_scale=5.0,
+    angle_scale=1.0,
+)
 
 
 def _encoder(side: str) -> Sensor:
@@ -171,12 +162,11 @@ def _encoder(side: str) -> Sensor:
     )
 
 
-def _wheel_states(side: str, other: str, sign: str) -> tuple[State, State]:
+def _wheel_states(side: str, sign: str) -> tuple[State, State]:
     angle, rate = f"{side}_wheel_angle", f"{side}_wheel_rate"
-    derivative = _wheel(f"{side}_wheel", f"{other}_wheel", sign)
     return (
         State(angle, "rad", rate, initial=angle, initial_std=COUNT, meaning="against the body, positive forward"),
-        State(rate, "rad/s", derivative, initial=rate, initial_std=1.0, process_noise=0.1),
+        State(rate, "rad/s", _wheel(sign), initial=rate, initial_std=1.0, process_noise=0.1),
     )
 
 
@@ -189,42 +179,69 @@ TWSBR = Model(
             "tilt", "rad", "tilt_rate", initial="tilt", initial_std=5e-3, meaning="of the body, 0 upright, forward +"
         ),
         State("tilt_rate", "rad/s", _TILT, initial="tilt_rate", initial_std=2e-2, process_noise=1e-2),
-        *_wheel_states("left", "right", "-"),
-        *_wheel_states("right", "left", "+"),
+        *_wheel_states("left", "-"),
+        *_wheel_states("right", "+"),
         State(
             "tilt_error",
             "rad",
-            "rate_error - filter_proportional_gain * tilt_error",
+            "rate_error - filter_proportional * (tilt_error - level)",
             initial_std=1e-3,
             process_noise=1e-4,
+            noise_known=True,
             noise_of="tilt_rate",
             meaning="error of the tilt filter: the gyro's noise integrated, and slow corrections",
         ),
         State(
+            "level_error",
+            "rad",
+            f"-level / {_SMOOTHING}",
+            initial=f"{0.0325 / (GRAVITY * _SMOOTHING)} * (0.5 * (left_wheel_rate + right_wheel_rate) + tilt_rate)",
+            initial_std=1e-3,
+            meaning="error of the accelerometer's direction, and the speed that made it",
+        ),
+        State(
             "rate_error",
             "rad/s",
-            "-filter_integral_gain * tilt_error",
+            "-filter_integral * (tilt_error - level)",
             initial_std=2e-4,
             process_noise=1.3e-5,
             noise_known=True,
             meaning="what the tilt filter has not learned of the gyro's bias",
         ),
     ),
-    inputs=tuple(
-        Input(f"{side}_voltage", "V", Hold.ZERO_ORDER, delays=("voltage_offset",)) for side in ("left", "right")
+    inputs=(
+        *(Input(f"{side}_voltage", "V", Hold.ZERO_ORDER, delays=("voltage_offset",)) for side in ("left", "right")),
+        Input("tilt_std", "rad", usual=1.3e-3, meaning="of the tilt, as the tilt filter sees it"),
     ),
     outputs=(
-        Output("tilt", "rad", "tilt + tilt_error", noise=1e-5, noise_known=True),
+        # The tilt filter integrates the gyro by trapezoids: on top of the tilt these have a twelfth of the square of a
+        # row times the acceleration, which is more than the filter's noise where the voltage jumps.
+        Output(
+            "tilt", "rad", f"tilt + tilt_error + {PERIOD**2 / 12.0} * tilt_acceleration", noise=1e-5, noise_known=True
+        ),
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
         *(
             output
             for side in ("left", "right")
             for output in (
-                Output(f"{side}_wheel_angle", "rad", f"{side}_wheel_angle", noise=COUNT / 12**0.5, age="drive_age"),
+                Output(
+                    f"{side}_wheel_angle",
+                    "rad",
+                    f"{side}_wheel_angle",
+                    noise=COUNT / 12**0.5,
+                    counted=True,
+                    age="drive_age",
+                ),
                 # From the encoder's last two edges: it lags by as much as they are apart, which is no white noise,
                 # and tells nothing that the angle does not.
                 Output(
-                    f"{side}_wheel_rate", "rad/s", f"{side}_wheel_rate", noise=0.5, noise_known=True, age="drive_age"
+                    f"{side}_wheel_rate",
+                    "rad/s",
+                    f"{side}_wheel_rate",
+                    noise=0.5,
+                    noise_known=True,
+                    counted=True,
+                    age="drive_age",
                 ),
             )
         ),
@@ -244,23 +261,22 @@ TWSBR = Model(
             rate_scale=1.0,
             smooth_rate=0.02,
         ),
-        _wheel_joint("left"),
-        _wheel_joint("right"),
-        Joint(
-            name="travel",
-            coordinate="0.5 * (left_wheel_angle + right_wheel_angle) + tilt",
-            rate="travel_rate",
-            inertia="determinant / tilt_mass",
-            load="travel_load",
-            force_unit="N m",
-            coordinate_unit="rad",
-            force_scale=0.05,
-            coordinate_scale=3.0,
-            rate_scale=10.0,
-            smooth_rate=0.1,
+        _joint(
+            "travel",
+            "0.5 * (left_wheel_angle + right_wheel_angle) + tilt",
+            "travel_rate",
+            "determinant / tilt_mass",
+            "travel_load",
+        ),
+        _joint(
+            "wheels",
+            "0.5 * (left_wheel_angle + right_wheel_angle)",
+            _MEAN_RATE,
+            "1 / wheels_mobility",
+            "wheels_load",
         ),
     ),
-    actuators=(_motor("left"), _motor("right")),
+    actuators=(_MOTORS,),
     sensors=(
         Sensor("imu", angle="tilt", rate="tilt_rate", angle_scale=0.1, rate_scale=1.0),
         _encoder("left"),
