@@ -40,11 +40,12 @@ vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in 
 	$(GUEST) $(BIN)/pytest -m vcan --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
 
-benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, bus turnaround beside bare echoes
-	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc
+benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes
+	@tests/setup/apt-needs $(GUEST_NEEDS) cc:gcc mosquitto:mosquitto chromium:chromium
 	$(BIN)/python benchmarks/broad.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/fitting.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/diagnosing.py
+	$(BIN)/python benchmarks/dashboard.py
 	$(GUEST) $(BIN)/python benchmarks/turnaround.py --rate 500 --seconds 60 \
 	  --source "$(BIN)/python benchmarks/vehicle_at.py {rate} simulate" \
 	  --responder upright "$(BIN)/python benchmarks/vehicle_at.py 500 serve"

@@ -15,7 +15,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from service import api, virtual_vehicle
+from service import api
 from service.cli.output import missing_effects, page, parameter_table, people
 from service.control_loop import Mode
 from service.daemon import Daemon, Places
@@ -76,7 +76,7 @@ async def _run(
         places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
         daemon = Daemon(vehicle, places, lock_step=True)
         shown = nullcontext() if port is None else _dashboard(vehicle, data, broker.websocket, port)
-        plant = _hurrying(vehicle, hide, seed) if port is None else virtual_vehicle_beside(vehicle, hide, seed, BUS)
+        plant = virtual_vehicle_beside(vehicle, hide, seed, BUS, punctual=port is not None)
         with shown, plant:
             serving = asyncio.create_task(daemon.run(), name="daemon")
             try:
@@ -91,20 +91,6 @@ async def _run(
             finally:
                 daemon.stop()
                 await serving
-
-
-@contextmanager
-def _hurrying(vehicle: VehicleFile, hide: list[str], seed: int) -> Iterator[None]:
-    """The virtual vehicle in a thread, as fast as the daemon answers."""
-    truth, stop = virtual_vehicle.configuration(vehicle, hide, seed), threading.Event()
-    given = {"stop": stop, "lock_step": True}
-    thread = threading.Thread(target=virtual_vehicle.run, args=(truth, BUS, BUS), kwargs=given, name="simulation")
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 @contextmanager

@@ -35,7 +35,7 @@ KEEPALIVE = 10
 GOODBYE_TIME = 2.0
 """s that the last messages get when the process ends."""
 
-MOST_TELEMETRY = 20
+MOST_TELEMETRY = 60
 MOST_EVENTS = 200
 """Messages that wait for the broker, the oldest are dropped."""
 

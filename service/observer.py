@@ -6,6 +6,7 @@ Its pipe brings `hello` first (`service.assembly.observer_hello`), then cycles a
 order to end: a running recording is finished, `offline` is published, and it exits, whether control said goodbye or
 died. The recorder and the estimators take exactly the same cycles, those from a recording's agreed start to its end, so
 that a replay of the recording gives the same numbers. It runs at a lower priority than control and never makes it wait.
+MQTT has a thread of its own (`service.mqtt_thread`), at control's priority, as commands come through it.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ import signal
 import socket
 import sys
 import threading
-import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from service import link
-from service.command_inbox import CommandInbox
+from service.beside import beside
 from service.home_assistant import discovery
 from service.live_prediction import LivePrediction, live_prediction
-from service.mqtt import GOODBYE_TIME, MqttConfig, MqttConfigError, MqttPublisher
+from service.mqtt import GOODBYE_TIME, MqttConfig, MqttConfigError
 from service.mqtt_payloads import TelemetryBatches, parameters
+from service.mqtt_thread import MqttThread
 from service.news import News
 from service.online_estimators import EstimatorBank, online_estimators
 from service.recorder import Recorder
@@ -38,6 +39,9 @@ from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame
 
 NICENESS = 5
+
+SWITCH_INTERVAL = 1e-3
+"""s after which a thread that computes lets MQTT's run: a command needs several such turns."""
 
 WRITE_PERIOD = 1.0
 """s between two batches on the disk."""
@@ -88,16 +92,13 @@ class Observer:
         self._telemetry = TelemetryBatches(self._channels.names, hello["rate"], hello["mqtt"]["telemetry_rate"])
         self._new_prediction = partial(live_prediction, hello, self._channels)
         self._prediction: LivePrediction | None = None
-        self._mqtt: MqttPublisher | None = None
-        self._inbox = CommandInbox(self._forward, self._tell_mqtt, time.time)
+        self._mqtt: MqttThread | None = None
         try:
             config = MqttConfig.of(hello["mqtt"], hello["vehicle"])
             if config is not None:
                 units = {name: entry["unit"] for name, entry in given.items()}
                 announced = discovery(config.topic, hello["vehicle"], hello["version"], units)
-                self._mqtt = MqttPublisher(
-                    config, self._inbox.take, announced if hello["mqtt"]["home_assistant"] else ()
-                )
+                self._mqtt = MqttThread(config, self._forward, announced if hello["mqtt"]["home_assistant"] else ())
         except MqttConfigError as error:
             self._complain("mqtt", str(error))
 
@@ -185,8 +186,8 @@ class Observer:
                 self._mqtt.tell(topic, message)
             case "health":
                 self._telemetry.health(message["health"])
-            case "reply":
-                self._inbox.reply(message["client"], message["reply"])
+            case "reply" if self._mqtt is not None:
+                self._mqtt.reply(message["client"], message["reply"])
 
     # Recording
 
@@ -273,7 +274,7 @@ class Observer:
                         self._complain("recorder", f"{recorder.path}: {error}")
             self._send({
                 "type": "report",
-                "mqtt": {**self._mqtt.summary(), "commands": self._inbox.gate.counts} if self._mqtt else None,
+                "mqtt": self._mqtt.summary() if self._mqtt else None,
                 "trouble": self._trouble,
             })  # fmt: skip
 
@@ -281,32 +282,15 @@ class Observer:
 
     async def _compile(self) -> None:
         """Once in a thread, so that from then on all estimators are made at once. The end does not wait for it."""
-        loop = asyncio.get_running_loop()
-        finished: asyncio.Future[LivePrediction | None] = loop.create_future()
 
-        def finish(error: Exception | None, prediction: LivePrediction | None) -> None:
-            if finished.done():
-                return
-            if error is None:
-                finished.set_result(prediction)
-            else:
-                finished.set_exception(error)
-
-        def work() -> None:
+        def work() -> LivePrediction | None:
             _give_way()
-            failure: Exception | None = None
-            prediction: LivePrediction | None = None
-            try:
-                self._new_bank().join()
-                with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimates do without it
-                    prediction = self._new_prediction() if self._mqtt is not None else None
-            except Exception as error:
-                failure = error
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                loop.call_soon_threadsafe(finish, failure, prediction)
+            self._new_bank().join()
+            with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimates do without it
+                return self._new_prediction() if self._mqtt is not None else None
+            return None
 
-        threading.Thread(target=work, name="compile", daemon=True).start()
-        self._prediction = await finished
+        self._prediction = await beside(work, "compile")
         self._compiled.set()
         self._estimators.join()
 
@@ -318,10 +302,10 @@ class Observer:
                 self._send({"type": "estimates", "estimates": estimates, "diagnosis": diagnosis})
                 self._publish(estimates, diagnosis)
 
-    async def _run_mqtt(self, mqtt: MqttPublisher) -> None:
+    async def _run_mqtt(self, mqtt: MqttThread) -> None:
         """A recording must not end because of MQTT, whatever happens there."""
         try:
-            await mqtt.run()
+            await mqtt.ended
         except Exception as error:
             self._mqtt = None
             self._complain("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
@@ -348,11 +332,8 @@ class Observer:
             self._mqtt.tell("event", {"severity": "error", "code": code, "text": text})
 
     def _forward(self, command: dict[str, Any]) -> bool:
+        """Called in the thread of MQTT: a packet is whole, whoever sends another one at the same time."""
         return self._send({"type": "command", **command})
-
-    def _tell_mqtt(self, topic: str, document: dict[str, Any]) -> None:
-        if self._mqtt is not None:
-            self._mqtt.tell(topic, document)
 
     def _send(self, message: dict[str, Any]) -> bool:
         """To control, unless it is gone or does not listen, which is False: the next message tells it more."""
@@ -367,14 +348,16 @@ async def observe(connection: socket.socket) -> None:
     """Serve the control process behind `connection`."""
     packet = await asyncio.get_running_loop().sock_recv(connection, link.LARGEST)
     if packet:
-        await Observer(connection, link.unpack_json(packet)).run()
+        observer = Observer(connection, link.unpack_json(packet))
+        os.nice(NICENESS)  # of this thread and those to come, but not MQTT's, which passes commands on
+        await observer.run()
 
 
 def main(descriptor: int) -> None:
     # Ends by its pipe alone: a stopped service ends its experiment first, and that shall be recorded.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    os.nice(NICENESS)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     logging.basicConfig(format="%(name)s: %(message)s")
     with socket.socket(fileno=descriptor) as connection:
         connection.setblocking(False)

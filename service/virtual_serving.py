@@ -1,4 +1,4 @@
-"""A virtual vehicle in the daemon's own process, in lock-step and at the pace of the wall's clock.
+"""A virtual vehicle in the daemon's own process, in lock-step, as a rule at the pace of the wall's clock.
 
 For showing and for tests, where the vehicle is to take its time as a real one does, and a machine that is held up must
 not make it fall: in lock-step the plant waits for its master, and what was lost is made up for. Real time against a
@@ -47,9 +47,12 @@ class PunctualBus:
 
 
 @contextmanager
-def virtual_vehicle_beside(vehicle: VehicleFile, hide: list[str], seed: int, bus: str = BUS) -> Iterator[None]:
+def virtual_vehicle_beside(
+    vehicle: VehicleFile, hide: list[str], seed: int, bus: str = BUS, *, punctual: bool = True
+) -> Iterator[None]:
     """The virtual vehicle on the in-process `bus`, for as long as the block lasts.
 
+    It keeps to the wall's clock, or where it need not be `punctual` runs as fast as the daemon answers.
     Raises UnknownEffectError for a `hide` that names no hidden effect.
     """
     configuration = virtual_vehicle.configuration(vehicle, hide, seed)
@@ -57,7 +60,8 @@ def virtual_vehicle_beside(vehicle: VehicleFile, hide: list[str], seed: int, bus
 
     def simulate() -> None:
         with connect(bus, None, None) as own:
-            runner.run(configuration, PunctualBus(own), lock_step=True, stop=stop)  # type: ignore[arg-type]
+            paced: Any = PunctualBus(own) if punctual else own
+            runner.run(configuration, paced, lock_step=True, stop=stop)
 
     thread = threading.Thread(target=simulate, name="virtual vehicle", daemon=True)
     thread.start()

@@ -25,12 +25,15 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from estimators.method_table import METHODS
 from models.effects import CATALOGUE
 from service import assembly
 from service.dashboard.charts import CHARTS
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording
+from service.dashboard.units import AMPLITUDE, LIMITS
 from service.vehicle_file import VehicleFile
+from telemetry.channels import TABLES
 from telemetry.errors import UprightError
 
 STATIC = Path(__file__).with_name("static")
@@ -105,13 +108,19 @@ class Dashboard:
             "lease": vehicle.control.lease,
             "rate": vehicle.control.rate,
             "support_deg": vehicle.limits.support_deg,
-            "limits": vehicle.limits.model_dump(),
+            "limits": [
+                {"name": LIMITS[key][0], "value": value, "unit": LIMITS[key][1]}
+                for key, value in vehicle.limits.model_dump().items()
+            ],
+            "units": {channel.name: channel.unit for channel in TABLES[vehicle.vehicle.kind]},
+            "amplitude_unit": AMPLITUDE[vehicle.vehicle.kind],
             "parameters": {
                 name: getattr(vehicle.parameters, name).model_dump() for name in vehicle.parameters.values
             },
             "experiments": {
                 name: each.model_dump(exclude_none=True) for name, each in vehicle.experiments.items()
             },
+            "methods": list(METHODS),
             "charts": [asdict(chart) for chart in CHARTS[vehicle.vehicle.kind]],
         })  # fmt: skip
 
@@ -174,7 +183,10 @@ class Dashboard:
             case "compare":
                 return ["compare", *paths, *vehicle, *(["--model", str(own)] if own.is_file() else [])]
             case "identify":
-                return ["identify", *paths, *vehicle]
+                methods = asked.get("methods", [])
+                if not isinstance(methods, list) or not {str(each) for each in methods} <= METHODS.keys():
+                    raise HTTPException(400, "no such method")
+                return ["identify", *paths, *vehicle, *(word for each in methods for word in ("--method", str(each)))]
             case "diagnose" | "report":
                 words = ["diagnose", *paths, *vehicle, *(["--model", str(own)] if own.is_file() else [])]
                 self._reports.mkdir(parents=True, exist_ok=True)

@@ -2,9 +2,11 @@
 
 import { h, fill, number, seconds, text } from "./dom.js";
 
+// What an experiment is made of, in words; `unit` is that of its amplitude.
 const WORDS = {
-  amplitude_deg: (x) => `amplitude ${x} deg`, amplitude: (x) => `amplitude ${x}`, start_frequency: (x) => `from ${x} Hz`,
-  stop_frequency: (x) => `to ${x} Hz`, frequency: (x) => `${x} Hz`, width: (x) => `${x} s wide`, lines: (x) => `${x} lines`,
+  amplitude_deg: (x) => `amplitude ${number(x)} deg`, amplitude: (x, unit) => `amplitude ${number(x)} ${unit}`,
+  start_frequency: (x) => `from ${number(x)} Hz`, stop_frequency: (x) => `to ${number(x)} Hz`, frequency: (x) => `${number(x)} Hz`,
+  frequencies: (x) => `${x.map((each) => number(each)).join(", ")} Hz`, width: (x) => `${number(x)} s wide`, lines: (x) => `${number(x)} lines`,
 };
 
 export class Experiments {
@@ -18,11 +20,11 @@ export class Experiments {
     const cards = Object.entries(app.config.experiments).map(([name, each]) => {
       const button = h("button", { class: "primary", "data-experiment": name, onclick: () => this.start(name) }, "Start");
       this.buttons.push(button);
-      const details = Object.entries(WORDS).filter(([key]) => each[key] !== undefined).map(([key, words]) => words(number(each[key])));
+      const details = Object.entries(WORDS).filter(([key]) => each[key] !== undefined).map(([key, words]) => words(each[key], app.config.amplitude_unit));
       return h("li", { class: "card" }, h("h3", {}, name), h("p", {}, each.title),
         h("p", { class: "quiet" }, [`${number(each.duration)} s`, each.excitation === "none" ? "no excitation" : each.excitation.replaceAll("_", " "), ...details].join(", ")), button);
     });
-    const limits = Object.entries(app.config.limits).map(([key, value]) => [h("dt", {}, key.replaceAll("_", " ")), h("dd", {}, number(value))]);
+    const limits = app.config.limits.map(({ name, value, unit }) => h("div", {}, h("dt", {}, name), h("dd", { "data-limit": name }, `${number(value)} ${unit}`)));
     fill(place,
       h("section", { class: "card wide" }, h("h2", {}, "Running"), this.what, this.bar, this.outcome, this.reset,
         h("p", { class: "quiet" }, "Whoever starts an experiment holds it: if this page is closed, hidden or cut off for ",
@@ -41,7 +43,7 @@ export class Experiments {
   over(name, reply) {
     this.outcome.dataset.ok = String(reply.ok);
     const early = reply.ok && reply.text;
-    text(this.outcome, `${name}: ${reply.ok ? (early ? `ended early: ${reply.text}` : "accepted, it did what it should") : `${reply.code}: ${reply.text}`}`
+    text(this.outcome, `${name}: ${reply.ok ? (early ? `ended early: ${reply.text}` : "accepted, it did what it should") : `${reply.code}: ${reply.text}`}`.replace(/[^.]$/, "$&.")
       + (typeof reply.recording === "string" ? ` Recording: ${reply.recording.split("/").pop()}` : ""));
   }
 
@@ -60,7 +62,7 @@ export class Experiments {
       button.title = !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file"
         : running ? "An experiment is running" : state.interlocks.join(" ");
     }
-    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${state.held_by ?? "nobody"}`);
+    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${this.app.holder(state)}`);
     else {
       text(this.what, !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file."
         : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "Nothing is running.");
@@ -69,9 +71,9 @@ export class Experiments {
   }
 
   progress(message) {
-    this.bar.value = Math.min(1, Math.max(0, message.fraction));
     if (this.app.state?.mode === "running") {
-      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.state.held_by ?? "nobody"}`);
+      this.bar.value = Math.min(1, Math.max(0, message.fraction));
+      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.holder(this.app.state)}`);
     }
   }
 }

@@ -55,11 +55,11 @@ export class Gap {
         typeof each.probability === "number" ? percent(100 * each.probability) : "–", percent(each.held_out_error_closed_percent),
         (each.tied_with ?? []).length ? `tied with ${each.tied_with.join(", ")}` : "", add];
     });
-    fill(place, h("p", { class: diagnosis.adequate ? "good" : "told" }, verdict, diagnosis.reason ? ` ${diagnosis.reason}` : ""),
+    fill(place, h("p", { class: diagnosis.adequate ? "good" : "told" }, verdict, diagnosis.reason ? ` (${diagnosis.reason})` : ""),
       rows.length ? table(["Effect", "Size", "", "Probability", "Held-out error closed", "Ties", ""], rows) : null,
       whole && typeof diagnosis.innovation_ratio_before === "number" && typeof diagnosis.innovation_ratio_after === "number"
         ? h("p", {}, `Innovation ratio: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} with it.`) : null,
-      whole && diagnosis.suggested_experiment ? h("p", {}, `Next experiment: ${String(diagnosis.suggested_experiment.name ?? "")}. ${String(diagnosis.suggested_experiment.reason ?? "")}`) : null);
+      whole && diagnosis.suggested_experiment ? h("p", {}, `Next experiment: ${String(diagnosis.suggested_experiment.text ?? diagnosis.suggested_experiment.experiment ?? "")}.`) : null);
   }
 
   async diagnose() {
@@ -125,7 +125,7 @@ export class Gap {
       const floor = repair.floor?.held_out?.[channel]?.[far];
       const bar = h("div", { class: "fall", role: "img", "aria-label": `falls to ${percent(100 * after / before)}` }, h("i"), h("b"));
       bar.lastChild.style.width = `${Math.min(100, 100 * after / before)}%`;
-      return [channel, h("output", { "data-before": channel, "data-value": before }, number(before, 3)),
+      return [`${channel}, ${this.app.config.units[channel] ?? ""}`, h("output", { "data-before": channel, "data-value": before }, number(before, 3)),
         h("output", { "data-after": channel, "data-value": after }, number(after, 3)), number(floor, 3), bar];
     });
     fill(this.repair, h("section", { class: "card wide", role: "status" }, h("h3", {}, `${effect}: what it did`),

@@ -16,9 +16,12 @@ export class Identify {
     this.picker = picker("Recording", "identify-recording");
     this.answer = h("div", { id: "methods" });
     this.busy = h("div");
+    this.methods = app.config.methods.map((name) => h("input", { type: "checkbox", name: "method", value: name }));
+    const methods = h("details", {}, h("summary", {}, "Which methods"), h("p", { class: "quiet" }, "None ticked: all that suit the recording."),
+      h("div", { class: "row" }, this.methods.map((box) => h("label", {}, box, ` ${box.value.replaceAll("_", " ")}`))));
     const button = h("button", { class: "primary", id: "identify-run", onclick: () => this.identify() }, "Compare the methods");
     fill(place, h("h2", {}, "While it runs"), this.now, this.plots,
-      h("h2", {}, "Methods side by side"), h("p", { class: "row" }, this.picker.element, button), this.busy, this.answer);
+      h("h2", {}, "Methods side by side"), h("p", { class: "row" }, this.picker.element, button), methods, this.busy, this.answer);
   }
 
   shown() {
@@ -51,7 +54,7 @@ export class Identify {
     let track = this.tracks.get(name);
     if (!track && this.tracks.size < 20) {
       const box = h("div", { class: "plot" });
-      const figure = h("figure", { class: "chart", hidden: true }, h("figcaption", {}, name, " ", String(entry.unit ?? "")), box);
+      const figure = h("figure", { class: "chart", hidden: true }, h("figcaption", {}, `${name}, ${entry.unit ?? ""}`), box);
       this.plots.append(figure);
       const chart = new Chart(box, { xLabel: "s", series: [
         { label: "estimate", stroke: "blue", width: 2 }, { label: "95 % band", stroke: "blue", width: 0.5 },
@@ -79,7 +82,7 @@ export class Identify {
   async identify() {
     const name = this.picker.select.value;
     if (!name) return;
-    const result = await run(this.busy, { kind: "identify", recordings: [name] }, "Comparing the methods");
+    const result = await run(this.busy, { kind: "identify", recordings: [name], methods: this.methods.filter((box) => box.checked).map((box) => box.value) }, "Comparing the methods");
     if (!result) return;
     const methods = Object.entries(result.methods ?? {});
     const names = [...new Set(methods.flatMap(([, each]) => Object.keys(each.parameters ?? {})))];

@@ -4,6 +4,8 @@
 const LARGEST = 200_000; // characters of a message
 const RENEWAL = 75; // ms between two signs
 const PATIENCE = 5000; // ms that a reply may take
+const SLOW = 6000; // ms after which a link that had to catch up is no longer said to be slow
+const LATEST = 2; // s by which telemetry may be late before it is left out until the link has caught up
 
 const random = () => Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
@@ -34,6 +36,12 @@ function isTelemetry(message) {
     [...Object.values(each.values), ...Object.values(each.innovations)].every(Array.isArray));
 }
 
+// When the last row of a batch was measured.
+export function newest(message) {
+  const rows = Object.entries(message).find(([key, value]) => key !== "predictions" && Array.isArray(value))[1].length;
+  return message.t0 + (rows - 1) * message.dt;
+}
+
 export class Link {
   constructor(config, handlers) {
     this.client = `page-${random()}`;
@@ -46,6 +54,11 @@ export class Link {
     this.waiting = new Map();
     this.held = null; // id of the experiment that this page holds
     this.latest = -Infinity;
+    this.late = 0; // s by which telemetry is later than when it was subscribed to; clocks may differ
+    this.usual = Infinity;
+    this.catchingUp = false;
+    this.worst = 0; // the latest of a link that is too slow
+    this.slowUntil = 0;
     this.login = { username: config.user || undefined, password: config.password || undefined };
     this.open();
     addEventListener("pagehide", () => this.release());
@@ -60,6 +73,7 @@ export class Link {
     socket.on("connect", () => {
       const mine = `${this.config.topic}/`;
       const names = ["status", "state", "telemetry", "parameters", "diagnosis", "progress", "event", `reply/${this.client}`];
+      this.fresh();
       socket.subscribe(names.map((name) => mine + name), { qos: 1 }, (error) => this.say(error ? "the broker lets nobody listen" : ""));
     });
     socket.on("close", () => this.say(this.trouble || "no connection to the broker"));
@@ -103,8 +117,30 @@ export class Link {
       // The same batch again, or one that was overtaken, has nothing new; a clock that was set back has.
       if (message.t0 <= this.latest && message.t0 > this.latest - 5) return this.ignore("reordered");
       this.latest = message.t0;
+      this.watch(newest(message));
     }
     this.handlers[name]?.(message);
+  }
+
+  fresh() {
+    this.usual = Infinity;
+    this.late = 0;
+    this.catchingUp = false;
+  }
+
+  // A link that is too slow for telemetry would show it later and later, and replies with it. Then none is asked for until
+  // what waits has come through, which is when the broker's answer has.
+  watch(measured) {
+    const delay = Date.now() / 1000 - measured;
+    this.usual = Math.min(this.usual, delay);
+    this.late = delay - this.usual;
+    if (performance.now() > this.slowUntil) this.worst = 0;
+    this.worst = Math.max(this.worst, this.late);
+    if (this.late < LATEST || this.catchingUp) return;
+    this.catchingUp = true;
+    this.slowUntil = performance.now() + SLOW;
+    const topic = `${this.config.topic}/telemetry`;
+    this.socket.unsubscribe(topic, () => this.socket.connected && this.socket.subscribe(topic, { qos: 0 }, () => this.fresh()));
   }
 
   // Commands

@@ -21,8 +21,8 @@ export class Live {
       const box = h("div", { class: "plot" });
       const last = chart.curves[0];
       const figure = h("figure", { class: "chart" },
-        h("figcaption", {}, chart.title, " ", last.look === "innovation" ? null : this.now[chart.id], " ", chart.unit), box);
-      this.values[chart.id] = new Chart(box, { yLabel: chart.unit, series: chart.curves,
+        h("figcaption", {}, last.look === "innovation" ? `${chart.title}, ` : [chart.title, " ", this.now[chart.id], " "], chart.unit), box);
+      this.values[chart.id] = new Chart(box, { xLabel: "s", yLabel: chart.unit, series: chart.curves,
         scales: { x: { time: false, range: (_, low, high) => [Math.max(low, high - WINDOW), high] } } });
       return figure;
     });
@@ -40,7 +40,7 @@ export class Live {
   state(state) {
     const words = [...state.faults.map((fault) => `Fault: ${fault.text}`), ...state.interlocks];
     fill(this.interlocks, words.length ? words.map((each) => h("li", {}, each)) : h("li", { class: "good" }, "Nothing: an experiment may start."));
-    text(this.figures.held, state.held_by ?? "nobody");
+    text(this.figures.held, this.app.holder(state));
   }
 
   telemetry(message) {

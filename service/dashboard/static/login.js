@@ -13,9 +13,9 @@ export function login(link, notice) {
     notice("");
     link.open();
   } },
-  h("strong", {}, "The broker asks who you are. "),
-  h("label", {}, "User ", user), h("label", {}, " Password ", password), h("button", {}, "Connect"));
+  h("strong", {}, "The broker refused this user or password. "),
+  h("span", { class: "row" }, h("label", {}, "User ", user), h("label", {}, "Password ", password), h("button", { class: "primary" }, "Connect")));
   fill($("notice"), form);
   $("notice").hidden = false;
-  user.focus();
+  (user.value ? password : user).focus();
 }

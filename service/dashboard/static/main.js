@@ -1,7 +1,7 @@
 // The page: views, the connection, and the one stop. Each view takes messages and draws itself when it is on the screen.
 
 import { $, fill, text } from "./dom.js";
-import { Link } from "./link.js";
+import { Link, newest } from "./link.js";
 import { Live } from "./live.js";
 import { Experiments } from "./experiments.js";
 import { Identify } from "./identify.js";
@@ -10,15 +10,20 @@ import { Recordings } from "./recordings.js";
 import { login } from "./login.js";
 
 const STALE = 1500; // ms without telemetry after which what is shown is old
+const LATE = 0.7; // s by which telemetry may be later than it first was
 
 const response = await fetch("api/config");
 const config = await response.json();
 const views = {};
-const app = { config, link: null, state: null, show, notice, stop };
+const app = { config, link: null, state: null, show, notice, stop, holder };
 let shown = "live";
 let heard = 0;
 let drawnAt = 0;
 const delays = [];
+
+function holder(state) {
+  return state?.held_by === `mqtt ${app.link?.client}` ? "this page" : state?.held_by ?? "nobody";
+}
 
 function notice(words) {
   fill($("notice"), words);
@@ -50,11 +55,11 @@ async function stop() {
 function tellLink() {
   const link = app.link;
   const old = heard && performance.now() - heard > STALE;
-  const word = link.trouble ? link.trouble : !link.online ? "vehicle offline" : !heard || old ? "stale" : "live";
+  const word = link.trouble ? link.trouble : !link.online ? "vehicle offline" : !heard || old ? "stale" : link.late > LATE || performance.now() < link.slowUntil ? "late" : "live";
   const badge = $("link");
-  badge.dataset.kind = word === "live" ? "good" : word === "stale" || word === "connecting" ? "warn" : "bad";
+  badge.dataset.kind = word === "live" ? "good" : ["stale", "late", "connecting"].includes(word) ? "warn" : "bad";
   const ago = old ? `: last heard ${Math.round((performance.now() - heard) / 1000)} s ago` : "";
-  text(badge, word === "stale" ? `stale${ago}` : word);
+  text(badge, word === "stale" ? `stale${ago}` : word === "late" ? `late: what is shown is up to ${link.worst.toFixed(1)} s old` : word);
   document.body.classList.toggle("stale", word !== "live");
   // Whatever the page believes: a stop where nothing runs does no harm.
   $("stop").disabled = !(link.connected && link.online && app.state?.commands);
@@ -144,8 +149,7 @@ app.link = new Link(config, {
   state: tellState,
   telemetry: (message) => {
     heard = performance.now();
-    const rows = Object.values(message).find((value) => Array.isArray(value) && typeof value[0] !== "object")?.length ?? 1;
-    app.newest = message.t0 + (rows - 1) * message.dt;
+    app.newest = newest(message);
     each("telemetry", message);
   },
   parameters: (message) => each("parameters", message),
