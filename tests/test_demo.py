@@ -122,3 +122,16 @@ def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
         said = upright("demo", "--dashboard", "--port", port, "--data", str(tmp_path), code=1)
     assert port in said
     assert "--port" in said
+
+
+def test_the_balancing_robot_has_a_story_of_its_own(tmp_path: Path) -> None:
+    """Nothing is estimated while it runs: it is identified afterwards, without the seconds in which it gets up."""
+    told = upright("demo", "--vehicle", "twsbr", "--experiment", "square", "--data", str(tmp_path))
+    (recording,) = tmp_path.glob("*_square.arrow")
+    fitted = json.loads(recording.with_suffix(".estimates.json").read_text())["methods"]["prediction_error"]
+    assert fitted["status"] == "ok"
+    assert fitted["parameters"]["motor_constant"]["value"] > 0.0
+    assert "fails" in told, "the vehicle file's numbers are off the plant's by up to 40 %"
+    assert "adequate: The model explains the recordings to within their noise" in told
+    assert recording.with_suffix(".png").stat().st_size > 10_000
+    assert "<svg" in (tmp_path / "diagnosis.html").read_text()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from rich.padding import Padding
@@ -44,17 +45,26 @@ def comparison_table(comparisons: Sequence[Comparison], title: str = "") -> Tabl
     table = Table(
         title=title or None, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold"
     )
+    wrapped = {"model": 8, "missing": 12}
     for heading in ("model", "channel", "fit", "error/floor", "missing", "verdict"):
         right = heading in ("fit", "error/floor", "missing")
-        table.add_column(heading, justify="right" if right else "left", no_wrap=heading != "model")
+        least = wrapped.get(heading, len("adequate") if heading == "verdict" else None)
+        table.add_column(
+            heading,
+            justify="right" if right else "left",
+            no_wrap=heading not in wrapped,
+            min_width=least,
+            overflow="fold",
+        )
     for each in comparisons:
-        missing = ", ".join(f"{force.rms:.3g} {force.unit}" for force in each.views.forces)
+        forces = each.views.forces
+        missing = [f"{f.rms:.3g} {f.unit}{f' at {f.joint}' if len(forces) > 1 else ''}" for f in forces]
         verdict = "[green]adequate[/green]" if each.adequate else "[red]fails[/red]"
-        name = each.name
-        if not each.fit_percent:
-            table.add_row(name, "", "", "", missing, verdict)
-        for channel, fit in each.fit_percent.items():
-            over = each.rmse[channel] / each.noise_floor[channel]
-            table.add_row(name, channel, f"{fit:.2f} %", f"{over:.3g}", missing, verdict)
-            name = missing = verdict = ""
+        channels = [
+            (channel, f"{fit:.2f} %", f"{each.rmse[channel] / each.noise_floor[channel]:.3g}")
+            for channel, fit in each.fit_percent.items()
+        ]
+        names = [each.name] + [""] * (max(len(channels), len(missing)) - 1)
+        for name, channel, force in zip_longest(names, channels, missing):
+            table.add_row(name, *(channel or ("", "", "")), force or "", verdict if name else "")
     return table

@@ -45,7 +45,8 @@ def demo(
     vehicle: Annotated[str, typer.Option("--vehicle", "-v", help="The vehicle.")] = "monocab",
     hide: HideOption = None,
     experiment: Annotated[
-        list[str] | None, typer.Option("--experiment", help="Experiments to run.", show_default="step sweep")
+        list[str] | None,
+        typer.Option("--experiment", help="Experiments to run.", show_default="step sweep; of twsbr: doublet square"),
     ] = None,
     data: DataOption = None,
     seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
@@ -55,6 +56,8 @@ def demo(
     port: Annotated[int, typer.Option(help="Of the dashboard, on this machine alone.")] = 8765,
 ) -> None:
     """The whole story without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
+    import math
+
     from diagnosis.compare import compare as compare_models
     from service.cli.batch import load_recording, working
     from service.cli.compare import estimates_beside, read_models
@@ -62,37 +65,73 @@ def demo(
     from service.cli.talk import follow
     from service.demo import run_demo
     from service.demo_figure import save_run
+    from service.demo_story import STORIES
     from service.online_estimators import online_estimators
     from service.vehicle_file import load
 
     file = load(vehicle)
-    given = file.parameters
+    given, story = file.parameters, STORIES[file.vehicle.kind]
     with working() as step:
         step("preparing the estimators (on the first start on a computer, their model is compiled)")
         online_estimators(file.vehicle.kind, given.values, given.deviations, file.support).join()
 
     def tell(recordings: list[Path]) -> None:
+        last = recordings[-1]
+        if not story.settling:
+            identified(last, story.begin, file)
         for path in recordings:
             picture = path.with_suffix(".png")
+            estimates = estimates_beside(path if story.settling else last)
             with working() as step:
                 step(f"comparing and drawing {path.name}")
                 recording = load_recording(path, vehicle)
-                models = read_models([str(estimates_beside(path))], file)
-                comparisons = compare_models(models, [recording], support=file.support, progress=step)
+                if recording.duration <= story.begin:
+                    why = recording.metadata.get("end_reason", "")
+                    people.print(f"[yellow]{path.name} ends after {recording.duration:.1f} s: {why}[/yellow]")
+                    continue
+                moving = recording.between(story.begin, math.inf)
+                models = read_models([str(estimates)], file)
+                comparisons = compare_models(models, [moving], support=file.support, progress=step)
                 save_run(recording, file, picture)
             page.print(comparison_table(comparisons, title=path.stem))
             page.print(f"  recording {path}\n  picture   {picture}")
         from service.cli.diagnose import diagnose
 
-        report = recordings[-1].with_name("diagnosis.html")
-        diagnose([recordings[-1]], vehicle=vehicle, report=report)
+        report = last.with_name("diagnosis.html")
+        diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
         page.print(
             "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add what is"
             " missing."
         )
 
-    experiments, data = experiment or ["step", "sweep"], data or Path("recordings")
+    experiments, data = experiment or list(story.experiments), data or Path("recordings")
     run_demo(file, hide or [], experiments, data, seed, follow, tell, port=port if dashboard else None)
+
+
+def identified(path: Path, begin: float, file: VehicleFile) -> None:
+    """Identify the recording at `path` from `begin` s on, print it, and write it to where live estimates would be."""
+    import json
+    import math
+
+    from estimators.identify import identify
+    from service.cli.batch import fitting, identified_model, load_recording
+    from service.cli.compare import estimates_beside
+    from service.cli.identify_page import print_methods
+
+    recording = load_recording(path, file.path).between(begin, math.inf)
+    cad = file.parameters
+    with fitting() as progress:
+        document = identify(
+            [recording],
+            cad.values,
+            file.support,
+            (),
+            deviations=cad.deviations,
+            model=identified_model(None, file),
+            progress=progress,
+        )
+    print_methods(document, {})
+    estimates_beside(path).write_text(json.dumps(document))
 
 
 def simulate(
