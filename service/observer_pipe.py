@@ -26,7 +26,7 @@ MOST_CAN_FRAMES = 512
 """Frames of a batch that is sent whatever its time: a clock that was set back must not hold it up."""
 
 MOST_WAITING = 2 << 20
-"""Bytes that wait for room in the pipe: half a minute of 250 Hz, a little less where its raw frames wait, too."""
+"""Bytes that wait for room in the pipe: half a minute of 250 Hz; less where its raw frames wait, too."""
 
 RESERVED = 64 << 10
 """Bytes of it that are for messages: they are few, and what they tell matters more than one more cycle."""
