@@ -33,7 +33,8 @@ lint: $(READY) ## ruff, mypy --strict, import contract
 
 native-test: $(READY) ## the tests that need neither SocketCAN nor systemd
 	@tests/setup/apt-needs mosquitto:mosquitto chromium:chromium openssl:openssl || $(OPTIONAL)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile -m "not vcan and not systemd"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile -m "not vcan and not systemd and not browser"
+	$(BIN)/pytest -m browser
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)

@@ -27,7 +27,7 @@ from service.dashboard.units import AMPLITUDE, LIMITS
 from service.vehicle_file import FILES
 from telemetry.recording import Recording
 
-pytestmark = pytest.mark.timeout(180)
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 
 VIEWS = ("live", "experiments", "identify", "gap", "recordings")
 HOSTILE = "<img src=x onerror=window.hacked=1>"
