@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy
-from diagnosis.exchange import asked, exchange, one_by_one, taken_apart
+from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_apart
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
@@ -102,6 +102,7 @@ def _search(
         findings, whole = exchange(before, found.fit, workspace, masked, part)
         if len(findings) < most:
             findings, whole = taken_apart(findings, whole, workspace, masked, part)
+        findings, whole = put_together(findings, whole, workspace, part)
         same = [each.effect for each in findings] == [each.effect for each in before]
         fits = [*fits, whole] if same else one_by_one(findings, whole, workspace)
     return [retold(each, fits[-1]) for each in findings], fits, screens, whole

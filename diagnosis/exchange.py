@@ -6,18 +6,21 @@ quadratic drag plain dry friction. So each effect is taken out in turn and looke
 no name changes: a floating search (Pudil, Novovicova, Kittler, "Floating search methods in feature selection", 1994).
 
 Taken out one at a time, an effect that has the parameters of two is never compared with these two: friction that
-differs between the directions, with dry friction and a static torque. What is made of two is taken apart.
+differs between the directions, with dry friction and a static torque. What is made of two is taken apart, and two are
+put together, for one cause is likelier than two: of M effects there are more pairs than single ones, and each number of
+effects is as likely before (Chen, Chen, "Extended Bayesian information criteria", 2008).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 from diagnosis.findings import Finding
 from diagnosis.refit import FullFit, by_chance, full, with_effect
-from diagnosis.step import Named, Tell, find, look, surprising, unseen_at_zero
+from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, surprising, unseen_at_zero
 from diagnosis.ties import LEVEL, alike
 from diagnosis.workspace import Workspace
 
@@ -66,7 +69,7 @@ def exchange(
 def taken_apart(
     findings: Sequence[Finding], whole: FullFit, workspace: Workspace, masked: Collection[str], tell: Tell
 ) -> tuple[list[Finding], FullFit]:
-    """`findings` with two in place of one that is made of two, where these explain more of what it and they cost.
+    """`findings` with two in place of one that is made of two, where these are worth being two.
 
     What the two are called, each is looked for as in `exchange`: beside a static torque plain dry friction may be none.
     """
@@ -82,10 +85,37 @@ def taken_apart(
         if one is None or one.finding.effect == made.effect:
             continue
         other = _beside(full(one.fit.model.remove(first.name), workspace), workspace, masked)
-        if other is None or other.finding.effect == made.effect or other.fit.evidence <= whole.evidence:
+        if other is None or other.finding.effect == made.effect:
+            continue
+        if not worth_two(other.fit, whole, len(findings), workspace):
             continue
         return exchange([*others, one.finding, other.finding], other.fit, workspace, masked, tell)
     return list(findings), whole
+
+
+def put_together(
+    findings: Sequence[Finding], whole: FullFit, workspace: Workspace, tell: Tell
+) -> tuple[list[Finding], FullFit]:
+    """`findings` with one that is made of two in place of these two, where they are not worth being two."""
+    named = {name: each for each in reversed(findings) for name in (*each.tied_with, each.effect)}
+    for made in workspace.candidates:
+        parts = [named[name] for name in made.effect.made_of if name in named]
+        if len(parts) != 2 or parts[0] is parts[1] or made.name in {each.effect for each in findings}:
+            continue
+        tell(f"putting {parts[0].effect} and {parts[1].effect} together", 0.98)
+        base = full(whole.model.remove(parts[0].effect).remove(parts[1].effect), workspace)
+        one = named_alone(base, look(base, workspace), made, parts, workspace)
+        if one is None or worth_two(whole, one.fit, len(findings) - 1, workspace):
+            continue
+        return [one.finding, *(each for each in findings if each not in parts)], one.fit
+    return list(findings), whole
+
+
+def worth_two(two: FullFit, one: FullFit, count: int, workspace: Workspace) -> bool:
+    """Whether the fit with `count` + 1 effects is likelier by the odds of a name than that with `count` of them."""
+    candidates = len(workspace.candidates)
+    rarer = math.log(math.comb(candidates, count + 1) / math.comb(candidates, count))
+    return two.evidence - one.evidence > max(0.0, rarer) + WORTH
 
 
 def _beside(base: FullFit, workspace: Workspace, masked: Collection[str]) -> Named | None:

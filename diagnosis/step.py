@@ -103,6 +103,29 @@ def find(
     return None
 
 
+def named_alone(
+    base: FullFit, screened: Screen, made: Candidate, parts: Sequence[Finding], workspace: Workspace
+) -> Named | None:
+    """`made` in the model of `base` in place of `parts`, whose names it may be tied with; None where it does not stand
+    up to a full fit and to unseen data."""
+    fits = []
+    for each in workspace.candidates:
+        if each is made or each.name in {part.effect for part in parts}:
+            try:
+                model = with_effect(base.model, each, screened.score(each.name).starts[0])
+                fits.append(full(model, workspace, each))
+            except ArithmeticError:
+                continue
+    best = next((each for each in fits if each.candidate is made), None)
+    if best is None or not best.fit.minimum.converged or surety(best) <= SURE:
+        return None
+    held_out = UnseenCheck(base, workspace).of(best)
+    if held_out is not None and not held_out.stands:
+        return None
+    p_value = min(screened.score(each.name).p_value for each in fits)
+    return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
+
+
 def _contenders(
     base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
 ) -> list[FullFit]:

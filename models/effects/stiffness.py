@@ -39,11 +39,13 @@ GRAVITY_NONLINEARITY = Effect(
             "mass x g x height of the centre; negative where the mass hangs",
             amplitude=True,
             scale="force_scale / coordinate_scale",
+            lower="-10 * force_scale / coordinate_scale",
+            upper="10 * force_scale / coordinate_scale",
         ),
     ),
     force="stiffness * (sin(coordinate) - coordinate)",
     signature="The missing torque over the angle is flat in the middle and pulls back at large angles; at 5 degrees "
-    "it is 0.1 % of gravity and cannot be seen.",
+    "it is 0.1 % of gravity and cannot be seen. What needs more than gravity can be is no gravity.",
     confused_with=("cubic_stiffness", "end_stop"),
     separated_by="Large angles, beyond 20 degrees, on a stand that allows them; its size is known, that of gravity "
     "itself.",
