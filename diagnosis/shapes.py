@@ -8,8 +8,10 @@ effects that are in the model included. So what is left is what no value of thei
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +28,10 @@ KNOTS = 8
 """Of a piecewise straight line, with as many rows between neighbours."""
 HARMONICS = 12
 """Of the range of a coordinate."""
-SLOWEST, FASTEST, LINES = 0.1, 5.0, 60
-"""Hz, between which a coefficient may swing in time, and how many frequencies are tried."""
+SLOWEST, FASTEST, BANDS = 0.1, 5.0, 60
+"""Hz, between which a coefficient may swing in time, and how many bands' strongest lines are tried."""
+OVERSAMPLED = 4
+"""Lines a band of the width that a record resolves, one over its length: between two of them nothing is missed."""
 LEAST = 1e-6
 """Share of a column's own energy that has to be left beside what is fitted anyway."""
 
@@ -57,6 +61,13 @@ def shapes(found: Innovations, probed: Probe) -> list[Shape]:
             statistics = [design.statistic(piece) for piece in pieces]
             statistic, rank = max(statistics, key=lambda each: each[0] - each[1])
             tried.append((joint.name, name, statistic, rank, len(pieces)))
+        for name, slope in _slopes(probed, place):
+            frequencies, lines = design.strongest(slope)
+            swings = [_lines(segment.time, frequencies) for segment in found.problem.segments]
+            columns = design.columns(_times(swings, slope))
+            statistics = [design.statistic(columns[:, first : first + 2]) for first in range(0, columns.shape[1], 2)]
+            statistic, rank = max(statistics, key=lambda each: each[0] - each[1])
+            tried.append((joint.name, f"{name} swinging in time", statistic, rank, lines))
     kinds = max(len(tried), 1)
     ranked = [
         Shape(joint, name, 0.5 * (statistic - rank), min(1.0, kinds * pieces * float(chi2.sf(statistic, rank))))
@@ -72,21 +83,18 @@ def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str,
     inner = {state.name for each in found.problem.model.effects for state in each.states}
     values = {each.name: each.values for each in probed.coordinates if each.name not in inner}
     time = tuple(segment.time for segment in found.problem.segments)
-    angle, rate = values.get(joint.coordinate), values.get(joint.rate)
+    slopes = dict(_slopes(probed, place))
+    angle, rate = slopes.get(joint.coordinate), slopes.get(joint.rate)
     hats = {name: _hats(each) for name, each in values.items()}
     clock = _hats(time)
     for name in values:
         yield name, hats[name][0].shape[1], hats[name]
     yield "time", clock[0].shape[1], clock
-    for slope, word in ((angle, joint.coordinate), (rate, joint.rate)):
-        if slope is None:
-            continue
+    for word, slope in slopes.items():
         for name in values:
             if name != word:
                 yield f"{word} by {name}", hats[name][0].shape[1], _times(hats[name], slope)
         yield f"{word} by time", clock[0].shape[1], _times(clock, slope)
-        swings = [_lines(each, np.linspace(SLOWEST, FASTEST, LINES)) for each in time]
-        yield f"{word} swinging in time", 2, _times(swings, slope)
     if angle is not None:
         whole = np.concatenate(angle)
         span = float(np.quantile(whole, 0.999) - np.quantile(whole, 0.001))
@@ -94,6 +102,12 @@ def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str,
         yield f"waves over {joint.coordinate}", 2, waves
         if rate is not None:
             yield f"{joint.rate} by waves over {joint.coordinate}", 2, _times(waves, rate)
+
+
+def _slopes(probed: Probe, place: int) -> list[tuple[str, tuple[Array, ...]]]:
+    """Coordinate and rate of a joint, as far as they move, with their values by stretch."""
+    joint, values = probed.joints[place], {each.name: each.values for each in probed.coordinates}
+    return [(name, values[name]) for name in (joint.coordinate, joint.rate) if name in values]
 
 
 def _hats(values: Sequence[Array]) -> list[Array]:
@@ -142,6 +156,32 @@ class _Design:
         stacked = np.concatenate(parts)
         size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
         return project(stacked / size, self.white.nuisance)
+
+    def strongest(self, slope: Sequence[Array]) -> tuple[Array, int]:
+        """In each of BANDS, the frequency (Hz) at which a swing of `slope` goes best with what is left; then how many
+        lines the record tells apart. What a swing does to the innovations, goes with what these do to a swing."""
+        time = np.concatenate([segment.time for segment in self.segments])
+        rests = np.split(self.white.residual, np.cumsum([len(each) for each in self.white.starts])[:-1])
+        pulled = []
+        for segment, rest, inside in zip(self.segments, rests, slope, strict=True):
+            known = np.isfinite(segment.measured)
+            left = np.where(known, rest[: known.size].reshape(known.shape), 0.0)[::-1]
+            back = sum(
+                fftconvolve(each, impulse)[: len(left)]
+                for each, impulse in zip(left.T, self.impulse[: len(left)].T, strict=True)
+            )
+            pulled.append(inside * np.asarray(back)[::-1])
+        # Gathered into eighths of the fastest turn, within which a swing hardly moves.
+        width = 0.125 / FASTEST
+        places, inverse = np.unique(np.floor(time / width), return_inverse=True)
+        weights = np.bincount(inverse, weights=np.concatenate(pulled))
+        told = float(np.ptp(time)) * (FASTEST - SLOWEST)
+        chosen = []
+        for low, high in pairwise(np.linspace(SLOWEST, FASTEST, BANDS + 1).tolist()):
+            lines = np.linspace(low, high, max(2, math.ceil(OVERSAMPLED * told / BANDS)))
+            power = np.abs(np.exp(-2.0j * np.pi * width * np.outer(lines, places)) @ weights)
+            chosen.append(float(lines[np.argmax(power)]))
+        return np.array(chosen), max(BANDS, math.ceil(told))
 
     def statistic(self, columns: Array) -> tuple[float, int]:
         """Chi squared of unit columns (n, m), and its degrees of freedom; the blocks' scatter counts where larger."""

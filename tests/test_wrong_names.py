@@ -61,6 +61,18 @@ class TestNames:
         assert "of no known shape" in found.reason
 
 
+    def test_a_stiffness_that_swings_between_the_lines_of_a_coarse_grid_is_unknown(self) -> None:
+        # Twice the size that the record would just show. A cubic stiffness stands for a tenth of it; what the record
+        # resolves is 0.03 Hz, and a line beside it tells nothing.
+        recording = record("monocab", "multisine", hide=("test_varying_stiffness=0.036",), seed=8, duration=30.0)
+        candidates = ("cubic_stiffness", "viscous_friction")
+        found = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates)
+        assert found.verdict is Verdict.UNKNOWN
+        assert found.unexplained is not None
+        assert found.unexplained.shape is not None
+        assert found.unexplained.shape.name == "roll swinging in time"
+
+
 def adequacy(gain: float, p_value: float, gained: float = 100.0) -> Adequacy:
     fine = Views((), (), (), (), (), dict.fromkeys(VIEWS, ()))
     return Adequacy(1.5, 1.0, fine, Shape("roll", "roll_rate", gain, p_value), gained)
