@@ -89,6 +89,18 @@ class Watched:
         if urlsplit(url).hostname not in ("localhost", "127.0.0.1"):
             self.wrong.append(f"request to {url}")
 
+    def picture(self, path: Path) -> None:
+        """All of the page, in a window as high as it is: what is not on the screen is not drawn."""
+        size = self.page.viewport_size
+        assert size is not None
+        height, drawn = size["height"], 0
+        while height != drawn:  # charts that come into sight may make it higher
+            drawn, height = height, self.page.evaluate("document.documentElement.scrollHeight")
+            self.page.set_viewport_size({"width": size["width"], "height": height})
+            self.page.wait_for_timeout(400)
+        self.page.screenshot(path=path)
+        self.page.set_viewport_size(size)
+
     def show(self, view: str) -> None:
         self.page.click(f"#tab-{view}")
         expect(self.page.locator(f"#view-{view}")).to_be_visible()
@@ -127,8 +139,7 @@ def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Re
         page.wait_for_timeout(100)
     for view in VIEWS:
         watched.show(view)
-        page.wait_for_timeout(500)
-        page.screenshot(path=screenshots / f"{view}-running-light.png", full_page=True)
+        watched.picture(screenshots / f"{view}-running-light.png")
     watched.show("experiments")
     expect(page.locator("#outcome")).to_contain_text("did what it should", timeout=PATIENCE)
     name = page.inner_text("#outcome").rpartition("Recording: ")[2].strip()
@@ -191,7 +202,7 @@ def test_where_the_model_fails_is_drawn(
     expect(page.locator("#gap-where h3").first).to_be_visible(timeout=120_000)
     # The model without the friction lacks a torque that goes by the roll rate.
     expect(page.locator("#gap-where figure").filter(has_text="by roll_rate").first).to_be_visible()
-    page.screenshot(path=screenshots / "gap-filled-light.png", full_page=True)
+    watched.picture(screenshots / "gap-filled-light.png")
 
 
 def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: Topology) -> None:
@@ -438,8 +449,7 @@ def test_each_view_in(look: str, width: int, watched: Watched, screenshots: Path
         if view == "recordings":
             page.locator("[data-open]").first.click()
             expect(page.locator("#recording h3")).to_be_visible()
-        page.wait_for_timeout(200)
-        page.screenshot(path=screenshots / f"{view}-{look}.png", full_page=True)
+        watched.picture(screenshots / f"{view}-{look}.png")
         wide = page.evaluate("document.documentElement.scrollWidth")
         assert wide <= width, f"{view} is {wide} px wide"
     assert watched.wrong == []

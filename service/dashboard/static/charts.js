@@ -1,7 +1,6 @@
-// Curves over time by uPlot: a window of bounded length that moves on, drawn at most once a frame, and figures with bands.
+// Curves by uPlot, drawn at most once a frame. What is not on the screen has no canvas, and costs nothing.
 
-const FINEST = 0.02; // s between two points that are kept: finer than a screen shows of a minute
-export const WINDOW = 60; // s
+import { WINDOW } from "./rolling.js";
 
 const style = () => getComputedStyle(document.documentElement);
 export const colour = (name) => style().getPropertyValue(`--${name}`).trim();
@@ -16,6 +15,7 @@ const LOOKS = {
 
 const made = new Set();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => made.forEach((chart) => chart.rebuild()));
+const watch = new IntersectionObserver((entries) => entries.forEach((entry) => [...made].find((chart) => chart.place === entry.target)?.show(entry.isIntersecting)));
 new ResizeObserver(() => made.forEach((chart) => chart.resize())).observe(document.documentElement);
 
 const ticked = (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(4)))));
@@ -32,21 +32,91 @@ function spread(_, low, high) {
   return high - low < 1e-9 ? [low - Math.max(room, 0.5), high + Math.max(room, 0.5)] : [low - room, high + room];
 }
 
-// A uPlot in `place`, made when it is first seen, made anew when colours change.
+// Draws a column of numbers in which NaN is a gap, times `factor`, all of it on the screen. uPlot's own boxes each number
+// and makes a path object of each curve: 40 MB/s to be collected. Of the points in one column of pixels the first, lowest,
+// highest and last are joined, as uPlot does it.
+function line(plot, place, factor) {
+  const [x, y] = [plot.data[0], plot.data[place]], { left, top, width, height } = plot.bbox, { ctx } = plot;
+  const { min: from, max: to } = plot.scales.x, { min: low, max: high } = plot.scales.y;
+  const look = plot.series[place], thick = look.width * devicePixelRatio, sharp = (thick % 2) / 2;
+  const across = width / (to - from), up = factor * height / (high - low), base = top + height * high / (high - low);
+  let column = NaN, least = 0, most = 0, last = 0, pen = false;
+  ctx.save(); // uPlot remembers what it has set
+  ctx.beginPath();
+  for (let row = 0; row < x.length; row += 1) {
+    if (Number.isNaN(y[row])) {
+      pen = false;
+      continue;
+    }
+    const right = Math.round(left + (x[row] - from) * across) + sharp, down = Math.round(base - y[row] * up) + sharp;
+    if (pen && right === column) {
+      least = Math.min(least, down);
+      most = Math.max(most, down);
+    } else {
+      if (most > least) {
+        ctx.lineTo(column, least);
+        ctx.lineTo(column, most);
+        ctx.lineTo(column, last);
+      }
+      if (pen) ctx.lineTo(right, down);
+      else ctx.moveTo(right, down);
+      column = right;
+      least = most = down;
+      pen = true;
+    }
+    last = down;
+  }
+  ctx.strokeStyle = look.stroke(plot, place);
+  ctx.lineWidth = thick;
+  ctx.setLineDash((look.dash ?? []).map((each) => each * devicePixelRatio));
+  ctx.stroke();
+  ctx.restore();
+}
+
+// The range of such columns.
+function extent(plot, factor) {
+  let low = Infinity, high = -Infinity;
+  for (let place = 1; place < plot.data.length; place += 1) {
+    if (!plot.series[place].show) continue;
+    const column = plot.data[place];
+    for (let row = 0; row < column.length; row += 1) {
+      if (column[row] < low) low = column[row];
+      if (column[row] > high) high = column[row];
+    }
+  }
+  return low > high ? spread(plot, null, null) : spread(plot, factor * low, factor * high);
+}
+
+// What a chart of such columns has besides.
+export const columns = (factor) => ({
+  scales: { x: { time: false, range: (_, low, high) => [Math.max(low, -WINDOW), high] }, y: { range: (plot) => extent(plot, factor) } },
+  hooks: { drawSeries: [(plot, place) => line(plot, place, factor)] },
+  paths: () => null,
+});
+
+// A uPlot in `place`, made when it is seen, made anew when colours change.
 export class Chart {
   constructor(place, options, height = 180) {
     this.place = place;
     this.options = options;
     this.height = height;
     this.data = [[], ...options.series.map(() => [])];
+    this.seen = false;
     made.add(this);
+    watch.observe(place);
+  }
+
+  show(seen) {
+    this.seen = seen;
+    if (seen) this.draw();
+    else this.drop();
   }
 
   build() {
     const axis = { stroke: colour("text"), grid: { stroke: colour("grid"), width: 1 }, ticks: { stroke: colour("grid") }, font: "12px system-ui" };
-    const { series, xLabel, yLabel, ...rest } = this.options;
+    const { series, xLabel, yLabel, paths, ...rest } = this.options;
     this.plot = new uPlot({
-      width: this.width(), height: this.height, cursor: { drag: { x: false, y: false } },
+      width: this.width(), height: this.height, cursor: { show: false },
       legend: { live: false, markers: { dash: (plot, place) => (plot.series[place].dash ? "dashed" : "solid") } }, ...rest, scales: { x: { time: false }, y: { range: spread }, ...rest.scales },
       axes: [
         { ...axis, label: xLabel, labelSize: xLabel ? 16 : 0, labelFont: "12px system-ui", size: 30, space: apart, values: ticked },
@@ -55,9 +125,10 @@ export class Chart {
       series: [{}, ...series.map((each) => {
         const look = LOOKS[each.look] ?? each;
         return { label: each.label, class: each.label ? undefined : "unnamed", width: look.width ?? 1.5, dash: look.dash, stroke: colour(look.stroke), spanGaps: each.gaps ?? false,
-          fill: each.fill ? colour(each.fill) : undefined, points: { show: each.points ?? false, size: 6 }, paths: each.paths };
+          fill: each.fill ? colour(each.fill) : undefined, points: { show: each.points ?? false, size: 6 }, paths };
       })],
     }, this.data, this.place);
+    this.place.style.minHeight = "";
   }
 
   width() {
@@ -70,9 +141,18 @@ export class Chart {
 
   rebuild() {
     if (!this.plot) return;
+    this.drop();
+    this.draw();
+  }
+
+  // Its place stays as high as it was; a canvas without a size has no memory, whenever it is collected.
+  drop() {
+    if (!this.plot) return;
+    const { canvas } = this.plot.ctx;
+    if (this.place.clientHeight) this.place.style.minHeight = `${this.place.clientHeight}px`;
     this.plot.destroy();
     this.plot = null;
-    this.draw();
+    canvas.width = canvas.height = 0;
   }
 
   set(data) {
@@ -81,80 +161,15 @@ export class Chart {
   }
 
   draw() {
-    if (!this.place.clientWidth) return; // not on the screen
+    if (!this.seen) return;
     if (!this.plot) this.build();
     else this.plot.setData(this.data);
   }
 
   destroy() {
     made.delete(this);
-    this.plot?.destroy();
-  }
-}
-
-// Columns over time that forget what is older than `span`; memory is bounded however long the page is open.
-export class Rolling {
-  constructor(names, span = WINDOW) {
-    this.names = names;
-    this.span = span;
-    this.clear();
-  }
-
-  clear() {
-    this.time = [];
-    this.columns = Object.fromEntries(this.names.map((name) => [name, []]));
-  }
-
-  add(t0, dt, arrays, from = 0) {
-    const rows = Math.max(0, ...this.names.map((name) => arrays[name]?.length ?? 0));
-    if (this.time.length && t0 < this.time[0] - 1) this.clear();
-    let last = this.time.length ? this.time[this.time.length - 1] : -Infinity;
-    for (let row = from; row < rows; row += 1) {
-      const time = t0 + row * dt;
-      if (time <= last || (time - last < 0.99 * FINEST && row !== rows - 1)) continue;
-      if (time - last < 0.5 * FINEST) continue;
-      // A gap is drawn as one.
-      if (time - last > 1 && this.time.length) {
-        this.time.push(last + 1e-4);
-        this.names.forEach((name) => this.columns[name].push(null));
-      }
-      this.time.push(time);
-      this.names.forEach((name) => this.columns[name].push(arrays[name]?.[row] ?? null));
-      last = time;
-    }
-    this.forget(last);
-  }
-
-  // Values of one column on a time of their own, put where the nearest points are; the first is left out, so that
-  // stretches which begin anew are not joined.
-  merge(t0, dt, name, values) {
-    if (!this.columns[name] || !Array.isArray(values)) return;
-    let place = 0;
-    for (let row = 1; row < values.length; row += 1) {
-      const time = t0 + row * dt;
-      if (row === 1) place = this.after(time - FINEST);
-      while (place < this.time.length && this.time[place] < time - 0.6 * FINEST) place += 1;
-      if (place < this.time.length && this.time[place] <= time + 0.6 * FINEST) this.columns[name][place] = values[row];
-    }
-  }
-
-  after(time) {
-    let low = 0, high = this.time.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (this.time[middle] < time) low = middle + 1;
-      else high = middle;
-    }
-    return low;
-  }
-
-  forget(last) {
-    const oldest = last - this.span;
-    if (this.time.length && this.time[0] < oldest - 0.25 * this.span) {
-      const first = this.time.findIndex((time) => time >= oldest);
-      this.time.splice(0, first);
-      this.names.forEach((name) => this.columns[name].splice(0, first));
-    }
+    watch.unobserve(this.place);
+    this.drop();
   }
 }
 

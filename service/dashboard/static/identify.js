@@ -5,12 +5,14 @@ import { Chart } from "./charts.js";
 import { picker, run } from "./jobs.js";
 
 const BAND = 1.96; // standard deviations of a 95 % band
+const READABLE = 1000; // ms for which a table stands
 const MOST = 600; // points of a curve; beyond that every second one is forgotten
 
 export class Identify {
   constructor(place, app) {
     this.app = app;
     this.tracks = new Map();
+    this.drawn = 0;
     this.plots = h("div", { class: "charts" });
     this.now = h("div", { id: "parameters-now" }, h("p", { class: "quiet" }, "No estimates yet: they come while an experiment runs."));
     this.picker = picker("Recording", "identify-recording");
@@ -57,8 +59,8 @@ export class Identify {
       const figure = h("figure", { class: "chart", hidden: true }, h("figcaption", {}, `${name}, ${entry.unit ?? ""}`), box);
       this.plots.append(figure);
       const chart = new Chart(box, { xLabel: "s", series: [
-        { label: "estimate", stroke: "blue", width: 2 }, { label: "95 % band", stroke: "blue", width: 0.5 },
-        { label: "", stroke: "blue", width: 0.5 }, { label: "CAD", stroke: "grey", width: 1.5, dash: [6, 3] }],
+        { label: "estimate with its 95 % band", stroke: "blue", width: 2 }, { label: "", stroke: "blue", width: 0.5 },
+        { label: "", stroke: "blue", width: 0.5 }, { label: name in this.app.config.parameters ? "CAD" : "", stroke: "grey", width: 1.5, dash: [6, 3] }],
       bands: [{ series: [2, 3], fill: "rgba(0, 114, 178, 0.18)" }] });
       track = { chart, figure, data: [[], [], [], [], []] };
       this.tracks.set(name, track);
@@ -67,6 +69,9 @@ export class Identify {
   }
 
   draw() {
+    this.dirty = performance.now() - this.drawn < READABLE;
+    if (this.dirty) return;
+    this.drawn = performance.now();
     if (this.latest) {
       fill(this.now, table(["Parameter", "Value", "±", "Unit", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => [
         name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, number(entry.value, 5)), number(entry.std, 2), String(entry.unit ?? ""),

@@ -1,7 +1,10 @@
 // Live: what the vehicle does, and what the model says it would do.
 
 import { h, fill, number, text } from "./dom.js";
-import { Chart, Rolling, WINDOW, turned } from "./charts.js";
+import { Chart, columns } from "./charts.js";
+import { Rolling } from "./rolling.js";
+
+const READABLE = 200; // ms for which a figure stands: each time the page is laid out anew
 
 const source = (curve) => (curve.look === "predicted" || curve.look === "innovation" ? `${curve.look}:${curve.channel}` : curve.channel);
 
@@ -12,18 +15,19 @@ export class Live {
     const names = [...new Set(charts.flatMap((chart) => chart.curves.map(source)))];
     this.rolling = new Rolling(names);
     this.values = {};
+    this.told = 0;
     this.events = [];
-    this.interlocks = h("ul", { id: "interlocks" });
+    this.interlocks = h("ul", { id: "interlocks" }, h("li", { class: "quiet" }, "Nothing heard from the vehicle yet."));
     this.figures = Object.fromEntries(["rate", "missed", "longest", "load", "held"].map((name) => [name, h("dd", { id: `figure-${name}` }, "–")]));
     this.now = Object.fromEntries(charts.map((chart) => [chart.id, h("output", { id: `value-${chart.id}` }, "–")]));
     this.log = h("ol", { id: "events", class: "log" });
+    this.none = h("p", { class: "quiet" }, "None since this page was opened.");
     const boxes = charts.map((chart) => {
       const box = h("div", { class: "plot" });
       const last = chart.curves[0];
       const figure = h("figure", { class: "chart" },
         h("figcaption", {}, last.look === "innovation" ? `${chart.title}, ` : [chart.title, " ", this.now[chart.id], " "], chart.unit), box);
-      this.values[chart.id] = new Chart(box, { xLabel: "s", yLabel: chart.unit, series: chart.curves,
-        scales: { x: { time: false, range: (_, low, high) => [Math.max(low, high - WINDOW), high] } } });
+      this.values[chart.id] = new Chart(box, { xLabel: "s", yLabel: chart.unit, series: chart.curves, ...columns(chart.factor) });
       return figure;
     });
     fill(place,
@@ -33,7 +37,7 @@ export class Live {
           h("dt", {}, "rate"), this.figures.rate, h("dt", {}, "missed cycles"), this.figures.missed,
           h("dt", {}, "longest step"), this.figures.longest, h("dt", {}, "bus load"), this.figures.load,
           h("dt", {}, "held by"), this.figures.held)),
-        h("section", { class: "card", "aria-label": "Events" }, h("h2", {}, "Events"), this.log)),
+        h("section", { class: "card", "aria-label": "Events" }, h("h2", {}, "Events"), this.none, this.log)),
       h("div", { class: "charts" }, boxes));
   }
 
@@ -61,24 +65,23 @@ export class Live {
   }
 
   event(event) {
+    this.none.hidden = true;
     this.events.unshift(event);
     this.events.length = Math.min(this.events.length, 30);
     fill(this.log, this.events.map((each) => h("li", { "data-severity": each.severity }, each.text)));
   }
 
   draw() {
-    const { time, columns } = this.rolling;
-    if (!time.length) return;
-    const zero = time[time.length - 1];
-    const ago = time.map((each) => each - zero);
+    if (!this.rolling.length) return;
+    const told = performance.now() - this.told > READABLE;
+    if (told) this.told = performance.now();
     for (const chart of this.app.config.charts) {
-      const data = chart.curves.map((curve) => turned(columns[source(curve)], chart.factor));
-      this.values[chart.id].set([ago, ...data]);
-      const last = data[0][data[0].length - 1];
-      const output = this.now[chart.id];
-      text(output, typeof last === "number" ? last.toFixed(2) : "–");
-      output.dataset.si = String(columns[source(chart.curves[0])].at(-1));
-      output.dataset.time = String(zero);
+      const data = this.rolling.shown(chart.curves.map(source));
+      this.values[chart.id].set(data);
+      const last = data[1].at(-1), output = this.now[chart.id];
+      if (told) text(output, Number.isNaN(last) ? "–" : (last * chart.factor).toFixed(2));
+      output.dataset.si = String(last);
+      output.dataset.time = String(this.rolling.newest);
     }
   }
 }

@@ -79,7 +79,8 @@ function tellState(state) {
 
 function each(kind, message) {
   for (const view of Object.values(views)) {
-    view[kind]?.(message);
+    if (!view[kind]) continue;
+    view[kind](message);
     view.dirty = true;
   }
 }
@@ -89,7 +90,7 @@ function frame() {
   if (view?.dirty) {
     view.dirty = false;
     view.draw?.();
-    if (drawnAt !== heard && app.newest) {
+    if (view === views.live && drawnAt !== heard && app.newest) {
       drawnAt = heard;
       delays.push(Date.now() - app.newest * 1000);
       if (delays.length > 200) delays.shift();

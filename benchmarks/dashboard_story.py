@@ -1,0 +1,114 @@
+"""A vehicle that is excited for hours: what it publishes, in the format of the service, by the data's own time."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from math import cos, pi, sin
+from typing import Any
+
+import numpy as np
+import paho.mqtt.client as mqtt
+
+from service.mqtt_payloads import TelemetryBatches
+from service.vehicle_sections import VehicleFile
+from telemetry.channels import MONOCAB
+from telemetry.samples import Frame
+
+STATE = {
+    "vehicle": "monocab", "mode": "running", "experiment": "multisine", "phase": "excite", "code": "", "reason": "",
+    "interlocks": [], "faults": [], "version": "", "since": 0.0, "commands": True, "held_by": "nobody",
+}  # fmt: skip
+
+
+class Story:
+    """A vehicle that is excited for hours: what it publishes, in the format of the service, by the data's own time."""
+
+    def __init__(self, vehicle: VehicleFile, begin: float) -> None:
+        self.rate = vehicle.control.rate
+        self.begin_ns, self.cycles, self.batches = round(begin * 1e9), 0, 0
+        self._cutter = TelemetryBatches(MONOCAB.names, self.rate, vehicle.mqtt.telemetry_rate)
+        self._units = {name: getattr(vehicle.parameters, name) for name in vehicle.parameters.values}
+        noise = np.random.default_rng(1).normal(0.0, 1e-4, (997, len(MONOCAB)))
+        self._noise = [tuple(row) for row in noise.tolist()]
+
+    @property
+    def time(self) -> float:
+        """s since the beginning."""
+        return self.cycles / self.rate
+
+    def next(self) -> Iterator[tuple[str, bytes]]:
+        """The next 50 ms: topics and payloads."""
+        period_ns, frames = 1e9 / self.rate, []
+        for _ in range(round(self.rate / 20)):
+            phase = 2.0 * pi * 0.7 * self.time
+            noise = self._noise[self.cycles % len(self._noise)]
+            values = tuple(0.02 * sin(phase + place) + each for place, each in enumerate(noise))
+            frames.append(Frame(self.begin_ns + round(self.cycles * period_ns), values))
+            self.cycles += 1
+        self.batches += 1
+        if self.batches % 10 == 0:
+            buses = [{"address": "can0", "load_percent": 40.0, "dropped": 0, "error_frames": 0}]
+            self._cutter.health({"cycles": self.cycles, "missed_cycles": 0, "rate": self.rate, "buses": buses})
+            curve = [0.02 * cos(0.1 * row) for row in range(60)]
+            columns = {"roll": curve, "roll_rate": curve}
+            begin = frames[-1].timestamp_ns * 1e-9 - 0.5
+            self._cutter.prediction({"t0": begin, "dt": 0.008, "values": columns, "innovations": columns})
+        for payload in self._cutter.add(frames):
+            yield "telemetry", payload
+        if self.batches % 5 == 0:
+            yield "parameters", json.dumps(self._parameters()).encode()
+            yield "progress", json.dumps({"task": "multisine", "fraction": 0.5, "remaining": 100.0}).encode()
+        if self.batches % 20 == 0:
+            yield "diagnosis", json.dumps(self._diagnosis()).encode()
+        if self.batches % 200 == 0:
+            text = f"missing effect: something new after {self.time:.0f} s"
+            yield "event", json.dumps({"severity": "warning", "code": "missing_effect", "text": text}).encode()
+
+    def _parameters(self) -> dict[str, Any]:
+        return {
+            name: {"value": entry.value * (1.0 + 0.01 * sin(self.time)), "std": 0.01 * entry.value, "unit": entry.unit,
+                   "status": "ok", "method": "recursive_prediction_error", "coverage_percent": 100.0, "reason": ""}
+            for name, entry in self._units.items()
+        }  # fmt: skip
+
+    def _diagnosis(self) -> dict[str, Any]:
+        size = {"viscous_friction.coefficient": {"value": 1000.0 + sin(self.time), "std": 20.0, "unit": "N m s/rad"}}
+        finding = {"effect": "viscous_friction", "parameters": size, "probability": 0.99, "explanation": "friction"}
+        return {"adequate": False, "verdict": "missing_effect", "findings": [finding], "seconds": round(self.time)}
+
+
+class Teller:
+    """A client that publishes the story of the vehicle at a broker of this machine."""
+
+    def __init__(self, vehicle: VehicleFile, port: int, begin: float) -> None:
+        self.story = Story(vehicle, begin)
+        self._topic = f"{vehicle.mqtt.base}/{vehicle.vehicle.id}"
+        self._client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self._client.max_queued_messages_set(0)
+        self._client.connect("127.0.0.1", port)
+        self._client.loop_start()
+        self._tell("status", b"online", retain=True)
+        self._tell("state", json.dumps(STATE).encode(), retain=True)
+
+    def close(self) -> None:
+        self._client.loop_stop()
+
+    def steady(self, seconds: float) -> None:
+        """At the pace of the wall's clock."""
+        begin, first = time.monotonic(), self.story.time
+        while self.story.time - first < seconds:
+            for message in self.story.next():
+                self._tell(*message)
+            time.sleep(max(0.0, begin + self.story.time - first - time.monotonic()))
+
+    def burst(self, batches: int) -> None:
+        """So many at once; returns when they are on their way."""
+        for _ in range(batches):
+            for message in self.story.next():
+                last = self._tell(*message)
+        last.wait_for_publish(60.0)
+
+    def _tell(self, topic: str, payload: bytes, *, retain: bool = False) -> mqtt.MQTTMessageInfo:
+        return self._client.publish(f"{self._topic}/{topic}", payload, retain=retain)

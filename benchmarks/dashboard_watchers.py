@@ -1,0 +1,181 @@
+"""What watching does to the control loop: pages attached to its broker, or to one that it knows nothing of.
+
+People watch from machines of their own. Here the browsers and all that belongs to them have one core, and the daemon,
+its broker and the vehicle another. What both share all the same (memory, caches, the clock of the cores) is taken out
+by the control: as many pages of the same kind, drawing the same on the same core, attached to a broker on that core to
+which another process tells a vehicle's story. The daemon and its broker have nothing to do with those.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+import numpy as np
+from dashboard_parts import UPRIGHT, broker, browser, daemon, live, opened, server, until
+from dashboard_story import Teller
+from scipy.stats import t as student
+
+from drivers.bus_address import connect
+from service.assembly import imu_config
+from service.vehicle_file import load
+from service.vehicle_sections import VehicleFile
+
+BUS = "udp_multicast:239.74.163.91"
+PAGES = 10
+BLOCK = 6.0
+"""s of one measurement."""
+ROUNDS = 4
+KINDS = ("nobody", "1 page", f"{PAGES} pages", f"{PAGES} elsewhere")
+COMPARED = ((KINDS[1], KINDS[0]), (KINDS[2], KINDS[0]), (KINDS[3], KINDS[0]), (KINDS[2], KINDS[3]))
+
+
+@contextmanager
+def on(core: int) -> Iterator[None]:
+    """Processes and threads that are started inside stay on this core."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+class Turnaround:
+    """Times from the last frame of an IMU set to the first frame that control sends, both as the kernel stamps them."""
+
+    def __init__(self, vehicle: VehicleFile) -> None:
+        self.trigger = imu_config(vehicle).can_ids[-1]
+        self.reply = 0x080  # SYNC, which follows the setpoints
+        self._bus = connect(BUS, None, [self.trigger, self.reply])
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+    def measure(self, seconds: float) -> tuple[list[float], int]:
+        """ms of each cycle, and how many were not answered before the next one."""
+        while self._bus.recv(0.0) is not None:
+            pass
+        found, open_since, missed = [], 0.0, 0
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            message: can.Message | None = self._bus.recv(0.5)
+            if message is None:
+                continue
+            if message.arbitration_id == self.trigger:
+                missed += open_since > 0.0
+                open_since = message.timestamp
+            elif open_since:
+                found.append(1e3 * (message.timestamp - open_since))
+                open_since = 0.0
+        return found, missed
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One measurement: median and 99 % of the turnaround, ms; processor time of daemon and broker, s/s."""
+
+    median: float
+    slow: float
+    used: dict[str, float]
+
+
+def processor_time(root: int) -> float:
+    """s that a process and those it started have used."""
+    parents, used = {}, {}
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdecimal():
+            try:
+                fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            except OSError:  # it has ended
+                continue
+            parents[int(folder.name)] = int(fields[1])
+            used[int(folder.name)] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    family = {root}
+    while more := {process for process, parent in parents.items() if parent in family} - family:
+        family |= more
+    return sum(used.get(process, 0.0) for process in family)
+
+
+def tell_story(port: int) -> None:
+    """The vehicle of the pages elsewhere, at its real rate; for a process of its own."""
+    teller = Teller(load("monocab"), port, time.time())
+    while True:
+        teller.steady(60.0)
+
+
+def watchers(rounds: int) -> None:
+    vehicle = load("monocab")
+    ours, theirs = sorted(os.sched_getaffinity(0))[:2]
+    print(f"daemon, broker and vehicle on core {ours}, browsers and the broker elsewhere on core {theirs}")
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder, other = Path(name), Path(name) / "elsewhere"
+        other.mkdir()
+        with on(theirs):
+            far_plain, far_websocket, _ = stack.enter_context(broker(other))
+            elsewhere = stack.enter_context(server(vehicle, other, far_websocket))
+            words = [sys.executable, str(Path(__file__).with_name("dashboard.py")), "story", str(far_plain)]
+            stack.callback(stack.enter_context(subprocess.Popen(words)).terminate)
+            chromium = stack.enter_context(browser())
+        with on(ours):
+            plain, websocket, broker_process = stack.enter_context(broker(folder))
+            words = [*UPRIGHT, "simulate", "monocab", "--bus", BUS]
+            stack.callback(stack.enter_context(subprocess.Popen(words, stderr=subprocess.DEVNULL)).terminate)
+            place, daemon_process = stack.enter_context(daemon(folder, "--bus", BUS, "--mqtt", f"127.0.0.1:{plain}"))
+            here = stack.enter_context(server(vehicle, folder, websocket))
+        processes = {"daemon": daemon_process, "broker": broker_process}
+        turnaround = Turnaround(vehicle)
+        stack.callback(turnaround.close)
+        pages = [opened(chromium, "about:blank") for _ in range(PAGES)]
+
+        def attach(kind: str) -> None:
+            wanted = {KINDS[1]: [here], KINDS[2]: [here] * PAGES, KINDS[3]: [elsewhere] * PAGES}.get(kind, [])
+            for number, page in enumerate(pages):
+                page.goto(wanted[number] if number < len(wanted) else "about:blank", wait_until="commit")
+            for page in pages[: len(wanted)]:
+                live(page)
+            time.sleep(1.0)
+
+        def block(kind: str) -> Block:
+            attach(kind)
+            missed = until(place, lambda status: True)["missed_cycles"]
+            before = {what: processor_time(root) for what, root in processes.items()}
+            times, unanswered = turnaround.measure(BLOCK)
+            used = {what: (processor_time(root) - before[what]) / BLOCK for what, root in processes.items()}
+            missed = until(place, lambda status: True)["missed_cycles"] - missed
+            median, slow = np.quantile(times, (0.5, 0.99))
+            busy = ", ".join(f"{what} {100.0 * each:.1f} %" for what, each in used.items())
+            print(
+                f"{kind:13} median {median:.3f} ms, 99 % {slow:.2f} ms, longest {max(times):.1f} ms, "
+                f"{unanswered} unanswered, {missed} missed by the loop's own count; of a core: {busy}",
+                flush=True,
+            )
+            return Block(float(median), float(slow), used)
+
+        # Each round in an order of its own, so that what drifts does not look like a kind; the seed is any.
+        orders = np.random.default_rng(1)
+        blocks = [{kind: block(kind) for kind in orders.permutation(KINDS).tolist()} for _ in range(rounds)]
+    compare(blocks)
+
+
+def compare(rounds: list[dict[str, Block]]) -> None:
+    """Ratios within a round: their geometric mean with the 95 % interval of Student's distribution over the rounds."""
+    for what, beside in COMPARED:
+        for name in ("median", "slow"):
+            ratios = np.log([getattr(each[what], name) / getattr(each[beside], name) for each in rounds])
+            middle = ratios.mean()
+            reach = student.ppf(0.975, len(ratios) - 1) * ratios.std(ddof=1) / len(ratios) ** 0.5
+            low, centre, high = np.exp([middle - reach, middle, middle + reach])
+            label = {"median": "median", "slow": "99 %"}[name]
+            print(f"{what:13} over {beside:13} {label:6}: {centre:.2f} x, 95 % interval {low:.2f} to {high:.2f}")
+    for process in rounds[0][KINDS[0]].used:
+        used = {kind: 100.0 * float(np.mean([each[kind].used[process] for each in rounds])) for kind in KINDS}
+        print(f"{process}, % of a core:", ", ".join(f"{kind} {each:.1f}" for kind, each in used.items()))

@@ -1,0 +1,78 @@
+// Columns over time that forget what is older than a window. Their memory is made once: what changes twenty times a second
+// leaves nothing to be collected. NaN stands where nothing is known.
+
+const FINEST = 0.02; // s between two points that are kept: finer than a screen shows of a minute
+export const WINDOW = 60; // s
+
+export class Rolling {
+  constructor(names, span = WINDOW) {
+    this.span = span;
+    this.length = 0;
+    const room = Math.ceil(1.25 * span * (1 + 2 / FINEST)); // points are half as far apart at least, and gaps a second
+    this.time = new Float64Array(room);
+    this.ago = new Float64Array(room);
+    this.columns = Object.fromEntries(names.map((name) => [name, new Float64Array(room)]));
+  }
+
+  get newest() {
+    return this.length ? this.time[this.length - 1] : -Infinity;
+  }
+
+  add(t0, dt, arrays) {
+    let rows = 0;
+    for (const name in this.columns) rows = Math.max(rows, arrays[name]?.length ?? 0);
+    if (this.length && t0 < this.time[0] - 1) this.length = 0;
+    let last = this.newest;
+    for (let row = 0; row < rows; row += 1) {
+      const time = t0 + row * dt;
+      if (time - last < (row === rows - 1 ? 0.5 : 0.99) * FINEST) continue;
+      if (time - last > 1 && this.length) this.push(last + 1e-4, arrays, -1); // a gap is drawn as one
+      this.push(time, arrays, row);
+      last = time;
+    }
+  }
+
+  push(time, arrays, row) {
+    if (this.length === this.time.length) this.forget();
+    this.time[this.length] = time;
+    for (const name in this.columns) this.columns[name][this.length] = arrays[name]?.[row] ?? NaN;
+    this.length += 1;
+  }
+
+  // Values of one column on a time of their own, put where the nearest points are; the first is left out, so that
+  // stretches which begin anew are not joined.
+  merge(t0, dt, name, values) {
+    const column = this.columns[name];
+    if (!column || !Array.isArray(values)) return;
+    let place = this.after(t0 + dt - FINEST);
+    for (let row = 1; row < values.length; row += 1) {
+      const time = t0 + row * dt;
+      while (place < this.length && this.time[place] < time - 0.6 * FINEST) place += 1;
+      if (place < this.length && this.time[place] <= time + 0.6 * FINEST) column[place] = values[row] ?? NaN;
+    }
+  }
+
+  // The place of the first point that is not before `time`.
+  after(time) {
+    let low = 0, high = this.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.time[middle] < time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  forget() {
+    const first = this.after(this.newest - this.span);
+    for (const column of [this.time, ...Object.values(this.columns)]) column.copyWithin(0, first, this.length);
+    this.length -= first;
+  }
+
+  // The window: seconds before the newest point, and the columns of these names.
+  shown(names) {
+    const first = this.after(this.newest - this.span), zero = this.newest;
+    for (let place = first; place < this.length; place += 1) this.ago[place] = this.time[place] - zero;
+    return [this.ago, ...names.map((name) => this.columns[name])].map((column) => column.subarray(first, this.length));
+  }
+}
