@@ -2,9 +2,9 @@
 
 The recursive prediction error method gives, chunk by chunk, innovations and what its unknowns do to them. A second
 kernel, of the model with every candidate attached at amplitude zero, runs along with the same parameters and the same
-gain: it says what a little of each effect would do. `diagnosis.onset` looks for the effect and the second since which
-it acts, once a second. One that stands out from all that was looked at gets a name (`diagnosis.live_naming`); it is
-then taken for granted, and the next one is looked for.
+gain: it says what a little of each effect would do. Once a second `diagnosis.live_odds` weighs each effect against
+none, whenever it set in. One whose odds no chance explains gets a name (`diagnosis.live_naming`), with those that are
+not told from it yet; it is then taken for granted, and the next one is looked for.
 
 It sees each effect at one shape only (`upright diagnose` tries several and refits each), but for the frequency of a
 disturbance, which is followed. A size is one linear step

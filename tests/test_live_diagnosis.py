@@ -90,6 +90,31 @@ def test_friction_that_sets_in_during_the_run_is_named_within_five_seconds_with_
     assert 0.0 < std < 0.2 * value
 
 
+def test_weak_friction_is_named_within_five_seconds_with_what_it_is_not_told_from_yet() -> None:
+    """Three times what half a minute would just show: in five seconds kinds of friction are hardly told apart."""
+    recording = recorded("coulomb_friction=0.0263@25")
+    begin, told = onset(recording, 25.0), course(recording)
+    named = [(time, result.findings[0]) for time, result in told if result.findings]
+    assert begin < named[0][0] < begin + 5.0 + 1.0
+    for _, each in named:
+        assert "coulomb_friction" in (each.effect, *each.tied_with)
+        assert len(each.tied_with) <= 4
+        assert each.p_value < 0.01
+
+
+def test_what_no_effect_explains_yet_has_no_name() -> None:
+    """Machinery starts: until its frequency is known nothing that is looked for is like it."""
+    recording = recorded("periodic_disturbance=0.75@25")
+    begin, told = onset(recording, 25.0), course(recording)
+    names = {each.effect for _, result in told for each in result.findings}
+    assert names <= {"periodic_disturbance"}
+    unknown = [(time, result) for time, result in told if time > begin and "no effect explains" in result.reason]
+    assert unknown
+    assert unknown[0][0] < begin + 5.0 + 1.0
+    assert unknown[0][1].verdict == "insufficient_data"
+    assert unknown[0][1].detectable
+
+
 def test_dry_friction_from_the_beginning_has_no_onset_and_is_told_with_what_it_is_tied_with() -> None:
     finding = course(recorded("coulomb_friction=0.5"))[-1][1].findings[0]
     assert finding.effect in ("coulomb_friction", "asymmetric_friction")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.onset import BEGINNING, Amplitudes, Onset, onsets
+from diagnosis.live_odds import weigh
+from diagnosis.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.products import Products
 
 ROWS = 200
@@ -44,7 +45,7 @@ def gathered(
 
 
 def named(products: Products, known: tuple[Onset, ...] = ()) -> list[Onset]:
-    return onsets(products, EFFECTS, known, 2)[0]
+    return [each.onset for each in weigh(products, EFFECTS, known, {}, 0.0)[0]]
 
 
 @pytest.mark.parametrize("begin", [12.0, 12.5, 12.9])
@@ -124,8 +125,8 @@ def test_an_effect_that_nothing_tells_from_the_nuisances_is_left_out() -> None:
         columns[:, 3] = columns[:, 0]
         products.add(np.column_stack((columns, rng.standard_normal(ROWS) + columns[:, 4])))
         products.end_second()
-    found, errors = onsets(products, EFFECTS, (), 2)
-    assert found[0].effect.name == "second"
+    found, errors = weigh(products, EFFECTS, (), {}, 0.0)
+    assert found[0].onset.effect.name == "second"
     assert "first" not in errors
-    assert all(each.effect.name != "first" for each in found)
+    assert all(each.onset.effect.name != "first" for each in found)
     assert errors["second"] == pytest.approx(1.0 / np.sqrt(12 * ROWS), rel=0.1)

@@ -60,7 +60,6 @@ class TestNames:
         assert "roll_rate" in found.unexplained.shape.name
         assert "of no known shape" in found.reason
 
-
     def test_a_stiffness_that_swings_between_the_lines_of_a_coarse_grid_is_unknown(self) -> None:
         # Twice the size that the record would just show. A cubic stiffness stands for a tenth of it; what the record
         # resolves is 0.03 Hz, and a line beside it tells nothing.
