@@ -98,7 +98,8 @@ def recurrence(matrix: Array, pushes: Array) -> Array:
 
 def _opened(model: Model) -> tuple[Model, Mapping[str, tuple[str, str]]]:
     """`model` with a force let in at each joint, and the expressions and units of the coordinates that are let out."""
-    shown = {state.name: (state.name, state.unit) for state in model.states}
+    # Those that an effect at another than its first place remembers have names that no equation can contain.
+    shown = {state.name: (state.name, state.unit) for state in model.states if "@" not in state.name}
     for actuator in model.actuators:
         if actuator.angle and actuator.angle not in {*shown, *(each.name for each in model.inputs)}:
             shown[f"{actuator.name} angle"] = (actuator.angle, actuator.angle_unit)
@@ -152,17 +153,18 @@ def _coordinates(
     floor: Floor,
 ) -> list[Coordinate]:
     """States, inputs and the actuators' angles; what never moves, or has no part in the motion, says nothing."""
-    deviations = np.sqrt(np.maximum(np.diag(floor.state_covariance), 0.0))
+    deviations = np.sqrt(np.maximum(np.diag(floor.state_covariance), 0.0)).tolist()
+    std = dict(zip([state.name for state in model.states], deviations, strict=True))
     moving = _moving(model)
     found = [
         Coordinate(
             name,
             unit,
             tuple(part[:, place] for part in rows),
-            float(deviations[place]) if place < len(deviations) else 0.0,
+            std.get(name, 0.0),
         )
         for place, (name, (_, unit)) in enumerate(shown.items())
-        if name in moving or place >= len(deviations)
+        if name in moving or name not in std
     ]
     found += [
         Coordinate(each.name, each.unit, tuple(segment.inputs[:, place] for segment in segments), 0.0)

@@ -20,7 +20,7 @@ from diagnosis.screen import Score
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
 from estimators.fit_result import inverse
-from estimators.gauss_newton import Block, minimise
+from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.methods.prediction_error import Fit, fit
 from models.effect import Place
 from models.model import Model
@@ -31,6 +31,10 @@ Array = NDArray[np.float64]
 STARTS = 2
 """Shapes that a quick fit starts from, at most."""
 ITERATIONS = 8
+LONGER = 24
+"""The same from a smaller size, where these ended above what the model alone leaves."""
+HALVINGS = 6
+"""Of the size that the screen says, until one leaves less than the model alone: that it is a line is true near zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,30 +113,43 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
     starts = zip(base.minimum.own[:-1], task.own_start, strict=True)
     own = [*(np.concatenate((part, whole[len(part) :])) for part, whole in starts), np.zeros(0)]
     alone = begin.copy()
-    alone[[size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]] = 0.0
+    sizes = [size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]
+    alone[sizes] = 0.0
     before = evaluate(np.clip(alone, lower, upper), own)
     # What a delay of the command is to take over begins where it was known to be: two of them do not add up.
     commands = delayed(task.model, task.model.effects[-1]) if candidate.effect.place is Place.ACTUATOR else ()
     same = {name for each in model.inputs if each.name in commands for name in each.delays}
     taken = [place for place, p in enumerate(base.problem.parameters) if p.name in same]
     begin[taken] = base.problem.start[taken]
-    minimum = None
-    if before is not None:
-        minimum = minimise(
+    if before is None:
+        return QuickFit(candidate, dict(start), -np.inf)
+    cost = 0.5 * sum(float(block.residual @ block.residual) for block in before)
+
+    def fitted(common: Array, own: Sequence[Array], iterations: int) -> Minimum | None:
+        return minimise(
             evaluate,
-            begin,
+            common,
             own,
             scale=task.scale,
             lower=lower,
             upper=upper,
-            iterations=ITERATIONS,
+            iterations=iterations,
             tolerance=1e-3,
             enough=0.05,
         )
-    if minimum is None or before is None:
+
+    minimum = fitted(begin, own, ITERATIONS)
+    if minimum is not None and minimum.cost >= cost:
+        smaller = begin.copy()
+        for _ in range(HALVINGS):
+            smaller[sizes] *= 0.5
+            blocks = evaluate(np.clip(smaller, lower, upper), own)
+            if blocks is not None and 0.5 * sum(float(block.residual @ block.residual) for block in blocks) < cost:
+                minimum = fitted(smaller, own, LONGER)
+                break
+    if minimum is None:
         return QuickFit(candidate, dict(start), -np.inf)
     names = [p.name for p in further]
-    cost = 0.5 * sum(float(block.residual @ block.residual) for block in before)
     return QuickFit(candidate, dict(zip(names, minimum.common[size:].tolist(), strict=True)), cost - minimum.cost)
 
 

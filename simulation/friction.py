@@ -22,11 +22,12 @@ STRIBECK_RATE = 0.01
 
 
 class LuGreFriction:
-    """Bristle friction that slides at `level` N m; `deflection` rad is where it begins to."""
+    """Bristle friction that slides at `level` N m; `deflection` rad is where it begins to, `damping` (s) as above."""
 
-    def __init__(self, size: float, deflection: float = BRISTLE_DEFLECTION) -> None:
+    def __init__(self, size: float, deflection: float = BRISTLE_DEFLECTION, damping: float = BRISTLE_DAMPING) -> None:
         self._size = size
         self._stiffness = abs(size) / deflection
+        self._damping = damping
         self._deflection = 0.0
 
     def level(self, rate: float, load: float) -> float:
@@ -47,16 +48,20 @@ class LuGreFriction:
         before = self._deflection
         self._deflection = (before + step * rate) / slide
         bend_rate = (self._deflection - before) / step
-        return -self._stiffness * (self._deflection + BRISTLE_DAMPING * bend_rate)
+        return -self._stiffness * (self._deflection + self._damping * bend_rate)
 
 
 class StribeckFriction(LuGreFriction):
     """Slides at the full size when slow and at half of it when faster than `stribeck_rate` rad/s."""
 
     def __init__(
-        self, size: float, deflection: float = BRISTLE_DEFLECTION, stribeck_rate: float = STRIBECK_RATE
+        self,
+        size: float,
+        deflection: float = BRISTLE_DEFLECTION,
+        stribeck_rate: float = STRIBECK_RATE,
+        damping: float = BRISTLE_DAMPING,
     ) -> None:
-        super().__init__(size, deflection)
+        super().__init__(size, deflection, damping)
         self._stribeck_rate = stribeck_rate
 
     def level(self, rate: float, load: float) -> float:
@@ -73,8 +78,14 @@ class AsymmetricFriction(LuGreFriction):
 class LoadDependentFriction(LuGreFriction):
     """Slides at a share of the torque that the bearings carry; `typical_load` N m sets the bristles' stiffness."""
 
-    def __init__(self, share: float, deflection: float = BRISTLE_DEFLECTION, typical_load: float = 300.0) -> None:
-        super().__init__(share * typical_load, deflection)
+    def __init__(
+        self,
+        share: float,
+        deflection: float = BRISTLE_DEFLECTION,
+        typical_load: float = 300.0,
+        damping: float = BRISTLE_DAMPING,
+    ) -> None:
+        super().__init__(share * typical_load, deflection, damping)
         self._share = share
 
     def level(self, rate: float, load: float) -> float:

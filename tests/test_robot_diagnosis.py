@@ -24,15 +24,16 @@ UP = 8.0
 """s from the beginning of a recording to where the robot stands."""
 EXCITED = 16.0
 """s of excitation: with getting up and lying down what is left is a little more than the gate asks for."""
-LOOKED_FOR = ("static_torque", "viscous_friction", "input_deadband")
+LOOKED_FOR = ("static_torque", "coulomb_friction", "viscous_friction", "input_deadband")
 """At all places: a torque on the tilt and one on the wheels are two."""
 HIDDEN = {
     "static_torque": ("static_torque", "tilt", "static_torque.torque", 0.01),
     "slope": ("static_torque@travel", "travel", "static_torque@travel.torque", -9.3e-3),
     "input_deadband": ("input_deadband", "motors", "input_deadband.width", 0.6),
+    "coulomb_friction": ("coulomb_friction@wheels", "wheels", "coulomb_friction@wheels.torque", 0.02),
 }
 """What is hidden: its name in the model, its place, its size's name and the plant's own (a slope of 2 deg is -(m_b + 2
-m_w) g r sin)."""
+m_w) g r sin, and friction that of both gears)."""
 WITHIN = 3.0
 """Standard deviations that a size may be off."""
 CLOSED = 0.9

@@ -1,4 +1,5 @@
-"""Hidden effects that act as a torque on the balancing robot: on its tilt, or on each of its wheels. rad, s, N m."""
+"""Hidden effects that act as a torque on the balancing robot: on its tilt, on each of its wheels, or in each of its
+gears, between motor and body. rad, s, N m."""
 
 from __future__ import annotations
 
@@ -9,10 +10,14 @@ from simulation.friction import AsymmetricFriction, LoadDependentFriction, LuGre
 from simulation.roll_effects import EVENT_TIME
 from simulation.twsbr.motor import Motor
 
-BRISTLE_DEFLECTION = 2.0e-3
-"""rad of a wheel at which the bristles begin to slide."""
+BRISTLE_DEFLECTION = 2.0e-4
+"""rad of a wheel at which the bristles begin to slide: a hundredth of a mm at the motor's brushes, 1 mm from its axis
+and on the fast side of the gear."""
+BRISTLE_DAMPING = 2.0e-4
+"""s, damping over stiffness of the bristles. A turning wheel bends them anew at each reversal, and damping then gives
+rate x damping / deflection of the friction more: as much again at 1 rad/s."""
 STRIBECK_RATE = 0.5
-"""rad/s of a wheel at which most of the breakaway torque is gone."""
+"""rad/s of a wheel against the body at which most of the breakaway torque is gone."""
 TYPICAL_TORQUE = 0.2
 """N m of a motor, at the wheel."""
 
@@ -22,7 +27,8 @@ PULL = 0.05
 TiltEffect = Callable[[float, float, float], float]
 """Tilt, time and event clock to the torque on the tilt."""
 WheelEffect = Callable[[Motor, float], float]
-"""Motor with its wheel, and the event clock, to the torque on that wheel; called once a step."""
+"""Motor with its wheel, and the event clock, to the torque on that wheel, or at the wheel in the gear; called once a
+step."""
 
 _TILT: dict[str, Callable[[float], TiltEffect]] = {
     "static_torque": lambda size: lambda tilt, time, clock: size,
@@ -33,10 +39,12 @@ _TILT: dict[str, Callable[[float], TiltEffect]] = {
 }
 
 _BRISTLES: dict[str, Callable[[float], LuGreFriction]] = {
-    "coulomb_friction": lambda size: LuGreFriction(size, BRISTLE_DEFLECTION),
-    "stribeck_friction": lambda size: StribeckFriction(size, BRISTLE_DEFLECTION, STRIBECK_RATE),
-    "asymmetric_friction": lambda size: AsymmetricFriction(size, BRISTLE_DEFLECTION),
-    "load_dependent_friction": lambda size: LoadDependentFriction(size, BRISTLE_DEFLECTION, TYPICAL_TORQUE),
+    "coulomb_friction": lambda size: LuGreFriction(size, BRISTLE_DEFLECTION, BRISTLE_DAMPING),
+    "stribeck_friction": lambda size: StribeckFriction(size, BRISTLE_DEFLECTION, STRIBECK_RATE, BRISTLE_DAMPING),
+    "asymmetric_friction": lambda size: AsymmetricFriction(size, BRISTLE_DEFLECTION, BRISTLE_DAMPING),
+    "load_dependent_friction": lambda size: LoadDependentFriction(
+        size, BRISTLE_DEFLECTION, TYPICAL_TORQUE, BRISTLE_DAMPING
+    ),
 }
 
 _WHEEL: dict[str, Callable[[float], WheelEffect]] = {
@@ -60,9 +68,19 @@ def tilt_effects(sizes: Mapping[str, float], onsets: Mapping[str, float]) -> tup
     return tuple(effects)
 
 
-def wheel_effects(sizes: Mapping[str, float], onsets: Mapping[str, float], step: float) -> tuple[WheelEffect, ...]:
-    """The torques on one wheel, likewise; make them anew for each wheel, since bristles have a memory."""
-    makers = {name: _rubbing(maker, step) for name, maker in _BRISTLES.items()} | _WHEEL
+def wheel_effects(sizes: Mapping[str, float], onsets: Mapping[str, float]) -> tuple[WheelEffect, ...]:
+    """The torques on one wheel, likewise."""
+    return _made(_WHEEL, sizes, onsets)
+
+
+def gear_effects(sizes: Mapping[str, float], onsets: Mapping[str, float], step: float) -> tuple[WheelEffect, ...]:
+    """The torques in one gear, likewise; make them anew for each, since bristles have a memory."""
+    return _made({name: _rubbing(maker, step) for name, maker in _BRISTLES.items()}, sizes, onsets)
+
+
+def _made(
+    makers: Mapping[str, Callable[[float], WheelEffect]], sizes: Mapping[str, float], onsets: Mapping[str, float]
+) -> tuple[WheelEffect, ...]:
     return tuple(
         _late_on_wheel(maker(sizes[name]), onsets[name]) if name in onsets else maker(sizes[name])
         for name, maker in makers.items()
@@ -73,7 +91,7 @@ def wheel_effects(sizes: Mapping[str, float], onsets: Mapping[str, float], step:
 def _rubbing(maker: Callable[[float], LuGreFriction], step: float) -> Callable[[float], WheelEffect]:
     def make(size: float) -> WheelEffect:
         friction = maker(size)
-        return lambda wheel, clock: friction.force(wheel.wheel_rate, wheel.torque, step)
+        return lambda wheel, clock: friction.force(wheel.rotor_rate, wheel.torque, step)
 
     return make
 

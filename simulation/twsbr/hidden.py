@@ -1,7 +1,9 @@
 """What the balancing robot may contain that its nominal model lacks.
 
 Sizes at level 1 are plausible for a robot of 0.85 kg: 12 V at standstill are 0.67 N m a wheel, 1 deg of tilt 6 mN m of
-gravity. "On each wheel" is between wheel and floor. Formulas are in `effects`, `mechanics` and `motor`.
+gravity. "On each wheel" is between wheel and floor, "in each gear" between motor and body, at the wheel: where a small
+robot has its dry friction, from brushes and the gear's first stages, as large as 0.2 to 0.5 V, while a tyre's on a hard
+floor is a tenth of that. Formulas are in `effects`, `mechanics` and `motor`.
 """
 
 from __future__ import annotations
@@ -16,10 +18,12 @@ TWSBR_HIDDEN: dict[str, HiddenEffect] = {
             "slope", "rad", 0.035, "the floor rises ahead by this (2 deg): a static torque on the wheels", signed=True
         ),
         HiddenEffect("viscous_friction", "N m s/rad", 3.0e-3, "torque on each wheel against its rate"),
-        HiddenEffect("coulomb_friction", "N m", 0.03, "dry friction on each wheel (LuGre bristles): a soft floor"),
-        HiddenEffect("stribeck_friction", "N m", 0.05, "breakaway torque on each wheel, half of it lost when sliding"),
-        HiddenEffect("asymmetric_friction", "N m", 0.03, "dry friction on each wheel, backwards a third of it"),
-        HiddenEffect("load_dependent_friction", "1", 0.1, "dry friction as a share of the motor's torque"),
+        HiddenEffect("coulomb_friction", "N m", 0.01, "dry friction in each gear (LuGre bristles)"),
+        HiddenEffect("stribeck_friction", "N m", 0.015, "breakaway torque in each gear, half of it lost when sliding"),
+        HiddenEffect("asymmetric_friction", "N m", 0.01, "dry friction in each gear, backwards a third of it"),
+        HiddenEffect(
+            "load_dependent_friction", "1", 0.1, "dry friction in each gear, as a share of the motor's torque"
+        ),
         HiddenEffect("quadratic_drag", "N m s^2/rad^2", 3.0e-4, "torque on each wheel against its rate squared"),
         HiddenEffect("cubic_stiffness", "N m/rad^3", 200.0, "restoring tilt torque of a cable to the bench"),
         HiddenEffect("periodic_disturbance", "N m", 0.02, "sinusoidal tilt torque at 1.3 Hz: a fan", signed=True),

@@ -26,6 +26,8 @@ class Motor:
         self.wheel_angle = 0.0
         """rad of the wheel, against the floor."""
         self.wheel_rate = 0.0
+        self.rotor_rate = 0.0
+        """rad/s of the motor, at the wheel and against the body."""
         self.torque = 0.0
         """N m at the wheel."""
         self._encoder = Encoder(2.0 * math.pi / truth.encoder_counts_per_turn, step)
@@ -73,7 +75,7 @@ class Motor:
 
     def follow(self, wheel_angle: float, wheel_rate: float, rotor: float, rotor_rate: float) -> None:
         """Take the motion at the end of a step; `rotor` is the motor's angle at the wheel, against the body."""
-        self.wheel_angle, self.wheel_rate = wheel_angle, wheel_rate
+        self.wheel_angle, self.wheel_rate, self.rotor_rate = wheel_angle, wheel_rate, rotor_rate
         standstill, damping = self._drive
         self.torque = standstill - damping * rotor_rate
         self._encoder.read(rotor)

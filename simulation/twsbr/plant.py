@@ -10,7 +10,7 @@ from simulation.config import DriveNode, SimulationConfig
 from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
 from simulation.machine import Machine, Motion
-from simulation.twsbr.effects import tilt_effects, wheel_effects
+from simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
 from simulation.twsbr.mechanics import PLACES, Drive, Held, Mechanics, State
 from simulation.twsbr.motor import Motor
 from simulation.twsbr.truth import TwsbrTruth
@@ -47,7 +47,8 @@ class TwsbrPlant(Machine):
         self._supply = truth.supply_voltage
         self._sag = sizes.get("test_battery_sag", 0.0)
         self._tilt_effects = tilt_effects(sizes, onsets)
-        self._wheel_effects = tuple(wheel_effects(sizes, onsets, self.step_size) for _ in range(2))
+        self._wheel_effects = tuple(wheel_effects(sizes, onsets) for _ in range(2))
+        self._gear_effects = tuple(gear_effects(sizes, onsets, self.step_size) for _ in range(2))
         self._drives: tuple[Drive, Drive] = ((0.0, 0.0), (0.0, 0.0))
         self._held: Held = (0.0, 0.0, 0.0)
         self._powered_steps = 0
@@ -98,8 +99,8 @@ class TwsbrPlant(Machine):
         supply = self._supply
         if self._sag:
             supply -= self._sag * (left.duty * left.current + right.duty * right.current)
-        self._drives = (left.set_voltage(supply), right.set_voltage(supply))
         clock = self.event_clock
+        self._drives = (self._geared(0, left.set_voltage(supply)), self._geared(1, right.set_voltage(supply)))
         tilt, time = self.tilt, self.time
         self._held = (
             sum([effect(left, clock) for effect in self._wheel_effects[0]]),
@@ -132,6 +133,15 @@ class TwsbrPlant(Machine):
             acceleration * sine + gravity * cosine + swing[2] + whirl[2],
         )
         return force, angular
+
+    def _geared(self, side: int, drive: Drive) -> Drive:
+        """`drive` with what its gear takes or gives."""
+        effects = self._gear_effects[side]
+        if not effects:
+            return drive
+        standstill, damping = drive
+        motor, clock = self.motors[side], self.event_clock
+        return standstill + sum([effect(motor, clock) for effect in effects]), damping
 
     def _put(self, tilt: float) -> None:
         left, right = self.state[LEFT], self.state[RIGHT]
