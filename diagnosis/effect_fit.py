@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
 from diagnosis.refit import off_prior
 from diagnosis.screen import Score
+from diagnosis.whitened import whitening
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.fit_result import inverse
+from estimators.gauss_newton import eliminate
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit, fit, result
 from estimators.problem import problem
@@ -27,6 +30,8 @@ from models.effect import AttachedEffect, starts
 from models.kernel import Progress
 from models.model import Model
 from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
 
 UNKNOWN = 1e6
 """Typical sizes: the standard deviation of a parameter that the record says nothing of, as a number."""
@@ -55,13 +60,38 @@ class Fitted:
         return self.fit.problem.model
 
     def surety(self, effect: str) -> float:
-        """By how many standard deviations the largest amplitude of its `effect` is away from zero, at least."""
+        """By how many standard deviations the largest amplitude of its `effect` is away from zero, at least.
+
+        Of its own, or of what it would scatter by were there none of it: how well a scale is known that all forces have
+        in common, as a mass, says how large an effect is, and nothing of whether there is one.
+        """
         attached = next(each for each in self.prior.effects if each.name == effect)
-        sizes = [
-            abs(self.values.get(name, 0.0)) / max(self.deviations.get(name, 0.0), 1e-300)
-            for name in attached.amplitudes
-        ]
-        return max(sizes, default=float("inf"))
+        names = [parameter.name for parameter in self.fit.problem.parameters]
+        places = [names.index(name) for name in attached.amplitudes if name in names]
+        if not places:
+            return float("inf")
+        sizes = np.abs(self.fit.minimum.common[places])
+        own = np.array([self.deviations[names[place]] for place in places])
+        return float(np.max(sizes / np.maximum(np.minimum(own, self._scatter_of_none(places)), 1e-300)))
+
+    def _scatter_of_none(self, places: list[int]) -> Array:
+        """Standard deviations that the amplitudes at `places` would have, were they zero; infinite where they would
+        show nothing."""
+        fitted = self.fit
+        task, size = fitted.problem, len(fitted.problem.free)
+        common = fitted.minimum.common[:size].copy()
+        common[places] = 0.0
+        with np.errstate(all="ignore"):
+            blocks = task.evaluate(
+                common, fitted.minimum.own[: len(task.segments)], weights=whitening(fitted), gain=fitted.gain
+            )
+        if blocks is None:
+            return np.full(len(places), np.inf)
+        information = np.diag(fitted.prior[:size])
+        for block in blocks:
+            columns = eliminate(block)[1]
+            information = information + columns.T @ columns
+        return np.sqrt(np.diag(inverse(information))[places])
 
     @property
     def model(self) -> Model:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import EstimationError, Status
 from models.expressions import names_in
-from models.model import Hold, Input, Model
+from models.model import Hold, Input, Model, Output
 from models.segment import Segment
 from models.sensing import filter_inputs
 from telemetry.recording import Recording
@@ -125,6 +125,8 @@ def _check(model: Model, recording: Recording) -> None:
 
 def _free(model: Model, recording: Recording, support: float | None) -> NDArray[np.bool_]:
     known = np.all([np.isfinite(recording[name]) for name in channels_of(model) if name in recording.values], axis=0)
+    # A reading between a known and an unknown sample is not known either.
+    known &= np.all([np.isfinite(_reading(recording, each)) for each in model.outputs], axis=0)
     coordinate = model.joints[0].coordinate if model.joints else ""
     if support is not None and coordinate in recording.values and known.any():
         size = np.abs(np.where(known, recording[coordinate], np.inf))
@@ -235,17 +237,9 @@ def _segment(model: Model, recording: Recording, part: slice) -> Segment:
     used = channels_of(model)
     zeros = np.zeros(len(time))
 
-    def sampled(age: str) -> Array:
-        return time - recording[age] if age in recording.values else time
-
     inputs = [_input(recording, each, part) if each.channel in used else zeros for each in model.inputs]
-    knots = [sampled(each.age if each.channel in used else "") for each in model.inputs]
-    measured = [
-        np.interp(time, sampled(each.age), recording[each.name])
-        if each.age in recording.values
-        else recording[each.name]
-        for each in model.outputs
-    ]
+    knots = [_sampled(recording, each.age if each.channel in used else "") for each in model.inputs]
+    measured = [_reading(recording, each) for each in model.outputs]
     return Segment(
         time=np.ascontiguousarray(time[part]),
         knots=_columns(knots, part),
@@ -253,6 +247,17 @@ def _segment(model: Model, recording: Recording, part: slice) -> Segment:
         measured=_columns(measured, part),
         source=recording.source,
     )
+
+
+def _sampled(recording: Recording, age: str) -> Array:
+    """The instants (n,) at which channels of this `age` were sampled."""
+    return recording.time - recording[age] if age in recording.values else recording.time
+
+
+def _reading(recording: Recording, each: Output) -> Array:
+    """The samples of an output, (n,), read at the rows' instants."""
+    values = recording[each.name]
+    return np.interp(recording.time, _sampled(recording, each.age), values) if each.age in recording.values else values
 
 
 def _input(recording: Recording, each: Input, part: slice) -> Array:

@@ -82,5 +82,21 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_pat
         "model", "add", "twsbr", name, "--at", place, "--vehicle", "twsbr", "--output", model,
         "--recording", standing, *held_out,
     )["repair"]  # fmt: skip
+    assert repair["needed"]
     closed, left = repair["budget"]["effect"], repair["budget"]["unexplained"]
     assert closed > CLOSED * (closed + left)
+
+
+@pytest.mark.parametrize(("hidden", "needed"), [("static_torque", True), ("", False)])
+def test_a_torque_is_asked_for_where_there_is_one(hidden: str, needed: bool, tmp_path: Path) -> None:
+    """Its size is known to a third only, with the mass of the body; that there is one, beyond doubt. Held out is the
+    last third of the recording itself."""
+    standing = tmp_path / "standing.arrow"
+    load(recorded("square", tmp_path, *([hidden] if hidden else []))).between(UP, float("inf")).save(standing)
+    repair = upright(
+        "model", "add", "twsbr", "static_torque", "--at", "tilt", "--vehicle", "twsbr",
+        "--output", tmp_path / "repaired.toml", "--recording", standing,
+    )["repair"]  # fmt: skip
+    assert repair["needed"] is needed
+    if needed:
+        assert repair["surety"] > 30.0  # the square root of a log likelihood ratio of thousands

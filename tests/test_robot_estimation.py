@@ -208,6 +208,19 @@ def test_what_lies_on_the_floor_is_left_out() -> None:
     assert used.time[-1] < 21.0
 
 
+def test_no_reading_is_made_of_a_known_and_an_unknown_sample() -> None:
+    """The wheels' angles are older than the row: between the last known one and the next there is no reading."""
+    recording = run("square")
+    known = recording.time <= 0.6 * recording.time[-1]
+    hidden = {each.name: np.where(known, recording[each.name], np.nan) for each in MODEL.outputs}
+    (used,) = segments(MODEL, [replace(recording, values={**recording.values, **hidden})])
+    (whole,) = segments(MODEL, [recording])
+    assert any(each.age in recording.values for each in MODEL.outputs)
+    assert np.isfinite(used.measured).all()
+    assert np.array_equal(used.measured, whole.measured[: len(used)])
+    assert len(used) == np.count_nonzero(known & (recording.time >= used.time[0])) - 1
+
+
 def test_a_robot_that_only_lies_is_refused() -> None:
     recording = run("square")
     lying = {**recording.values, "tilt": np.full(len(recording.time), np.radians(12.4))}
