@@ -97,7 +97,7 @@ def put_together(
     findings: Sequence[Finding], whole: FullFit, workspace: Workspace, tell: Tell
 ) -> tuple[list[Finding], FullFit]:
     """`findings` with one that is made of two in place of these two, where they are not worth being two."""
-    named = {name: each for each in reversed(findings) for name in (*each.tied_with, each.effect)}
+    named = {name: each for each in findings for name in each.tied_with} | {each.effect: each for each in findings}
     for made in workspace.candidates:
         parts = [named[name] for name in made.effect.made_of if name in named]
         if len(parts) != 2 or parts[0] is parts[1] or made.name in {each.effect for each in findings}:
@@ -107,7 +107,7 @@ def put_together(
         one = named_alone(base, look(base, workspace), made, parts, workspace)
         if one is None or worth_two(whole, one.fit, len(findings) - 1, workspace):
             continue
-        return [one.finding, *(each for each in findings if each not in parts)], one.fit
+        return [one.finding, *(each for each in findings if all(each is not part for part in parts))], one.fit
     return list(findings), whole
 
 
