@@ -14,11 +14,13 @@ import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 from urllib.parse import urlsplit
 
 import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
+from paho.mqtt import subscribe
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sync_playwright
 from slow_link import SlowLink
 from topology import LEASE, Topology, topology, vehicle_text
@@ -181,6 +183,52 @@ def test_the_model_is_drawn_over_the_measurement(
     assert float(watched.page.inner_text("#figure-load").split()[0]) > 10.0
 
 
+@pytest.mark.parametrize("look", ["light", "dark"])
+def test_on_paper_every_chart_is_drawn(
+    look: Literal["light", "dark"], experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
+) -> None:
+    """Printed in earnest; what is below the fold has no canvas before and after."""
+    page = watched.page
+    watched.show("live")
+    page.set_viewport_size({"width": 1280, "height": 400})
+    page.emulate_media(color_scheme=look)
+    canvases = page.locator("#view-live canvas")
+    expect(canvases).not_to_have_count(0)
+    page.evaluate(PRINTED)
+    page.wait_for_timeout(300)
+    before, last = canvases.count(), page.locator("#view-live .chart:last-child canvas")
+    expect(last).to_have_count(0)
+    assert page.pdf().startswith(b"%PDF")
+    printed = page.evaluate("window.printed")
+    assert len(printed) == page.locator("#view-live .chart").count() > before
+    for title, coloured, darkest in printed:
+        # The model may still be being compiled, once on a machine: then nothing was predicted.
+        assert coloured > 100 or title.startswith("Innovation"), f"{title} has no curve"
+        # The text of the axes is dark, also of a page that is not: paper is white.
+        assert darkest < 60, title
+    expect(last).to_have_count(0)
+    page.emulate_media(color_scheme="light")
+    page.set_viewport_size({"width": 1280, "height": 900})
+    assert watched.wrong == []
+
+
+PRINTED = """() => matchMedia("print").addEventListener("change", ({ matches }) => {
+  if (matches) window.printed = [...document.querySelectorAll("#view-live .chart")].map((chart) => {
+    const canvas = chart.querySelector("canvas");
+    const pixels = canvas ? canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data : [];
+    let coloured = 0, darkest = 255;
+    for (let each = 0; each < pixels.length; each += 4) {
+      const [red, green, blue, opaque] = pixels.slice(each, each + 4);
+      const most = Math.max(red, green, blue);
+      if (opaque > 200 && most - Math.min(red, green, blue) > 60) coloured += 1;
+      else if (opaque > 200) darkest = Math.min(darkest, most);
+    }
+    return [chart.querySelector("figcaption").innerText, coloured, darkest];
+  });
+}, { once: true })"""
+"""Of each chart on paper: how many pixels have a curve's colour, and the darkest grey."""
+
+
 def test_add_makes_the_error_fall(experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched) -> None:
     page = watched.page
     watched.show("gap")
@@ -217,7 +265,10 @@ def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: 
     def tell(topic: str, payload: bytes | str) -> None:
         vehicle.publish(f"upright/monocab/{topic}", payload, qos=1).wait_for_publish(10.0)
 
-    bad = [
+    login = {"username": "dashboard", "password": parts.password("dashboard")}
+    batch = subscribe.simple("upright/monocab/telemetry", hostname="127.0.0.1", port=parts.mqtt, auth=login).payload
+    bad: list[tuple[str, bytes | str]] = [
+        ("telemetry", batch),  # a second time
         ("event", "no json"),
         ("event", "[1, 2]"),
         ("event", '{"severity": 1}'),
@@ -246,6 +297,17 @@ def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: 
     assert page.locator("#events img, #recording img, #recordings img").count() == 0
     hostile.unlink()
     expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+
+
+def test_html_in_a_vehicle_name_is_text(browser: Browser, parts: Topology) -> None:
+    """A vehicle file refuses such a name; whoever else tells it one, the page shows what it is told."""
+    context = browser.new_context()
+    named = Watched(context, parts.page, vehicle=HOSTILE)
+    expect(named.page.locator("#vehicle")).to_have_text(HOSTILE)
+    assert HOSTILE in named.page.title()
+    assert named.page.evaluate("window.hacked") is None
+    assert named.wrong == []
+    context.close()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-// Curves by uPlot, drawn at most once a frame. What is not on the screen has no canvas, and costs nothing.
+// Curves by uPlot, drawn at most once a frame. What is not on the screen has no canvas, and costs nothing; on paper all have.
 
 import { WINDOW } from "./rolling.js";
 
@@ -14,6 +14,7 @@ const LOOKS = {
 };
 
 const made = new Set();
+let paper = false; // the page is being printed
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => made.forEach((chart) => chart.rebuild()));
 const watch = new IntersectionObserver((entries) => entries.forEach((entry) => [...made].find((chart) => chart.place === entry.target)?.show(entry.isIntersecting)));
 new ResizeObserver(() => made.forEach((chart) => chart.resize())).observe(document.documentElement);
@@ -32,16 +33,24 @@ function spread(_, low, high) {
   return high - low < 1e-9 ? [low - Math.max(room, 0.5), high + Math.max(room, 0.5)] : [low - room, high + room];
 }
 
-// Draws a column of numbers in which NaN is a gap, times `factor`, all of it on the screen. uPlot's own boxes each number
-// and makes a path object of each curve: 40 MB/s to be collected. Of the points in one column of pixels the first, lowest,
-// highest and last are joined, as uPlot does it.
+// Draws columns of numbers in which NaN is a gap, times `factor`, all of it on the screen. uPlot's own boxes each number
+// and makes a path object of each curve: 40 MB/s to be collected. What it has set it remembers, so it is put back, by hand:
+// a saved state is 1 kB to be collected.
+function curves(plot, factor) {
+  const { ctx } = plot, { strokeStyle, lineWidth } = ctx, dash = ctx.getLineDash();
+  for (let place = 1; place < plot.data.length; place += 1) if (plot.series[place].show) line(plot, place, factor);
+  ctx.strokeStyle = strokeStyle;
+  ctx.lineWidth = lineWidth;
+  ctx.setLineDash(dash);
+}
+
+// Of the points in one column of pixels the first, lowest, highest and last are joined, as uPlot does it.
 function line(plot, place, factor) {
-  const [x, y] = [plot.data[0], plot.data[place]], { left, top, width, height } = plot.bbox, { ctx } = plot;
+  const x = plot.data[0], y = plot.data[place], { left, top, width, height } = plot.bbox, { ctx } = plot;
   const { min: from, max: to } = plot.scales.x, { min: low, max: high } = plot.scales.y;
   const look = plot.series[place], thick = look.width * devicePixelRatio, sharp = (thick % 2) / 2;
   const across = width / (to - from), up = factor * height / (high - low), base = top + height * high / (high - low);
   let column = NaN, least = 0, most = 0, last = 0, pen = false;
-  ctx.save(); // uPlot remembers what it has set
   ctx.beginPath();
   for (let row = 0; row < x.length; row += 1) {
     if (Number.isNaN(y[row])) {
@@ -70,27 +79,34 @@ function line(plot, place, factor) {
   ctx.lineWidth = thick;
   ctx.setLineDash((look.dash ?? []).map((each) => each * devicePixelRatio));
   ctx.stroke();
-  ctx.restore();
 }
 
-// The range of such columns.
-function extent(plot, factor) {
-  let low = Infinity, high = -Infinity;
-  for (let place = 1; place < plot.data.length; place += 1) {
-    if (!plot.series[place].show) continue;
-    const column = plot.data[place];
-    for (let row = 0; row < column.length; row += 1) {
-      if (column[row] < low) low = column[row];
-      if (column[row] > high) high = column[row];
+// The range of such columns. It stays while they are within it and fill half of it: axes that move with every sample are
+// hard to read, and laid out anew each time.
+function extent(factor) {
+  let kept = [NaN, NaN];
+  return (plot) => {
+    let low = Infinity, high = -Infinity;
+    for (let place = 1; place < plot.data.length; place += 1) {
+      if (!plot.series[place].show) continue;
+      const column = plot.data[place];
+      for (let row = 0; row < column.length; row += 1) {
+        if (column[row] < low) low = column[row];
+        if (column[row] > high) high = column[row];
+      }
     }
-  }
-  return low > high ? spread(plot, null, null) : spread(plot, factor * low, factor * high);
+    const wanted = low > high ? spread(plot, null, null) : spread(plot, factor * low, factor * high);
+    const within = kept[0] <= factor * low && factor * high <= kept[1];
+    if (!within || kept[1] - kept[0] > 2 * (wanted[1] - wanted[0])) kept = wanted;
+    return kept;
+  };
 }
 
 // What a chart of such columns has besides.
+const STEP = 10; // s by which the time that is shown grows
 export const columns = (factor) => ({
-  scales: { x: { time: false, range: (_, low, high) => [Math.max(low, -WINDOW), high] }, y: { range: (plot) => extent(plot, factor) } },
-  hooks: { drawSeries: [(plot, place) => line(plot, place, factor)] },
+  scales: { x: { time: false, range: (_, low) => [Math.max(-WINDOW, Math.min(-STEP, STEP * Math.floor(low / STEP))), 0] }, y: { range: extent(factor) } },
+  hooks: { draw: [(plot) => curves(plot, factor)] },
   paths: () => null,
 });
 
@@ -106,9 +122,14 @@ export class Chart {
     watch.observe(place);
   }
 
+  // Whether it is looked at.
+  get wanted() {
+    return this.seen || (paper && this.place.clientWidth > 0);
+  }
+
   show(seen) {
     this.seen = seen;
-    if (seen) this.draw();
+    if (this.wanted) this.draw();
     else this.drop();
   }
 
@@ -120,7 +141,7 @@ export class Chart {
       legend: { live: false, markers: { dash: (plot, place) => (plot.series[place].dash ? "dashed" : "solid") } }, ...rest, scales: { x: { time: false }, y: { range: spread }, ...rest.scales },
       axes: [
         { ...axis, label: xLabel, labelSize: xLabel ? 16 : 0, labelFont: "12px system-ui", size: 30, space: apart, values: ticked },
-        { ...axis, label: yLabel, labelSize: 16, labelFont: "12px system-ui", size: wide, values: ticked },
+        { ...axis, label: yLabel, labelSize: 16, labelFont: "12px system-ui", size: wide, space: 20, values: ticked },
       ],
       series: [{}, ...series.map((each) => {
         const look = LOOKS[each.look] ?? each;
@@ -161,7 +182,7 @@ export class Chart {
   }
 
   draw() {
-    if (!this.seen) return;
+    if (!this.wanted) return;
     if (!this.plot) this.build();
     else this.plot.setData(this.data);
   }
@@ -171,6 +192,15 @@ export class Chart {
     watch.unobserve(this.place);
     this.drop();
   }
+}
+
+// Paper has a width and colours of its own.
+export function print(begins) {
+  paper = begins;
+  made.forEach((chart) => {
+    chart.drop();
+    chart.show(chart.seen);
+  });
 }
 
 export const turned = (column, factor) => column.map((value) => (value === null || value === undefined ? null : value * factor));

@@ -34,14 +34,20 @@ export function number(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
+// A unit as people write it.
+export const unit = (words) => String(words ?? "").replace(/\^(-?[0-9])/g, (_, power) => power.replace("-", "⁻").replace(/[0-9]/, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]));
+
 export function seconds(value) {
   return typeof value === "number" && Number.isFinite(value) ? `${Math.max(0, Math.round(value))} s` : "–";
 }
+
+// A name may be broken after its underscores.
+const breakable = (cell) => (typeof cell === "string" ? cell.split(/(?<=_)/).flatMap((part, place) => (place ? [h("wbr"), part] : [part])) : cell);
 
 export function table(headings, rows, caption) {
   return h("div", { class: "scroll" }, h("table", {},
     caption ? h("caption", {}, caption) : null,
     h("thead", {}, h("tr", {}, headings.map((heading) => h("th", { scope: "col" }, heading)))),
     h("tbody", {}, rows.map((row) => h("tr", {}, row.map((cell, place) =>
-      h(place === 0 ? "th" : "td", place === 0 ? { scope: "row" } : {}, cell)))))));
+      h(place === 0 ? "th" : "td", place === 0 ? { scope: "row" } : {}, place === 0 ? breakable(cell) : cell)))))));
 }

@@ -4,9 +4,9 @@ import { h, fill, number, seconds, text } from "./dom.js";
 
 // What an experiment is made of, in words; `unit` is that of its amplitude.
 const WORDS = {
-  amplitude_deg: (x) => `amplitude ${number(x)} deg`, amplitude: (x, unit) => `amplitude ${number(x)} ${unit}`,
-  start_frequency: (x) => `from ${number(x)} Hz`, stop_frequency: (x) => `to ${number(x)} Hz`, frequency: (x) => `${number(x)} Hz`,
-  frequencies: (x) => `${x.map((each) => number(each)).join(", ")} Hz`, width: (x) => `${number(x)} s wide`, lines: (x) => `${number(x)} lines`,
+  amplitude_deg: (x) => `amplitude ${number(x)}\u00a0deg`, amplitude: (x, unit) => `amplitude ${number(x)}\u00a0${unit}`,
+  start_frequency: (x) => `from ${number(x)}\u00a0Hz`, stop_frequency: (x) => `to ${number(x)}\u00a0Hz`, frequency: (x) => `${number(x)}\u00a0Hz`,
+  frequencies: (x) => `${x.map((each) => number(each)).join(", ")}\u00a0Hz`, width: (x) => `${number(x)}\u00a0s wide`, lines: (x) => `${number(x)} lines`,
 };
 
 export class Experiments {
@@ -42,8 +42,9 @@ export class Experiments {
 
   over(name, reply) {
     this.outcome.dataset.ok = String(reply.ok);
-    const early = reply.ok && reply.text;
-    text(this.outcome, `${name}: ${reply.ok ? (early ? `ended early: ${reply.text}` : "accepted, it did what it should") : `${reply.code}: ${reply.text}`}`.replace(/[^.]$/, "$&.")
+    const words = this.app.told(reply.text);
+    const came = !reply.ok ? `${reply.code}: ${words}` : words ? `ended early: ${words}` : "accepted, it did what it should";
+    text(this.outcome, `${name}: ${came}`.replace(/[^.]$/, "$&.")
       + (typeof reply.recording === "string" ? ` Recording: ${reply.recording.split("/").pop()}` : ""));
   }
 
@@ -62,7 +63,7 @@ export class Experiments {
       button.title = !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file"
         : running ? "An experiment is running" : state.interlocks.join(" ");
     }
-    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${this.app.holder(state)}`);
+    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${this.app.told(state.held_by || "nobody")}`);
     else {
       text(this.what, !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file."
         : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "Nothing is running.");
@@ -73,7 +74,7 @@ export class Experiments {
   progress(message) {
     if (this.app.state?.mode === "running") {
       this.bar.value = Math.min(1, Math.max(0, message.fraction));
-      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.holder(this.app.state)}`);
+      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.told(this.app.state.held_by || "nobody")}`);
     }
   }
 }

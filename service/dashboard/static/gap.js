@@ -1,6 +1,6 @@
 // Gap: where the model fails, which torque is missing and by what it goes, which effects explain it, and what adding does.
 
-import { h, fill, number, table } from "./dom.js";
+import { h, fill, number, table, unit } from "./dom.js";
 import { Chart } from "./charts.js";
 import { ask, picker, run } from "./jobs.js";
 
@@ -18,6 +18,7 @@ export class Gap {
     this.repair = h("div", { id: "gap-repair" });
     this.model = h("div", { id: "gap-model" });
     this.charts = [];
+    this.effects = [];
     fill(place,
       h("h2", {}, "While it runs"), this.live,
       h("h2", {}, "On a recording"),
@@ -42,20 +43,20 @@ export class Gap {
   }
 
   rank(place, diagnosis, whole) {
-    const key = JSON.stringify([diagnosis.verdict, diagnosis.findings, diagnosis.seconds]);
+    const key = JSON.stringify([diagnosis.verdict, diagnosis.findings, diagnosis.seconds, this.effects]);
     if (place.dataset.key === key) return; // a button must not vanish under the finger
     place.dataset.key = key;
-    const verdict = { adequate: "The model is adequate: nothing shows that it lacks.", missing_effect: "An effect is missing.",
+    const verdict = { adequate: "The model is adequate.", missing_effect: "An effect is missing.",
       unknown: "Something is missing that has no name here.", insufficient_data: "This record cannot tell yet." }[diagnosis.verdict] ?? "";
     const rows = diagnosis.findings.map((each, place) => {
       const sizes = Object.entries(each.parameters ?? {}).map(([name, entry]) =>
-        `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : entry.unit ?? ""}`).join(", ");
-      const add = EFFECT.test(each.effect) ? h("button", { class: "primary", "data-add": each.effect, onclick: () => this.add(each.effect) }, "Add") : null;
+        `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : unit(entry.unit)}`).join(", ");
+      const add = this.effects.includes(each.effect) ? "added" : EFFECT.test(each.effect) ? h("button", { class: "primary", "data-add": each.effect, onclick: () => this.add(each.effect) }, "Add") : null;
       return [`${place + 1}. ${each.effect}`, sizes, typeof each.since === "number" && each.since ? `since ${number(each.since, 4)} s` : "",
         typeof each.probability === "number" ? percent(100 * each.probability) : "–", percent(each.held_out_error_closed_percent),
         (each.tied_with ?? []).length ? `tied with ${each.tied_with.join(", ")}` : "", add];
     });
-    fill(place, h("p", { class: diagnosis.adequate ? "good" : "told" }, verdict, diagnosis.reason ? ` (${diagnosis.reason})` : ""),
+    fill(place, h("p", { class: diagnosis.adequate ? "good" : "told" }, diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replaceAll("+-", "± ").replace(/\.$/, "")}.` : verdict),
       rows.length ? table(["Effect", "Size", "", "Probability", "Held-out error closed", "Ties", ""], rows) : null,
       whole && typeof diagnosis.innovation_ratio_before === "number" && typeof diagnosis.innovation_ratio_after === "number"
         ? h("p", {}, `Innovation ratio: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} with it.`) : null,
@@ -89,9 +90,9 @@ export class Gap {
       h("p", {}, `Innovation ratio ${number(model.innovation_ratio, 3)}. `, (model.summary ?? []).join(" ")),
       h("div", { class: "charts" }, coordinates.map((coordinate) => this.missing(coordinate, state.filter((each) => each.coordinate === coordinate)))),
       time.length ? table(["From", "To", "Channel", "Energy over the floor"], top(time, "energy_over_floor").map((each) =>
-        [`${number(each.from, 4)} s`, `${number(each.to, 4)} s`, each.channel, number(each.energy_over_floor, 3)]), "Where in time") : null,
+        [`${number(each.from, 4)}\u00a0s`, `${number(each.to, 4)}\u00a0s`, each.channel, number(each.energy_over_floor, 3)]), "Where in time") : null,
       frequency.length ? table(["From", "To", "Channel", "Power over the floor"], top(frequency, "power_over_floor").map((each) =>
-        [`${number(each.from_hz, 3)} Hz`, `${number(each.to_hz, 3)} Hz`, each.channel, number(each.power_over_floor, 3)]), "Where in frequency") : null);
+        [`${number(each.from_hz, 3)}\u00a0Hz`, `${number(each.to_hz, 3)}\u00a0Hz`, each.channel, number(each.power_over_floor, 3)]), "Where in frequency") : null);
   }
 
   missing(coordinate, bins) {
@@ -136,7 +137,8 @@ export class Gap {
 
   async tellModel() {
     const { model } = await ask("api/model");
-    const effects = model?.effects ?? [];
+    const effects = this.effects = model?.effects ?? [];
+    this.draw();
     const undo = effects.length ? h("button", { id: "gap-undo", onclick: () => this.undo() }, `Take back ${effects.at(-1)}`) : null;
     fill(this.model, h("p", {}, model ? `Added so far: ${effects.join(", ") || "nothing"}.` : "The vehicle's own with its CAD values; nothing added yet."), undo);
   }

@@ -1,6 +1,6 @@
 // Identify: the parameters as they settle while the vehicle moves, and on a recording all methods side by side.
 
-import { h, fill, number, table } from "./dom.js";
+import { h, fill, number, table, unit } from "./dom.js";
 import { Chart } from "./charts.js";
 import { picker, run } from "./jobs.js";
 
@@ -56,7 +56,7 @@ export class Identify {
     let track = this.tracks.get(name);
     if (!track && this.tracks.size < 20) {
       const box = h("div", { class: "plot" });
-      const figure = h("figure", { class: "chart", hidden: true }, h("figcaption", {}, `${name}, ${entry.unit ?? ""}`), box);
+      const figure = h("figure", { class: "chart", hidden: true }, h("figcaption", {}, `${name}, ${unit(entry.unit)}`), box);
       this.plots.append(figure);
       const chart = new Chart(box, { xLabel: "s", series: [
         { label: "estimate with its 95 % band", stroke: "blue", width: 2 }, { label: "", stroke: "blue", width: 0.5 },
@@ -74,7 +74,7 @@ export class Identify {
     this.drawn = performance.now();
     if (this.latest) {
       fill(this.now, table(["Parameter", "Value", "±", "Unit", "CAD", "Method", "Status", ""], Object.entries(this.latest).map(([name, entry]) => [
-        name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, number(entry.value, 5)), number(entry.std, 2), String(entry.unit ?? ""),
+        name, h("output", { "data-parameter": name, "data-si": String(entry.value) }, number(entry.value, 5)), number(entry.std, 2), unit(entry.unit),
         number(this.app.config.parameters[name]?.value, 5), String(entry.method ?? ""), String(entry.status ?? ""), String(entry.reason ?? "")])));
     }
     for (const { chart, data, figure } of this.tracks.values()) {
@@ -100,9 +100,12 @@ export class Identify {
     const known = rows.filter(([, entry]) => typeof entry.value === "number");
     const ends = known.flatMap(([, { value, std }]) => [value - BAND * (std ?? 0), value + BAND * (std ?? 0)]);
     const middle = known.map(([, { value }]) => value).sort((a, b) => a - b)[known.length >> 1] ?? 0;
-    const reach = Math.max(1e-12, Math.min(Math.max(...ends.map((end) => Math.abs(end - middle)), 0), 0.3 * Math.abs(middle) || Infinity));
+    const band = BAND * (known.map(([, { std }]) => std ?? 0).sort((a, b) => a - b)[known.length >> 1] ?? 0);
+    // One that is far off does not make the others a point.
+    const most = Math.max(0.3 * Math.abs(middle), 4 * band) || Infinity;
+    const reach = Math.max(1e-12, 1.05 * Math.min(Math.max(...ends.map((end) => Math.abs(end - middle)), 0), most));
     const place = (value) => Math.min(100, Math.max(0, 50 + 50 * (value - middle) / reach));
-    const unit = known[0]?.[1].unit ?? "";
+    const its = unit(known[0]?.[1].unit);
     return table(["Method", "Value", "±", ""], rows.map(([method, entry, each]) => {
       const bar = h("div", { class: "interval", role: "img", "aria-label": `${number(entry.value, 5)} ± ${number(entry.std, 2)}` });
       if (typeof entry.value === "number") {
@@ -114,6 +117,6 @@ export class Identify {
         bar.append(line, dot);
       }
       return [method, number(entry.value, 5), number(entry.std, 2), entry.value === null || entry.value === undefined ? String(each.reason || entry.reason || "") : bar];
-    }), `${parameter}${unit ? `, ${unit}` : ""}`);
+    }), `${parameter}${its ? `, ${its}` : ""}`);
   }
 }

@@ -8,6 +8,7 @@ const SLOW = 6000; // ms after which a link that had to catch up is no longer sa
 const LATEST = 2; // s by which telemetry may be late before it is left out until the link has caught up
 
 const random = () => Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+const decoder = new TextDecoder();
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
 const isText = (value) => typeof value === "string";
 const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
@@ -21,13 +22,17 @@ const CHECKS = {
   event: (m) => isText(m.severity) && isText(m.text),
 };
 
+// What a batch has besides its columns.
+const BESIDES = new Set(["t0", "dt", "health", "predictions"]);
+
 function isTelemetry(message) {
   if (!isNumber(message.t0) || !isNumber(message.dt) || message.dt <= 0) return false;
   let rows = 0;
-  for (const [key, value] of Object.entries(message)) {
-    if (["t0", "dt", "health", "predictions"].includes(key)) continue;
+  for (const key in message) {
+    if (BESIDES.has(key)) continue;
+    const value = message[key];
     if (!Array.isArray(value) || value.length > 5000 || (rows && value.length !== rows)) return false;
-    if (!value.every((each) => each === null || isNumber(each))) return false;
+    for (let row = 0; row < value.length; row += 1) if (value[row] !== null && !isNumber(value[row])) return false;
     rows = value.length;
   }
   const predictions = message.predictions ?? [];
@@ -38,8 +43,8 @@ function isTelemetry(message) {
 
 // When the last row of a batch was measured.
 export function newest(message) {
-  const rows = Object.entries(message).find(([key, value]) => key !== "predictions" && Array.isArray(value))[1].length;
-  return message.t0 + (rows - 1) * message.dt;
+  for (const key in message) if (!BESIDES.has(key)) return message.t0 + (message[key].length - 1) * message.dt;
+  return message.t0;
 }
 
 export class Link {
@@ -69,6 +74,7 @@ export class Link {
     const socket = this.socket = mqtt.connect(this.config.websocket, {
       ...this.login, clientId: this.client, clean: true, keepalive: 10, reconnectPeriod: 1000, connectTimeout: 5000,
       queueQoSZero: false, resubscribe: false, timerVariant: "native",
+      writeCache: false, // else a buffer for each number up to 65535 is made and kept: 8 MB
     });
     socket.on("connect", () => {
       const mine = `${this.config.topic}/`;
@@ -99,7 +105,7 @@ export class Link {
   take(topic, payload) {
     const name = topic.slice(this.config.topic.length + 1);
     if (payload.length > LARGEST) return this.ignore("huge");
-    const words = new TextDecoder().decode(payload);
+    const words = decoder.decode(payload);
     if (name === "status") {
       this.online = words === "online";
       return this.handlers.link(this, false);

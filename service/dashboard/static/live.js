@@ -12,8 +12,8 @@ export class Live {
   constructor(place, app) {
     this.app = app;
     const charts = app.config.charts;
-    const names = [...new Set(charts.flatMap((chart) => chart.curves.map(source)))];
-    this.rolling = new Rolling(names);
+    this.sources = Object.fromEntries(charts.map((chart) => [chart.id, chart.curves.map(source)]));
+    this.rolling = new Rolling([...new Set(Object.values(this.sources).flat())]);
     this.values = {};
     this.told = 0;
     this.events = [];
@@ -44,7 +44,7 @@ export class Live {
   state(state) {
     const words = [...state.faults.map((fault) => `Fault: ${fault.text}`), ...state.interlocks];
     fill(this.interlocks, words.length ? words.map((each) => h("li", {}, each)) : h("li", { class: "good" }, "Nothing: an experiment may start."));
-    text(this.figures.held, this.app.holder(state));
+    text(this.figures.held, this.app.told(state.held_by || "nobody"));
   }
 
   telemetry(message) {
@@ -68,17 +68,17 @@ export class Live {
     this.none.hidden = true;
     this.events.unshift(event);
     this.events.length = Math.min(this.events.length, 30);
-    fill(this.log, this.events.map((each) => h("li", { "data-severity": each.severity }, each.text)));
+    fill(this.log, this.events.map((each) => h("li", { "data-severity": each.severity }, each.text.replaceAll("+-", "± "))));
   }
 
   draw() {
     if (!this.rolling.length) return;
     const told = performance.now() - this.told > READABLE;
     if (told) this.told = performance.now();
+    this.rolling.mark();
     for (const chart of this.app.config.charts) {
-      const data = this.rolling.shown(chart.curves.map(source));
-      this.values[chart.id].set(data);
-      const last = data[1].at(-1), output = this.now[chart.id];
+      this.values[chart.id].set(this.rolling.shown(this.sources[chart.id]));
+      const last = this.rolling.last(this.sources[chart.id][0]), output = this.now[chart.id];
       if (told) text(output, Number.isNaN(last) ? "–" : (last * chart.factor).toFixed(2));
       output.dataset.si = String(last);
       output.dataset.time = String(this.rolling.newest);

@@ -1,6 +1,7 @@
 // The page: views, the connection, and the one stop. Each view takes messages and draws itself when it is on the screen.
 
 import { $, fill, text } from "./dom.js";
+import { print } from "./charts.js";
 import { Link, newest } from "./link.js";
 import { Live } from "./live.js";
 import { Experiments } from "./experiments.js";
@@ -15,14 +16,15 @@ const LATE = 0.7; // s by which telemetry may be later than it first was
 const response = await fetch("api/config");
 const config = await response.json();
 const views = {};
-const app = { config, link: null, state: null, show, notice, stop, holder };
+const app = { config, link: null, state: null, show, notice, stop, told };
 let shown = "live";
 let heard = 0;
 let drawnAt = 0;
 const delays = [];
 
-function holder(state) {
-  return state?.held_by === `mqtt ${app.link?.client}` ? "this page" : state?.held_by ?? "nobody";
+// The vehicle's words, in which this page has its name at the broker.
+function told(words) {
+  return app.link ? String(words).replaceAll(`mqtt ${app.link.client}`, "this page") : String(words);
 }
 
 function notice(words) {
@@ -72,7 +74,7 @@ function tellState(state) {
   const mode = $("mode");
   text(mode, state.mode);
   mode.dataset.kind = { fault: "bad", running: "active", disarmed: "good" }[state.mode] ?? "warn";
-  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${state.phase}` : state.reason || "");
+  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${state.phase}` : told(state.reason || ""));
   tellLink();
   each("state", state);
 }
@@ -132,6 +134,9 @@ $("stop").addEventListener("click", stop);
 addEventListener("keydown", (event) => {
   if (event.key === "Escape") stop();
 }, true);
+addEventListener("beforeprint", () => print(true));
+addEventListener("afterprint", () => print(false));
+matchMedia("print").addEventListener("change", (event) => print(event.matches));
 addEventListener("hashchange", () => show(location.hash.slice(1)));
 show(views[location.hash.slice(1)] ? location.hash.slice(1) : "live");
 
@@ -158,5 +163,6 @@ app.link = new Link(config, {
   progress: (message) => each("progress", message),
   event: (message) => each("event", message),
 });
-setInterval(() => { tellLink(); tellLatency(); }, 250);
+setInterval(tellLink, 250);
+setInterval(tellLatency, 1000);
 requestAnimationFrame(frame);

@@ -1,9 +1,10 @@
 // Recordings: a list; one or two of them drawn over each other, what is known of them, the files, and the report.
 
-import { h, fill, number, table } from "./dom.js";
+import { h, fill, number, table, unit } from "./dom.js";
 import { Chart, turned } from "./charts.js";
 import { ask, run } from "./jobs.js";
 
+const WRITTEN = 3000; // ms after an experiment in which its estimates are written
 const PARTS = { recording: "recording", log: "raw log", estimates: "estimates" };
 
 export class Recordings {
@@ -17,9 +18,18 @@ export class Recordings {
     fill(place, h("h2", {}, "Recordings"), h("p", { class: "quiet" }, "Open one; choose a second to lay it over the first."), this.list, this.busy, this.detail);
   }
 
+  // An experiment that is over has files that were not there.
+  state(state) {
+    if (this.mode === "running" && state.mode !== "running") for (const later of [0, WRITTEN]) setTimeout(() => this.shown(), later);
+    this.mode = state.mode;
+  }
+
   async shown() {
     try {
       const { recordings } = await ask("api/recordings");
+      const key = JSON.stringify(recordings);
+      if (key === this.listed) return; // a button must not vanish under the finger
+      this.listed = key;
       fill(this.list, recordings.length ? table(["Recording", "Size", "", "Files", ""], recordings.map((each) => this.row(each))) : h("p", {}, "None yet."));
     } catch (error) {
       this.app.notice(error.message);
@@ -55,7 +65,7 @@ export class Recordings {
   facts(each) {
     const methods = Object.entries(each.estimates?.methods ?? {});
     const rows = methods.flatMap(([method, found]) => Object.entries(found.parameters ?? {}).map(([name, entry]) =>
-      [method, name, number(entry.value, 5), number(entry.std, 2), String(entry.unit ?? "")]));
+      [method, name, number(entry.value, 5), number(entry.std, 2), unit(entry.unit)]));
     return h("section", { class: "card wide" }, h("h3", {}, each.name),
       h("p", {}, `${number(each.seconds, 4)} s, ${each.rows} rows. Experiment ${each.metadata.experiment ?? "–"}, ended: ${each.metadata.end_reason || "as planned"}. ${each.truncated}`),
       rows.length ? h("details", {}, h("summary", {}, "Live estimates"), table(["Method", "Parameter", "Value", "±", "Unit"], rows)) : null);

@@ -69,10 +69,21 @@ export class Rolling {
     this.length -= first;
   }
 
+  // The newest value of this name.
+  last(name) {
+    return this.length ? this.columns[name][this.length - 1] : NaN;
+  }
+
+  // From now on the window is that before the newest point.
+  mark() {
+    this.first = this.after(this.newest - this.span);
+    const zero = this.newest;
+    for (let place = this.first; place < this.length; place += 1) this.ago[place] = this.time[place] - zero;
+    this.window = this.ago.subarray(this.first, this.length);
+  }
+
   // The window: seconds before the newest point, and the columns of these names.
   shown(names) {
-    const first = this.after(this.newest - this.span), zero = this.newest;
-    for (let place = first; place < this.length; place += 1) this.ago[place] = this.time[place] - zero;
-    return [this.ago, ...names.map((name) => this.columns[name])].map((column) => column.subarray(first, this.length));
+    return [this.window, ...names.map((name) => this.columns[name].subarray(this.first, this.length))];
   }
 }
