@@ -41,9 +41,13 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
-    """The recording with the drives sampled with the row where it does not say when: others record no such channel."""
+    """The recording with the drives sampled with the row where it does not say when: others record no such channel.
+
+    One that has no channel of the vehicle is of another machine, and stays as it is.
+    """
     table = assembly.channels(vehicle)
-    if AGE in recording.values or AGE not in table.names or recording.rate <= 0.0:
+    foreign = set(table.names).isdisjoint(recording.values)
+    if foreign or AGE in recording.values or AGE not in table.names or recording.rate <= 0.0:
         return recording
     note = f"there is no channel {AGE}: the drives are taken as sampled with each row, give or take a time offset"
     return replace(

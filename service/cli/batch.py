@@ -76,9 +76,13 @@ def identify(
     from math import tau
 
     from estimators.identify import identify as run
+    from service.machine import is_of, support_of
     from service.vehicle_file import load
 
     file = load(vehicle)
+    subject = identified_model(model, file)
+    cad = file.parameters
+    before = (cad.values, cad.deviations) if is_of(subject, file) else ({}, {})
     known = truths(truth or [])
     if picture is not None:
         from diagnosis.method_figure import check_suffix
@@ -89,11 +93,11 @@ def identify(
     with fitting() as progress:
         document = run(
             loaded,
-            file.parameters.values,
-            file.support,
+            before[0],
+            support_of(subject, file),
             method or (),
-            deviations=file.parameters.deviations,
-            model=identified_model(model, file),
+            deviations=before[1],
+            model=subject,
             every=every,
             bandwidth=None if bandwidth is None else tau * bandwidth,
             progress=progress,
@@ -106,7 +110,7 @@ def identify(
         from service.cli.identify_report import save_report
 
         with working() as step:
-            save_report(report, document, file, identified_model(model, file), recordings, loaded, known, step)
+            save_report(report, document, file, subject, recordings, loaded, known, step)
     if json:
         print_json(document)
     else:

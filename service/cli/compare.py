@@ -47,6 +47,7 @@ def compare(
     from diagnosis.compare import compare as run
     from service.cli.batch import load_recording, working
     from service.cli.compare_page import print_comparisons
+    from service.machine import name_of, support_of
     from service.recorded_loop import recorded_loop
     from service.vehicle_file import load
 
@@ -57,6 +58,8 @@ def compare(
     check_folder(report)
     file = load(vehicle)
     models = read_models(model or [], file)
+    subject = next(iter(models.values()))
+    support = support_of(subject, file)
     answers = []
     pictures = []
     with working() as step:
@@ -64,7 +67,7 @@ def compare(
             step(f"comparing: {path.name}")
             recording = load_recording(path, vehicle)
             loop = recorded_loop(file, recording)
-            found = run(models, [recording], support=file.support, loops=[loop], progress=step)
+            found = run(models, [recording], support=support, loops=[loop], progress=step)
             answers.append((path, found))
             if picture is not None:
                 from diagnosis.figures import save_comparison
@@ -77,7 +80,7 @@ def compare(
             from diagnosis.report import write_comparison
             from service.cli.diagnose import provenance
 
-            origin = provenance(file.vehicle.id, recordings)
+            origin = provenance(name_of(subject, file), recordings)
             told = [(str(path), found) for path, found in answers]
             report.write_text(write_comparison(told, provenance=origin, progress=step), encoding="utf-8")
     if json:
@@ -94,13 +97,14 @@ def compare(
 
 
 def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
-    """The models of `--model` by name, after the vehicle's own with its CAD values.
+    """The models of `--model` by name, after the vehicle's own with its CAD values where any of them is of the vehicle.
 
     Raises ModelError and RecordingError for what is no model, EstimationError for a vehicle that has no model of its
     own where none is given.
     """
     from estimators.contract import EstimationError
     from service.cli.batch import identified_model
+    from service.machine import is_of
 
     models: dict[str, Model] = {}
     try:
@@ -109,12 +113,13 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
         if not options:
             raise
     for option in options:
-        given = estimated(Path(option), models.get(CAD)) if option.endswith(".json") else {}
+        read = estimated(Path(option), models.get(CAD)) if option.endswith(".json") else {}
         if not option.endswith(".json"):
-            given[Path(option).stem if option.endswith(".toml") else option] = identified_model(option, vehicle)
-        for name, each in given.items():
+            read[Path(option).stem if option.endswith(".toml") else option] = identified_model(option, vehicle)
+        for name, each in read.items():
             models[name if name not in models else f"{name} ({Path(option).name})"] = each
-    return models
+    given = {name: each for name, each in models.items() if name != CAD}
+    return given if given and not any(is_of(each, vehicle) for each in given.values()) else models
 
 
 def estimated(path: Path, base: Model | None) -> dict[str, Model]:

@@ -83,6 +83,7 @@ def diagnose(
     from models.effects import CATALOGUE
     from models.library import ACTUATORS
     from service.cli.batch import identified_model, load_recording
+    from service.machine import is_of, name_of, support_of
     from service.next_experiment import suggest_for
     from service.vehicle_file import load
 
@@ -94,6 +95,7 @@ def diagnose(
     if model is None:  # what identification assumes beside the vehicle's own equations is to be found here
         for attached in nominal.effects:
             nominal = nominal.remove(attached.name)
+    support = support_of(nominal, file)
     cad = file.parameters
     actuators = [
         with_values(each, cad.values, cad.deviations)
@@ -106,10 +108,11 @@ def diagnose(
     loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
     with share_done() as progress:
         way = partial(diagnose_parts, nominal, actuators) if actuators else partial(run, nominal)
-        found = way(loaded, support=file.support, candidates=candidates, most=6 if auto else 3, progress=progress)
-        parts = shown_parts(found, nominal, loaded, file.support)
-        progress("choosing the next experiment", 1.0)
-        if parts[0][1] is nominal:  # experiments are predicted for the vehicle, which its actuators only move
+        found = way(loaded, support=support, candidates=candidates, most=6 if auto else 3, progress=progress)
+        parts = shown_parts(found, nominal, loaded, support)
+        # Experiments are predicted for the vehicle, which its actuators only move.
+        if parts[0][1] is nominal and is_of(nominal, file):
+            progress("choosing the next experiment", 1.0)
             found = replace(found, suggested_experiment=suggest_for(file, parts[0][0], nominal, loaded))
         if found.verdict is Verdict.UNKNOWN and model is None:
             progress("looking for what sets in during the run", 1.0)
@@ -117,13 +120,13 @@ def diagnose(
         if report is not None:
             from diagnosis.report import write_report
 
-            origin = provenance(file.vehicle.id, recordings)
+            origin = provenance(name_of(nominal, file), recordings)
             for (part, bare, seen), path in zip(parts, report_paths(report, len(parts)), strict=True):
                 text = write_report(
                     replace(part, suggested_experiment=found.suggested_experiment),
                     bare,
                     seen,
-                    support=file.support,
+                    support=support,
                     provenance=origin,
                     progress=lambda text: progress(text, 1.0),
                 )
@@ -147,7 +150,7 @@ def diagnose(
 
 
 def shown_parts(
-    found: Diagnosis, nominal: Model, loaded: Sequence[Recording], support: float
+    found: Diagnosis, nominal: Model, loaded: Sequence[Recording], support: float | None
 ) -> list[tuple[Diagnosis, Model, Sequence[Recording]]]:
     """What a report is on, with the bare model and the recordings of each: the vehicle, or else the part with the
     likeliest effect first, and the other one where it lacks something, too."""

@@ -10,6 +10,7 @@ from diagnosis.compare import Comparison, compare
 from diagnosis.report import write_identification
 from models.model import Model
 from service.cli.diagnose import provenance
+from service.machine import name_of, support_of
 from service.recorded_loop import recorded_loop
 from service.vehicle_file import VehicleFile
 from telemetry.errors import UprightError
@@ -35,7 +36,7 @@ def save_report(
         truth=truth,
         comparisons=comparisons,
         why=why,
-        provenance=provenance(vehicle.vehicle.id, list(paths)),
+        provenance=provenance(name_of(model, vehicle), list(paths)),
         progress=step,
     )
     target.write_text(text, encoding="utf-8")
@@ -58,6 +59,6 @@ def _compared(
     models = {"CAD": model, best: model.change(values)}
     try:
         loops = [recorded_loop(vehicle, recording) for recording in recordings]
-        return compare(models, recordings, support=vehicle.support, loops=loops, progress=step), ""
+        return compare(models, recordings, support=support_of(model, vehicle), loops=loops, progress=step), ""
     except UprightError as error:
         return [], f"The models could not be run over the recordings: {error}"
