@@ -25,6 +25,12 @@ SHAPED = 0.12
 """Share of what the named effects gained in log likelihood that a shape without a name may gain beside them.
 
 Dry friction with bristles leaves 2 to 11 % of what tanh gained, a wrong name 17 % and more."""
+EXPLAINED = 0.5
+"""Share of what is left that a shape without a name may explain: the friction of an axis, by its right name, leaves a
+rest of which a curve over the rate explains a fifth; that of cubic drag, called quadratic, nine tenths.
+
+Where a record shows much of an effect, what its formula lacks is far above the noise, and the noise of the fit stands
+in for it: the gain says little then."""
 CHANCE = 1e-3
 """Probability of a shape's gain, were it chance."""
 MOST = 0.5
@@ -51,7 +57,9 @@ class Adequacy:
     @property
     def shaped(self) -> bool:
         """Whether a force without a name goes with something."""
-        return self.shape is not None and self.shape.p_value < CHANCE and self.shape.gain > SHAPED * self.gained
+        if self.shape is None or self.shape.p_value >= CHANCE:
+            return False
+        return self.shape.gain > SHAPED * self.gained or self.shape.share > EXPLAINED
 
     @property
     def named(self) -> bool:
@@ -75,7 +83,7 @@ class Adequacy:
         share = f", {100.0 * shape.gain / self.gained:.0f} % of what the named effects gained" if self.gained else ""
         return (
             f"A force at {shape.joint} that goes with {shape.name}, of no known shape, would still raise the log "
-            f"likelihood by {shape.gain:.3g}{share}."
+            f"likelihood by {shape.gain:.3g}{share}, and explains {100.0 * shape.share:.0f} % of what is left."
         )
 
 

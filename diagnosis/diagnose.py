@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy
+from diagnosis.disturbed import disturbed
 from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_apart
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
@@ -54,7 +55,7 @@ def diagnose(
     """
     tell = progress or (lambda text, share: None)
     tell("reading the data", 0.0)
-    model = as_recorded(model, recordings)
+    model = disturbed(as_recorded(model, recordings))
     try:
         check(model, recordings, support)
         workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))

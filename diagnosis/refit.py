@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, Minimum, minimise
-from estimators.methods.prediction_error import Fit, fit
+from estimators.methods.prediction_error import Begin, Fit, fit
 from models.effect import Place
 from models.model import Model
 from models.sensing import delayed
@@ -39,11 +39,13 @@ HALVINGS = 6
 
 @dataclass(frozen=True, slots=True)
 class QuickFit:
-    """`values` of the effect's parameters; `gain`: rise of the log likelihood at the noise of the model alone."""
+    """`values` of the effect's parameters; `gain`: rise of the log likelihood at the noise of the model alone; `end`:
+    where all parameters are with it, and that noise."""
 
     candidate: Candidate
     values: Mapping[str, float]
     gain: float
+    end: Begin | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +151,9 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
                 break
     if minimum is None:
         return QuickFit(candidate, dict(start), -np.inf)
-    names = [p.name for p in further]
-    return QuickFit(candidate, dict(zip(names, minimum.common[size:].tolist(), strict=True)), cost - minimum.cost)
+    everything = dict(zip([p.name for p in task.parameters], minimum.common.tolist(), strict=True))
+    values = {p.name: everything[p.name] for p in further}
+    return QuickFit(candidate, values, cost - minimum.cost, replace(base.end, values=everything))
 
 
 def shape_spread(value: float, typical: float) -> float:
@@ -158,9 +161,20 @@ def shape_spread(value: float, typical: float) -> float:
     return max(abs(value), typical)
 
 
-def full(model: Model, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
-    """The fit of `model` with its noise. `candidate` is the effect that was added last."""
-    fitted = fit(workspace.problem(model))
+def full(
+    model: Model,
+    workspace: Workspace,
+    candidate: Candidate | None = None,
+    begin: Begin | None = None,
+    longer: int = 0,
+) -> FullFit:
+    """The fit of `model` with its noise, from its values on, or from `begin`. `candidate` is the effect that was added
+    last. One that does not settle goes on where it ended, as often as `longer`."""
+    fitted = fit(workspace.problem(model), begin=begin)
+    for _ in range(longer):
+        if fitted.minimum.converged:
+            break
+        fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end)
     own = {p.name for each in model.effects for p in each.parameters}
     count = sum(p.estimated for p in model.parameters if p.name in own)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, of_actuators
 from diagnosis.ahead import errors, on, sensor_floors
 from diagnosis.candidates import Candidate
+from diagnosis.disturbed import disturbed
 from diagnosis.drop_tests import DropTest as DropTest
 from diagnosis.drop_tests import drop_tests as drop_tests
 from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
@@ -94,7 +95,7 @@ def repair(
         there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
         found = _repair(rows, effect, there, unseen, at, support, told)
         return replace(found, model=as_recorded_rows(model, found.model))
-    return _repair(as_recorded(model, recordings), effect, recordings, held_out, at, support, told)
+    return _repair(disturbed(as_recorded(model, recordings)), effect, recordings, held_out, at, support, told)
 
 
 def _repair(

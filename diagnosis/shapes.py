@@ -40,39 +40,41 @@ LEAST = 1e-6
 class Shape:
     """What a force of one kind of shape would gain in log likelihood, beyond what chance gains, and how likely that is.
 
-    `name` is what it goes with at `joint`, `p_value` with all kinds looked at.
+    `name` is what it goes with at `joint`, `p_value` with all kinds looked at, `share` how much of the innovations'
+    energy it explains. The gain is at the noise of the fit, which had to stand in for what is missing: where little
+    else is left, the share tells more.
     """
 
     joint: str
     name: str
     gain: float
     p_value: float
+    share: float = 0.0
 
 
 def shapes(found: Innovations, probed: Probe) -> list[Shape]:
     """All kinds at all joints, the one that gains most first. `found` has the fit itself, with its own gain."""
     white = Whitened.of(found.fit)
-    tried: list[tuple[str, str, float, int, int]] = []
+    tried: list[tuple[str, str, _Gain, int]] = []
     for place, joint in enumerate(probed.joints):
         design = _Design(white, found, probed, place)
         for name, width, members in _kinds(found, probed, place):
             columns = design.columns(members)
             pieces = [columns[:, first : first + width] for first in range(0, columns.shape[1], width)]
-            statistics = [design.statistic(piece) for piece in pieces]
-            statistic, rank = max(statistics, key=lambda each: each[0] - each[1])
-            tried.append((joint.name, name, statistic, rank, len(pieces)))
+            best = max(map(design.gain, pieces), key=lambda each: each.beyond)
+            tried.append((joint.name, name, best, len(pieces)))
         for name, slope in _slopes(probed, place):
             frequencies, lines = design.strongest(slope)
             swings = [_lines(segment.time, frequencies) for segment in found.problem.segments]
             columns = design.columns(_times(swings, slope))
-            statistics = [design.statistic(columns[:, first : first + 2]) for first in range(0, columns.shape[1], 2)]
-            statistic, rank = max(statistics, key=lambda each: each[0] - each[1])
-            tried.append((joint.name, f"{name} swinging in time", statistic, rank, lines))
+            pieces = [columns[:, first : first + 2] for first in range(0, columns.shape[1], 2)]
+            best = max(map(design.gain, pieces), key=lambda each: each.beyond)
+            tried.append((joint.name, f"{name} swinging in time", best, lines))
     kinds = max(len(tried), 1)
     ranked = [
-        Shape(joint, name, 0.5 * (statistic - rank), min(1.0, kinds * pieces * float(chi2.sf(statistic, rank))))
-        for joint, name, statistic, rank, pieces in tried
-        if rank
+        Shape(joint, name, best.beyond, min(1.0, kinds * pieces * best.by_chance), best.share)
+        for joint, name, best, pieces in tried
+        if best.rank
     ]
     return sorted(ranked, key=lambda each: -each.gain)
 
@@ -124,6 +126,30 @@ def _lines(values: Array, frequencies: Array) -> Array:
     """Sine and cosine of each frequency in turn, (n, 2 m)."""
     turns = 2.0 * np.pi * values[:, None] * frequencies
     return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(values), -1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Gain:
+    """`explained` by `rank` columns, of the whole `energy` of the whitened innovations; these scatter `inflation` times
+    as much as if they were independent of each other."""
+
+    explained: float
+    energy: float
+    rank: int
+    inflation: float
+
+    @property
+    def beyond(self) -> float:
+        """Of the log likelihood, beyond what chance gains."""
+        return 0.5 * (self.explained / self.inflation - self.rank)
+
+    @property
+    def share(self) -> float:
+        return self.explained / max(self.energy, self.explained, 1e-300)
+
+    @property
+    def by_chance(self) -> float:
+        return float(chi2.sf(self.explained / self.inflation, self.rank))
 
 
 class _Design:
@@ -183,16 +209,16 @@ class _Design:
             chosen.append(float(lines[np.argmax(power)]))
         return np.array(chosen), max(BANDS, math.ceil(told))
 
-    def statistic(self, columns: Array) -> tuple[float, int]:
-        """Chi squared of unit columns (n, m), and its degrees of freedom; the blocks' scatter counts where larger."""
+    def gain(self, columns: Array) -> _Gain:
+        """Of unit columns (n, m); the blocks' scatter counts where it is larger than chance has it."""
         values, vectors = np.linalg.eigh(columns.T @ columns)
         kept = values > LEAST
         if not kept.any():
-            return 0.0, 0
+            return _Gain(0.0, 0.0, 0, 1.0)
         basis = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
         residual = self.white.residual
         sizes = basis.T @ residual
         rest = basis * (residual - basis @ sizes)[:, None]
         sums = np.add.reduceat(rest[self.order], self.edges, axis=0)
         inflation = max(1.0, float(np.sum(sums**2)) / len(sizes))
-        return float(sizes @ sizes) / inflation, len(sizes)
+        return _Gain(float(sizes @ sizes), float(residual @ residual), len(sizes), inflation)

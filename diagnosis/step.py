@@ -35,8 +35,13 @@ WORTH_A_FIT = 1e-3
 """p-value, of one candidate alone, below which it gets a quick fit."""
 WORTH = -float(np.log(TIED))
 """Logarithm of the odds to "none" that an effect has to have."""
+FAR = 4.0
+"""Inflation of a score above which every candidate gets a quick fit, and twice as many a full one: the innovations are
+so far from white that what is missing counts against the very effect that it is."""
 CONTENDERS = 6
 """Full fits a step, at most."""
+FURTHER_FITS = 2
+"""Times that a fit which does not settle goes on."""
 CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
 CHECKED = 3
@@ -131,6 +136,9 @@ def _contenders(
 ) -> list[FullFit]:
     """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
+    far = any(score.inflation > FAR for score in worth)
+    if far:
+        worth = list(screened.scores)
     # Where the model alone is far off, a line from there may miss what would do the same as the surest.
     near = worth[0].candidate.effect.confused_with if worth else ()
     worth += [score for score in screened.scores if score.candidate.name in near and score not in worth]
@@ -142,13 +150,15 @@ def _contenders(
         tell(f"tried {each.candidate.effect.title}", 0.6 * len(quicks) / len(worth))
     quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
     quicks.sort(key=lambda each: -each.gain)
-    chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain][:CONTENDERS]
+    chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain]
+    chosen = chosen[: CONTENDERS * (2 if far else 1)]
     fits = list(hidden)
     chosen = [each for each in chosen if each.candidate.name not in {fit.name for fit in hidden}]
 
     def fitted(each: QuickFit) -> FullFit | None:
+        model = with_effect(base.model, each.candidate, each.values)
         try:
-            return full(with_effect(base.model, each.candidate, each.values), workspace, each.candidate)
+            return full(model, workspace, each.candidate, each.end, longer=FURTHER_FITS)
         except ArithmeticError:
             return None
 

@@ -96,7 +96,7 @@ class UnseenCheck:
             others = tuple({each.effect.name: each.effect for each in workspace.others(base)}.values())
             self._few[part.begin] = Workspace.of(base, part.seen, workspace.support, others)
         few = self._few[part.begin]
-        with_it = full(best.model, few).fit
+        with_it = full(best.model, few, begin=best.fit.end).fit
         told = result(with_it, 0.0).parameters
         sizes = [told[name] for each in further for name in each.amplitudes]
         if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
@@ -108,7 +108,7 @@ class UnseenCheck:
         if any(told[name].status in NOT_TOLD for name in instants):
             return None
         if part.begin not in self._without:
-            self._without[part.begin] = full(base, few).fit
+            self._without[part.begin] = full(base, few, begin=self._base.fit.end).fit
         return self._without[part.begin], with_it
 
 

@@ -167,10 +167,8 @@ def descend(
         curvature = reduced + missing if _is_definite((information + missing)[some]) else reduced
         fall = reserve + 0.5 * float(slope[free] @ _solved(curvature[some], slope[free]))
         done = fall <= enough
-        stiffer = (max(damping, LAST_DAMPING) if done else damping) * np.diag(np.diag(information)[free] + 1e-12)
-        step = np.zeros_like(common)
-        step[free] = -_solved(curvature[some] + stiffer, slope[free])
-        step *= min(1.0, reach / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
+        stiffer = (max(damping, LAST_DAMPING) if done else damping) * np.diag(np.diag(information) + 1e-12)
+        step = _step(curvature + stiffer, slope, free, (lower - common) / scale, (upper - common) / scale, reach)
         trial = np.clip(common + scale * step, lower, upper)
         step = (trial - common) / scale
         moves = [-(gain @ step + offset) for gain, offset in parts]
@@ -244,6 +242,23 @@ def _solved(matrix: Array, vector: Array) -> Array:
     told = squares > ROUNDING * squares[-1]
     along = (turned.T @ (vector / size))[told] / squares[told]
     return np.asarray(turned[:, told] @ along / size)
+
+
+def _step(curvature: Array, slope: Array, free: NDArray[np.bool_], lower: Array, upper: Array, reach: float) -> Array:
+    """The step of the `free` unknowns, none longer than `reach`. Where it leads beyond a bound, that unknown ends there
+    and the others make up for it: along a valley, half of a joint step leads uphill."""
+    step = np.zeros(len(slope))
+    free = free.copy()
+    while free.any():
+        some = np.ix_(free, free)
+        step[free] = -_solved(curvature[some], slope[free] + curvature[np.ix_(free, ~free)] @ step[~free])
+        step[free] *= min(1.0, reach / max(float(np.max(np.abs(step[free]))), 1e-300))
+        beyond = free & ((step < lower) | (step > upper))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step[beyond], lower[beyond], upper[beyond])
+        free &= ~beyond
+    return step
 
 
 def _is_definite(matrix: Array) -> bool:

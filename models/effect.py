@@ -86,13 +86,15 @@ class EffectParameter:
 @dataclass(frozen=True, slots=True)
 class EffectState:
     """A state of an effect with memory, at rest at 0. `initial`: of a sensor's, the reading (angle or rate) that it has
-    at the first row of a record."""
+    at the first row of a record. `spread`: standard deviation of what it may be there, in the place's scales; of what
+    goes on swinging, as no row tells."""
 
     name: str
     unit: str
     derivative: str
     meaning: str = ""
     initial: str = ""
+    spread: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +206,7 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
             _unit(state.unit, offered.units, f"effect {effect.name}, state {state.name}"),
             state.derivative,
             initial=_shown(place, state.initial) or "0",
+            initial_std=number(state.spread, offered.scales, f"state {state.name}, spread") if state.spread else 0.0,
             meaning=state.meaning,
         )
         for state in effect.states

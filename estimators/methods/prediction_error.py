@@ -8,7 +8,7 @@ fit, each stretch with an initial state of its own. Source: Ljung, "System ident
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,8 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 METHOD = "prediction_error"
+SETTLING = 3
+"""Steps of the initial states alone, where a fit begins at values that were fitted to other rows."""
 ITERATIONS = 60
 """Steps at most."""
 ENOUGH = 1e-3
@@ -47,6 +49,16 @@ class Step:
 
     cost: float
     common: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Where a fit begins other than at what was known before: `values` by parameter, others at the model's; `noise`
+    (q,), the logarithms of it that are estimated. From far off, the first steps of the others would drive a frequency
+    or an instant into a minimum beside its own."""
+
+    values: Mapping[str, float]
+    noise: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +80,13 @@ class Fit:
     def values(self) -> Array:
         """All parameter values, (np,)."""
         return self.problem.values(self.minimum.common[: len(self.problem.free)])
+
+    @property
+    def end(self) -> Begin:
+        """Where a fit of more data, of less, or with more parameters may begin."""
+        names = [parameter.name for parameter in self.problem.parameters]
+        values = dict(zip(names, self.minimum.common.tolist(), strict=False))
+        return Begin(values, self.minimum.common[len(names) :])
 
     @property
     def starts(self) -> list[Array]:
@@ -113,8 +132,15 @@ def prediction_error(
     return result(fit(task, prior=prior), began)
 
 
-def fit(task: Problem, *, prior: bool = True, iterations: int = ITERATIONS, near: Fit | None = None) -> Fit:
-    """Parameters and noise from the model's values on, in so many steps at most.
+def fit(
+    task: Problem,
+    *,
+    prior: bool = True,
+    iterations: int = ITERATIONS,
+    near: Fit | None = None,
+    begin: Begin | None = None,
+) -> Fit:
+    """Parameters and noise from the model's values on, or from `begin`, in so many steps at most.
 
     Noise and initial states begin as in the fit `near`, of the same data, where there is one.
     Raises ArithmeticError where even these values run away.
@@ -129,6 +155,9 @@ def fit(task: Problem, *, prior: bool = True, iterations: int = ITERATIONS, near
     if near is not None:
         common = np.concatenate((task.start, near.minimum.common[len(near.problem.free) :]))
         own = list(near.minimum.own)[: len(own)]
+    if begin is not None:
+        told = [begin.values.get(parameter.name, parameter.value) for parameter in task.parameters]
+        common = np.concatenate((told, begin.noise))
     steps: list[Step] = []
     while True:
         inside = InLogarithms.of(likelihood)
@@ -139,6 +168,8 @@ def fit(task: Problem, *, prior: bool = True, iterations: int = ITERATIONS, near
                 steps.append(Step(seen.cost, inside.natural(common)))
             return seen
 
+        if begin is not None and near is None and not steps:
+            own = _settled(expand, inside.inside(common), own)
         found = descend(
             expand,
             inside.inside(common),
@@ -162,6 +193,24 @@ def fit(task: Problem, *, prior: bool = True, iterations: int = ITERATIONS, near
             return Fit(task, minimum, gain, there.covariance, likelihood.prior, tuple(steps))
         task = finer
         likelihood = replace(likelihood, task=task)
+
+
+def _settled(
+    expand: Callable[[Array, Sequence[Array]], Seen | None], common: Array, own: Sequence[Array]
+) -> list[Array]:
+    """Initial states that suit the values `common`, which are held."""
+    found = descend(
+        expand,
+        common,
+        [*own, np.zeros(0)],
+        scale=np.ones(len(common)),
+        lower=common,
+        upper=common,
+        iterations=SETTLING,
+        tolerance=1e-6,
+        enough=ENOUGH,
+    )
+    return list(found[0].own[:-1]) if found else list(own)
 
 
 def result(fitted: Fit, began: float) -> Estimate:

@@ -39,8 +39,10 @@ FLEXIBLE_MODE = Effect(
         ),
     ),
     states=(
-        EffectState("twist", "{coordinate}", "twist_rate", "of the sprung part beyond the rest"),
-        EffectState("twist_rate", "{coordinate}/s", f"-{_SPRING} - (load + force) / inertia"),
+        EffectState(
+            "twist", "{coordinate}", "twist_rate", "of the sprung part beyond the rest", spread="coordinate_scale / 20"
+        ),
+        EffectState("twist_rate", "{coordinate}/s", f"-{_SPRING} - (load + force) / inertia", spread="rate_scale / 2"),
     ),
     force=f"share / (1 - share) * (load + inertia * {_SPRING})",
     signature="The missing torque rings on at one frequency after each hit; the frequency response has a notch and a "
