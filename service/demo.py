@@ -84,7 +84,10 @@ async def _run(
                 await _until_ready(daemon, serving)
                 recordings = [await _experiment(name, places.socket, follow) for name in experiments]
                 if port is not None:
-                    await asyncio.to_thread(tell, recordings)
+                    try:
+                        await asyncio.to_thread(tell, recordings)
+                    except UprightError as error:  # as of a run that was stopped before the vehicle rose
+                        people.print(f"[yellow]No report: {error}[/yellow]")
                     people.print(f"Dashboard: http://localhost:{port}, until Ctrl-C.")
                     await serving
                 return recordings

@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from service import api
+
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 
@@ -114,6 +116,30 @@ def test_the_dashboard_is_there_while_it_runs_and_ends_with_it(tmp_path: Path) -
     assert "Traceback" not in said
     with pytest.raises(OSError):
         urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=1.0)
+
+
+def test_an_experiment_that_is_stopped_early_leaves_the_dashboard_running(tmp_path: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ["demo", "--dashboard", "--port", str(port), "--experiment", "hold", "--data", str(tmp_path)]
+    with subprocess.Popen([*UPRIGHT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+        assert running.stdout is not None
+        until = time.monotonic() + 120.0
+        said = ""
+        while "Experiment hold" not in said and time.monotonic() < until:
+            said += running.stdout.readline()
+        time.sleep(1.0)  # it rests on its support still
+        (place,) = tmp_path.glob("*.sock")
+        list(api.call([place], {"verb": "stop"}, timeout=30.0))
+        while "until Ctrl-C" not in said and running.poll() is None and time.monotonic() < until:
+            said += running.stdout.readline()
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=10.0) as answer:
+            assert "<title>" in answer.read().decode()
+        running.send_signal(signal.SIGINT)
+        said += running.communicate(timeout=60.0)[0]
+    assert "No report" in said
+    assert "Traceback" not in said
 
 
 def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
