@@ -178,7 +178,8 @@ def descend(
             break
         foreseen = -float(slope @ step) - 0.5 * float(step @ curvature @ step) + reserve
         there = expand(trial, trial_own)
-        done = float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
+        # Where none of the common ones may move, the fall alone tells when the others are there.
+        done = bool(free.any()) and float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
         if there is None or there.cost > here.cost:
             damping = max(STIFFER * damping, FIRST_DAMPING)
             reach = 0.5 * float(np.max(np.abs(step), initial=0.0))
