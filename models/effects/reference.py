@@ -27,9 +27,9 @@ F is a force at the joint, inertia * rate' = load + F, u a command, t the time i
 
 _KEYS = """\
 Its keys are those of `models.effect.Effect`. `equation`, `signature`, `confused_with`, `separated_by`, `source`,
-`dissipative`, `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`, `spread`, the standard deviation of
-what it may be when a record begins, and on a sensor `initial`, the reading that it begins with: angle or rate) may be
-left out. A parameter has `name`, `unit`, `meaning`, `amplitude`,
+`dissipative`, `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`, `spread`, the standard deviation
+of what it may be when a record begins, and on a sensor `initial`, the reading that it begins with: angle or rate) may
+be left out. A parameter has `name`, `unit`, `meaning`, `amplitude`,
 `value`, `scale` (a typical size), `lower`, `upper` and `starts`. An expression may contain numbers, + - * / **,
 brackets, the functions sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, exp, log, sqrt, abs, sign, min and max, `pi`,
 its own parameters and states, and the names of its place:
