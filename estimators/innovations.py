@@ -115,7 +115,7 @@ class NoiseModel:
     def gain_and_slopes(
         self, values: Array, logarithms: Array, free: Sequence[int], scale: Array
     ) -> tuple[Array, Array] | None:
-        """Both at once."""
+        """Both at once; None where no filter is stable."""
         sizes = STEP * np.concatenate((scale, np.ones(self.size)))
         moves = np.repeat(np.diag(sizes), 2, axis=0)
         moves[1::2] *= -1.0
@@ -127,7 +127,11 @@ class NoiseModel:
         if steady is None:
             return None
         rises = [(each[:-1:2] - each[1::2]) / (2.0 * sizes)[:, None, None] for each in systems]
-        return steady.gain, np.ascontiguousarray(steady.slopes(*rises).reshape(len(sizes), -1).T)
+        try:
+            slopes = steady.slopes(*rises)
+        except np.linalg.LinAlgError:  # at the edge of stability a filter's error never fades
+            return None
+        return steady.gain, np.ascontiguousarray(slopes.reshape(len(sizes), -1).T)
 
     def _systems(self, values: Array, logarithms: Array) -> tuple[Array, ...]:
         """Transition and output matrices, covariances of process and sensors and of both, for each row of parameter
