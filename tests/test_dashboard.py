@@ -13,8 +13,9 @@ import os
 import shutil
 import signal
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -253,22 +254,69 @@ def test_where_the_model_fails_is_drawn(
     watched.picture(screenshots / "gap-filled-light.png")
 
 
-def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: Topology) -> None:
-    page = watched.page
-    watched.show("live")
-    before = int(page.get_attribute("#ignored", "data-count") or 0)
+class Tell(Protocol):
+    def __call__(self, topic: str, payload: bytes | str) -> None: ...
+
+
+@contextmanager
+def in_the_vehicles_name(parts: Topology) -> Iterator[Tell]:
+    """Publishes, on a topic of the vehicle, what the vehicle itself did not say."""
     vehicle = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     vehicle.username_pw_set("upright", parts.password("upright"))
     vehicle.connect("127.0.0.1", parts.mqtt)
     vehicle.loop_start()
+    yield lambda topic, payload: vehicle.publish(f"upright/monocab/{topic}", payload, qos=1).wait_for_publish(10.0)
+    vehicle.loop_stop()
+    vehicle.disconnect()
 
-    def tell(topic: str, payload: bytes | str) -> None:
-        vehicle.publish(f"upright/monocab/{topic}", payload, qos=1).wait_for_publish(10.0)
 
+def batches(parts: Topology, count: int) -> list[bytes]:
+    """The next `count` batches of telemetry."""
     login = {"username": "dashboard", "password": parts.password("dashboard")}
-    batch = subscribe.simple("upright/monocab/telemetry", hostname="127.0.0.1", port=parts.mqtt, auth=login).payload
+    heard = subscribe.simple(
+        "upright/monocab/telemetry", hostname="127.0.0.1", port=parts.mqtt, auth=login, msg_count=count
+    )
+    return [message.payload for message in (heard if count > 1 else [heard])]
+
+
+def ignored(page: Page) -> int:
+    return int(page.get_attribute("#ignored", "data-count") or 0)
+
+
+TIMES = """() => {
+  const shown = document.getElementById("value-roll");
+  window.times = [];
+  window.clock = new MutationObserver(() => window.times.push(Number(shown.dataset.time)));
+  window.clock.observe(shown, { attributeFilter: ["data-time"] });
+}"""
+"""Keeps each time that the page shows from now on."""
+
+
+def test_what_was_overtaken_is_counted_and_not_shown(watched: Watched, parts: Topology) -> None:
+    page = watched.page
+    watched.show("live")
+    before = ignored(page)
+    page.evaluate(TIMES)
+    overtaken = 0
+    with in_the_vehicles_name(parts) as tell:
+        for _ in range(5):
+            later = batches(parts, 3)
+            for batch in (later[1], later[0]):  # in the wrong order, after a later one
+                tell("telemetry", batch)
+                overtaken += 1
+    expect(page.locator("#ignored")).to_have_attribute("data-count", str(before + overtaken))
+    times = page.evaluate("window.clock.disconnect(), window.times")
+    assert len(times) > 5
+    assert np.all(np.diff(times) >= 0.0)
+    expect(page.locator("#link")).to_have_text("live")
+
+
+def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: Topology) -> None:
+    page = watched.page
+    watched.show("live")
+    before = ignored(page)
     bad: list[tuple[str, bytes | str]] = [
-        ("telemetry", batch),  # a second time
+        ("telemetry", batches(parts, 1)[0]),  # a second time
         ("event", "no json"),
         ("event", "[1, 2]"),
         ("event", '{"severity": 1}'),
@@ -280,13 +328,12 @@ def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: 
         ("event", b"\xff\xfe"),
         ("telemetry", json.dumps({"t0": 1.0, "dt": 0.004, "roll": [0.0] * 50_000})),
     ]
-    for topic, payload in bad:
-        tell(topic, payload)
-    tell("event", json.dumps({"severity": "info", "code": "x", "text": HOSTILE}))
+    with in_the_vehicles_name(parts) as tell:
+        for topic, payload in bad:
+            tell(topic, payload)
+        tell("event", json.dumps({"severity": "info", "code": "x", "text": HOSTILE}))
     expect(page.locator("#events")).to_contain_text(HOSTILE, timeout=PATIENCE)
     expect(page.locator("#ignored")).to_have_attribute("data-count", str(before + len(bad)))
-    vehicle.loop_stop()
-    vehicle.disconnect()
     hostile = parts.recordings / f"{HOSTILE}.arrow"
     shutil.copy(next(parts.recordings.glob("*_multisine.arrow")), hostile)
     watched.show("recordings")
