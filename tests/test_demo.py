@@ -96,50 +96,77 @@ def test_an_effect_that_does_not_exist_lists_those_that_do(tmp_path: Path) -> No
     assert "coulomb_friction" in said
 
 
+class Shown:
+    """A demo that shows its dashboard. `port` is the page's, `said` what it has printed so far."""
+
+    # Under a shell that runs the tests in the background, Ctrl-C would be ignored.
+    WORDS = (
+        sys.executable,
+        "-c",
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from service.cli import main; main()",
+    )
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        words = ["demo", "--dashboard", "--port", str(self.port), "--experiment", "hold", "--data", str(folder)]
+        self.said = ""
+        self._until = time.monotonic() + 120.0
+        self._running = subprocess.Popen(
+            [*self.WORDS, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+
+    def __enter__(self) -> Shown:
+        self._running.__enter__()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._running.kill()
+        self._running.communicate()
+
+    def wait_for(self, words: str) -> None:
+        """Until it has said `words`."""
+        assert self._running.stdout is not None
+        while words not in self.said:
+            line = self._running.stdout.readline()
+            assert line, f"it ended without {words!r}: {self.said}"
+            assert time.monotonic() < self._until, self.said
+            self.said += line
+
+    def page(self) -> str:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/", timeout=10.0) as answer:
+            return str(answer.read().decode())
+
+    def interrupt(self) -> None:
+        """Ctrl-C, and what it says until it has ended."""
+        self._running.send_signal(signal.SIGINT)
+        self.said += self._running.communicate(timeout=30.0)[0]
+
+
 def test_the_dashboard_is_there_while_it_runs_and_ends_with_it(tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    words = ["demo", "--dashboard", "--port", str(port), "--experiment", "hold", "--data", str(tmp_path)]
-    with subprocess.Popen([*UPRIGHT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
-        assert running.stdout is not None
-        until = time.monotonic() + 90.0
-        said = ""
-        while "Experiment hold" not in said and time.monotonic() < until:
-            said += running.stdout.readline()
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=10.0) as answer:
-            page = answer.read().decode()
-        running.send_signal(signal.SIGINT)
-        said += running.communicate(timeout=60.0)[0]
+    with Shown(tmp_path) as demo:
+        demo.wait_for("Experiment hold")
+        page = demo.page()
+        demo.interrupt()
     assert "<title>" in page
-    assert f"http://localhost:{port}" in said
-    assert "Traceback" not in said
+    assert f"http://localhost:{demo.port}" in demo.said
+    assert "Traceback" not in demo.said
     with pytest.raises(OSError):
-        urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=1.0)
+        demo.page()
 
 
 def test_an_experiment_that_is_stopped_early_leaves_the_dashboard_running(tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    words = ["demo", "--dashboard", "--port", str(port), "--experiment", "hold", "--data", str(tmp_path)]
-    with subprocess.Popen([*UPRIGHT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
-        assert running.stdout is not None
-        until = time.monotonic() + 120.0
-        said = ""
-        while "Experiment hold" not in said and time.monotonic() < until:
-            said += running.stdout.readline()
+    with Shown(tmp_path) as demo:
+        demo.wait_for("Experiment hold")
         time.sleep(1.0)  # it rests on its support still
         (place,) = tmp_path.glob("*.sock")
         list(api.call([place], {"verb": "stop"}, timeout=30.0))
-        while "until Ctrl-C" not in said and running.poll() is None and time.monotonic() < until:
-            said += running.stdout.readline()
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=10.0) as answer:
-            assert "<title>" in answer.read().decode()
-        running.send_signal(signal.SIGINT)
-        said += running.communicate(timeout=60.0)[0]
-    assert "No report" in said
-    assert "Traceback" not in said
+        demo.wait_for("until Ctrl-C")
+        assert "<title>" in demo.page()
+        demo.interrupt()
+    assert "No report" in demo.said
+    assert "Traceback" not in demo.said
 
 
 def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
