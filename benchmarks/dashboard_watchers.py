@@ -62,13 +62,11 @@ class Turnaround:
 
     def measure(self, seconds: float) -> tuple[list[float], int]:
         """ms of each cycle, and how many were not answered before the next one."""
-        while self._bus.recv(0.0) is not None:
-            pass
         found, open_since, missed = [], 0.0, 0
-        end = time.monotonic() + seconds
+        begin, end = time.time(), time.monotonic() + seconds
         while time.monotonic() < end:
             message: can.Message | None = self._bus.recv(0.5)
-            if message is None:
+            if message is None or message.timestamp < begin:  # it had been waiting to be read
                 continue
             if message.arbitration_id == self.trigger:
                 missed += open_since > 0.0

@@ -18,6 +18,7 @@ import numpy as np
 from diagnosis.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.floor import Innovations, with_nuisances
 from diagnosis.horizons import Prediction, predictions
+from diagnosis.timed import timed
 from diagnosis.where_it_fails import Entry, Views, summary, views
 from estimators.as_recorded import as_recorded
 from estimators.problem import Problem, problem
@@ -111,9 +112,9 @@ def compare(
     Raises DataError where the data are not fit for a model, ModelError where a model is wrong, EstimationError where
     it has no stable predictor or runs away from the record.
     """
+    ready = {name: timed(as_recorded(model, recordings), recordings) for name, model in models.items()}
     return [
-        _compare(name, *_task(as_recorded(model, recordings), recordings, support, progress), loops, progress)
-        for name, model in models.items()
+        _compare(name, *_task(model, recordings, support, progress), loops, progress) for name, model in ready.items()
     ]
 
 

@@ -9,6 +9,7 @@ Nothing here is forced: a record that cannot tell gets `insufficient_data`, and 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy
@@ -21,6 +22,7 @@ from diagnosis.gate import check
 from diagnosis.refit import FullFit, full
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
+from diagnosis.timed import timed, untimed
 from diagnosis.workspace import Workspace
 from estimators.as_recorded import as_recorded
 from estimators.contract import Status
@@ -55,7 +57,7 @@ def diagnose(
     """
     tell = progress or (lambda text, share: None)
     tell("reading the data", 0.0)
-    model = disturbed(as_recorded(model, recordings))
+    known, model = model, timed(disturbed(as_recorded(model, recordings)), recordings)
     try:
         check(model, recordings, support)
         workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))
@@ -69,7 +71,8 @@ def diagnose(
     findings, fits, screens, last = _search(base, workspace, most, masked, partial(_part, tell, 0.1, 0.85))
     tell("looking for what has no name", 0.95)
     rest = adequacy(base.fit, last.fit, last.log_likelihood - base.log_likelihood)
-    return _verdict([base, *fits], findings, screens, rest, workspace)
+    found = _verdict([base, *fits], findings, screens, rest, workspace)
+    return found if found.repaired is None else replace(found, repaired=untimed(known, found.repaired))
 
 
 def _search(

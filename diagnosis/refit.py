@@ -33,6 +33,8 @@ STARTS = 2
 ITERATIONS = 8
 LONGER = 24
 """The same from a smaller size, where these ended above what the model alone leaves."""
+CREEPING = 1.0
+"""Fall of the cost, of unit variance, over half of a fit's steps that is too little to decide anything."""
 HALVINGS = 6
 """Of the size that the screen says, until one leaves less than the model alone: that it is a line is true near zero."""
 
@@ -169,16 +171,22 @@ def full(
     longer: int = 0,
 ) -> FullFit:
     """The fit of `model` with its noise, from its values on, or from `begin`. `candidate` is the effect that was added
-    last. One that does not settle goes on where it ended, as often as `longer`."""
+    last. One that does not settle goes on where it ended, as often as `longer`, as long as that makes a difference."""
     fitted = fit(workspace.problem(model), begin=begin)
     for _ in range(longer):
-        if fitted.minimum.converged:
+        if fitted.minimum.converged or _creeps(fitted):
             break
         fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end)
     own = {p.name for each in model.effects for p in each.parameters}
     count = sum(p.estimated for p in model.parameters if p.name in own)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
     return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
+
+
+def _creeps(fitted: Fit) -> bool:
+    """Whether the second half of its steps decided nothing: along a valley there are hundreds more."""
+    middle, last = fitted.steps[len(fitted.steps) // 2], fitted.steps[-1]
+    return middle.cost - last.cost < CREEPING
 
 
 def by_chance(fitted: FullFit, base: FullFit) -> float:

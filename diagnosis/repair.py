@@ -29,6 +29,7 @@ from diagnosis.floor import Floor, floor, innovation_ratio
 from diagnosis.held_out import split
 from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.screen import Score, Screen, screen
+from diagnosis.timed import timed, untimed
 from diagnosis.whitened import Whitened
 from estimators.as_recorded import as_recorded
 from estimators.contract import EstimationError
@@ -95,7 +96,9 @@ def repair(
         there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
         found = _repair(rows, effect, there, unseen, at, support, told)
         return replace(found, model=as_recorded_rows(model, found.model))
-    return _repair(disturbed(as_recorded(model, recordings)), effect, recordings, held_out, at, support, told)
+    ready = timed(disturbed(as_recorded(model, recordings)), recordings)
+    found = _repair(ready, effect, recordings, held_out, at, support, told)
+    return replace(found, model=untimed(model, found.model))
 
 
 def _repair(

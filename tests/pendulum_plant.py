@@ -38,15 +38,19 @@ def write(
     duration: float = 30.0,
     dead_band: float = 0.0,
     late: float = 0.0,
+    early: float = 0.0,
 ) -> Path:
-    """The table of a run at `path`. `dead_band` V of the motor; the angle is read `late` s later than it says."""
+    """The table of a run at `path`. `dead_band` V of the motor; the angle is read `late` s later than it says.
+
+    The voltage of a row of the table acts `early` s before its angle is measured, at most until the next row.
+    """
     random = np.random.default_rng(seed)
     count = round(duration / SPACING)
     phases = random.uniform(0.0, 2.0 * math.pi, len(FREQUENCIES))
     instants = np.arange(count) * SPACING
     waves = np.sin(2.0 * math.pi * np.outer(instants, FREQUENCIES) + phases) / np.sqrt(1.0 + FREQUENCIES)
     reference, noise = (0.16 * waves.sum(axis=1)).tolist(), (NOISE * random.standard_normal(count)).tolist()
-    step, behind = SPACING / FINER, round(late * FINER / SPACING)
+    step, behind, ahead = SPACING / FINER, round(late * FINER / SPACING), round(early * FINER / SPACING)
     angle, rate, before, speed = 0.0, 0.0, 0.0, 0.0
     past = [0.0] * (behind + 1)
     rows = ["time,voltage,angle"]
@@ -60,7 +64,6 @@ def write(
             + 0.8 * STIFFNESS / MOTOR_CONSTANT * math.sin(reference[row])
         )
         voltage = min(SUPPLY, max(-SUPPLY, wanted))
-        rows.append(f"{instants[row]:.4f},{voltage:.6f},{reading:.8f}")
         torque = MOTOR_CONSTANT * math.copysign(max(abs(voltage) - dead_band, 0.0), voltage)
         for part in range(FINER):
             time = float(instants[row]) + (part + 0.5) * step
@@ -69,6 +72,8 @@ def write(
             push = torque - STIFFNESS * math.sin(middle) + missing(time, middle, fast)
             angle, rate = angle + step * fast, rate + step * push / INERTIA
             past.append(angle)
+        shown = past[len(past) - 1 - FINER + ahead] + noise[row] if ahead else reading
+        rows.append(f"{instants[row]:.4f},{voltage:.6f},{shown:.8f}")
         del past[: -1 - behind]
     path.write_text("\n".join(rows) + "\n")
     return path

@@ -87,6 +87,16 @@ def test_a_late_reading_is_found_and_tied_with_a_late_command(model: Path, tmp_p
     assert named["parameters"][f"{named['effect']}.delay"]["value"] == pytest.approx(0.011, rel=0.01)
 
 
+@pytest.mark.parametrize("early", [0.00025, 0.005])
+def test_a_command_that_is_early_is_no_effect(early: float, model: Path, tmp_path: Path) -> None:
+    """By a twentieth of a row, and by a whole one."""
+    assert diagnosed(model, tmp_path, early=early)["verdict"] == "adequate"
+    missing, sizes = MISSING["coulomb_friction"]
+    (named,) = diagnosed(model, tmp_path, missing, early=early)["findings"]
+    assert named["effect"] == "coulomb_friction"
+    assert named["parameters"]["coulomb_friction.torque"]["value"] == pytest.approx(sizes["torque"], rel=0.01)
+
+
 @pytest.mark.parametrize("effect", UNLISTED)
 def test_what_no_catalogue_has_is_unknown(effect: str, model: Path, tmp_path: Path) -> None:
     found = diagnosed(model, tmp_path, UNLISTED[effect])

@@ -15,10 +15,11 @@ from models.model_history import values_of
 
 def rounded(found: Repair) -> Model:
     """The fitted model, its numbers with as many digits as mean something, and two more."""
-    digits = {name: significant(each.std) + 2 for name, each in found.after.parameters.items()}
+    own = {name: each for name, each in found.after.parameters.items() if name in found.model.values}
+    digits = {name: significant(each.std) + 2 for name, each in own.items()}
     return found.model.change(
-        {name: round(each.value, digits[name]) for name, each in found.after.parameters.items()},
-        deviations={name: round(each.std, digits[name]) for name, each in found.after.parameters.items()},
+        {name: round(each.value, digits[name]) for name, each in own.items()},
+        deviations={name: round(each.std, digits[name]) for name, each in own.items()},
     )
 
 

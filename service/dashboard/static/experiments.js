@@ -28,7 +28,8 @@ export class Experiments {
     fill(place,
       h("section", { class: "card wide" }, h("h2", {}, "Running"), this.what, this.bar, this.outcome, this.reset,
         h("p", { class: "quiet" }, "Whoever starts an experiment holds it: if this page is closed, hidden or cut off for ",
-          `${1000 * app.config.lease} ms, it ends in order and the vehicle is lowered. Escape stops it.`)),
+          `${1000 * app.config.lease} ms, it ends in order and the vehicle is lowered. Escape stops it. It is accepted when it has run to its end within the `,
+          "limits below; when not, what ended it is said here.")),
       h("h2", {}, "Experiments"), h("ul", { class: "cards plain" }, cards),
       h("section", { class: "card wide" }, h("h2", {}, "Limits of this vehicle"), h("dl", { class: "columns" }, limits)));
   }
