@@ -33,12 +33,12 @@ lint: $(READY) ## ruff, mypy --strict, import contract
 
 native-test: $(READY) ## the tests that need neither SocketCAN nor systemd
 	@tests/setup/apt-needs mosquitto:mosquitto chromium:chromium openssl:openssl || $(OPTIONAL)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile -m "not vcan and not systemd and not browser"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --durations=20 -m "not vcan and not systemd and not browser"
 	$(BIN)/pytest -m browser
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)
-	$(GUEST) $(BIN)/pytest -m vcan --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
+	$(GUEST) $(BIN)/pytest --durations=20 -m vcan --basetemp=/dev/shm/upright-pytest || $(NO_GUEST)
 	$(GUEST) --systemd $(BIN)/pytest -m systemd || $(NO_GUEST)
 
 benchmark: $(READY) ## roll filter beside VQF, fits beside SciPy and CasADi, diagnosis beside a search, page beside an empty one, bus turnaround beside bare echoes

@@ -13,18 +13,17 @@ from dataclasses import replace
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy
-from diagnosis.disturbed import disturbed
 from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_apart
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
 from diagnosis.gate import check
+from diagnosis.ready import ready
 from diagnosis.refit import FullFit, full
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
-from diagnosis.timed import timed, untimed
+from diagnosis.timed import untimed
 from diagnosis.workspace import Workspace
-from estimators.as_recorded import as_recorded
 from estimators.contract import Status
 from estimators.methods.prediction_error import result
 from estimators.segments import DataError
@@ -57,7 +56,7 @@ def diagnose(
     """
     tell = progress or (lambda text, share: None)
     tell("reading the data", 0.0)
-    known, model = model, timed(disturbed(as_recorded(model, recordings)), recordings)
+    known, model = model, ready(model, recordings)
     try:
         check(model, recordings, support)
         workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))

@@ -12,6 +12,7 @@ from math import exp
 from typing import Any
 
 from diagnosis.effect_fit import fit_model
+from diagnosis.ready import ready
 from diagnosis.repair_result import ODDS, SURE
 from models.model import Model
 from telemetry.recording import Recording
@@ -67,6 +68,7 @@ def drop_tests(
         return []
     count = 1.0 + len(model.effects)
     told("fitting the whole model", 0.0)
+    model = ready(model, recordings)
     whole = fit_model(model, recordings, support=support)
     found = []
     for place, attached in enumerate(model.effects):

@@ -21,17 +21,16 @@ from numpy.typing import NDArray
 from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, of_actuators
 from diagnosis.ahead import errors, on, sensor_floors
 from diagnosis.candidates import Candidate
-from diagnosis.disturbed import disturbed
 from diagnosis.drop_tests import DropTest as DropTest
 from diagnosis.drop_tests import drop_tests as drop_tests
 from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
 from diagnosis.floor import Floor, floor, innovation_ratio
 from diagnosis.held_out import split
+from diagnosis.ready import ready
 from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.screen import Score, Screen, screen
-from diagnosis.timed import timed, untimed
+from diagnosis.timed import untimed
 from diagnosis.whitened import Whitened
-from estimators.as_recorded import as_recorded
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
@@ -96,8 +95,7 @@ def repair(
         there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
         found = _repair(rows, effect, there, unseen, at, support, told)
         return replace(found, model=as_recorded_rows(model, found.model))
-    ready = timed(disturbed(as_recorded(model, recordings)), recordings)
-    found = _repair(ready, effect, recordings, held_out, at, support, told)
+    found = _repair(ready(model, recordings), effect, recordings, held_out, at, support, told)
     return replace(found, model=untimed(model, found.model))
 
 
