@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimators import innovations
 from estimators.gauss_newton import common_information
 from estimators.innovations import NoiseModel
 from estimators.likelihood import Likelihood
@@ -68,6 +69,25 @@ def test_the_gain_and_its_slopes_fit_together(task: Problem, noise: NoiseModel) 
         assert slopes[:, column] == pytest.approx(
             expected, rel=1e-4, abs=1e-5 * float(np.max(np.abs(expected)) + 1e-300)
         )
+
+
+def test_at_the_edge_of_stability_there_is_no_gain(
+    task: Problem, noise: NoiseModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A filter that corrects nothing, of a state that stays: its error never fades, and its covariance has no slope.
+    No model is as exactly there as this; a fit on its way past it is to turn back, not to end."""
+    steady = innovations._steady
+
+    def edge(*system: np.ndarray) -> innovations._Steady | None:
+        found = steady(*system)
+        assert found is not None
+        states = len(found.transition)
+        return replace(found, transition=np.eye(states), ahead=np.zeros_like(found.ahead))
+
+    monkeypatch.setattr(innovations, "_steady", edge)
+    assert noise.gain_and_slopes(_values(task), np.zeros(noise.size), task.free, task.scale) is None
+    likelihood = Likelihood.of(task, np.zeros(len(task.free)))
+    assert likelihood(likelihood.centre, [*task.own_start, np.zeros(0)]) is None
 
 
 def test_a_gain_that_moves_along_is_the_sum_over_its_entries(task: Problem, noise: NoiseModel) -> None:
