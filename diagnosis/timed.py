@@ -24,9 +24,10 @@ EARLIEST, LATEST = -1.5, 0.5
 
 def timed(model: Model, recordings: Sequence[Recording]) -> Model:
     """`model` with one offset of all its inputs, of the order of half a step of the rows of `recordings`, to be
-    estimated."""
+    estimated. One that has a delay already is as it was: that takes the offset on."""
     steps = [float(np.median(np.diff(each.timestamp_ns))) * 1e-9 for each in recordings if len(each.timestamp_ns) > 1]
-    if not model.inputs or any(each.delays or each.age for each in model.inputs) or not steps:
+    told = any(each.delays or each.age for each in model.inputs) or any(each.effect.delay for each in model.effects)
+    if told or not model.inputs or not steps:
         return model
     step = max(steps)
     offset = Parameter(
