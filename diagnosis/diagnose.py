@@ -142,7 +142,7 @@ def _verdict(
         reason = f"something is missing that no known effect explains. {rest.reason}"
         if findings and not rest.named:
             names = " and ".join(finding.effect for finding in findings)
-            reason += f" Nearest comes {names}, which leaves most of it."
+            reason += f" Nearest comes {names}; most of it is left."
             findings, steps, after = [], steps[:1], rest.before
     elif findings:
         verdict = Verdict.MISSING_EFFECT
