@@ -145,6 +145,7 @@ def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Re
         watched.picture(screenshots / f"{view}-running-light.png")
     watched.show("experiments")
     expect(page.locator("#outcome")).to_contain_text("did what it should", timeout=PATIENCE)
+    expect(page.locator("#outcome")).to_have_attribute("data-ok", "true")
     name = page.inner_text("#outcome").rpartition("Recording: ")[2].strip()
     return Recording.load(parts.recordings / name), read
 
@@ -415,6 +416,9 @@ def test_stop_stops_the_drives_from_the_keyboard(watched: Watched, parts: Topolo
     assert status["reason"] == "an operator asked for the end"
     assert {drive["state"] for drive in status["drives"]} == {"Switch on disabled"}
     expect(watched.page.locator("#mode")).to_have_text("disarmed")
+    # In its order, but not accepted.
+    expect(watched.page.locator("#outcome")).to_have_attribute("data-ok", "early")
+    expect(watched.page.locator("#outcome")).to_contain_text("ended early: an operator asked for the end")
     assert watched.wrong == []
 
 

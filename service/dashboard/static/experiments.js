@@ -42,8 +42,8 @@ export class Experiments {
   }
 
   over(name, reply) {
-    this.outcome.dataset.ok = String(reply.ok);
     const words = this.app.told(reply.text);
+    this.outcome.dataset.ok = !reply.ok ? "false" : words ? "early" : "true";
     const came = !reply.ok ? `${reply.code}: ${words}` : words ? `ended early: ${words}` : "accepted, it did what it should";
     text(this.outcome, `${name}: ${came}`.replace(/[^.]$/, "$&.")
       + (typeof reply.recording === "string" ? ` Recording: ${reply.recording.split("/").pop()}` : ""));
