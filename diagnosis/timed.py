@@ -23,11 +23,11 @@ EARLIEST, LATEST = -1.5, 0.5
 
 
 def timed(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with one offset of all its inputs, of the order of half a step of the rows of `recordings`, to be
-    estimated. One that has a delay already is as it was: that takes the offset on."""
+    """`model` with one offset (s) of all its inputs, of the order of half a step of the rows of `recordings`, to be
+    estimated. One that has a delay already, or a parameter of that name, is as it was."""
     steps = [float(np.median(np.diff(each.timestamp_ns))) * 1e-9 for each in recordings if len(each.timestamp_ns) > 1]
     told = any(each.delays or each.age for each in model.inputs) or any(each.effect.delay for each in model.effects)
-    if told or not model.inputs or not steps:
+    if told or OFFSET in model.values or not model.inputs or not steps:
         return model
     step = max(steps)
     offset = Parameter(

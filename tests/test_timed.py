@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from diagnosis.timed import EARLIEST, LATEST, OFFSET, timed, untimed
 from models import library
 from models.library.axis import axis
-from models.model import Model
+from models.model import Model, Parameter
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 
@@ -42,7 +43,8 @@ def test_a_gap_is_no_row(model: Model) -> None:
 
 
 def test_who_says_when_an_input_acts_is_believed(model: Model) -> None:
-    for told in (library.get("monocab_roll"), library.get("twsbr"), model.add("input_delay")):
+    named = replace(model, base_parameters=(*model.base_parameters, Parameter(OFFSET, "N", 0.0)))
+    for told in (library.get("monocab_roll"), library.get("twsbr"), model.add("input_delay"), named):
         assert timed(told, [rows(0.004)]) is told
 
 
