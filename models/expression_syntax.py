@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import difflib
 import math
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -50,6 +51,9 @@ LARGEST_EXPONENT = 16
 """A number as exponent; SymPy works powers of numbers out to the last digit."""
 MOST_BITS = 1100
 """Of a whole number that SymPy makes: about what a float can hold."""
+ONE_AT_A_TIME = threading.Lock()
+"""Python before 3.11.8 and 3.12.2 counts one depth for the trees of all threads, and ends in a SystemError where two
+grow at once (https://github.com/python/cpython/issues/106905)."""
 
 
 def float_operation(operator: type[ast.operator], a: float, b: float) -> float:
@@ -65,7 +69,8 @@ def validated(text: str, names: frozenset[str] | None, where: str) -> ast.expr:
     if "#" in line:
         raise ModelError(where, "a comment is not allowed in an equation", remedy="put it outside the quotes.")
     try:
-        tree = ast.parse(line, mode="eval").body
+        with ONE_AT_A_TIME:
+            tree = ast.parse(line, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         place = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
         remedy = "write it as in Python: 2 * sin(roll) ** 2."

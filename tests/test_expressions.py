@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import sympy
@@ -257,3 +261,28 @@ def test_every_function_is_one_of_sympys_too() -> None:
         text = f"{name}({', '.join(arguments)})"
         expected = function(*[0.3, 0.7][:arity])
         assert float(parse(text, SYMBOLS).subs({X: 0.3, Y: 0.7})) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.fixture
+def garbage_often() -> Iterator[None]:
+    """Python collects garbage after every few objects, and lets another thread run as it does."""
+    before = gc.get_threshold()
+
+    def other_thread(phase: str, info: object) -> None:
+        time.sleep(0)
+
+    gc.callbacks.append(other_thread)
+    gc.set_threshold(20)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.callbacks.remove(other_thread)
+
+
+def test_equations_are_read_by_two_threads_at_once(garbage_often: None) -> None:
+    """Without the lock, some of 2000 end in Python 3.11.7's "AST constructor recursion depth mismatch"."""
+    text = "x / (1 - x) * (y + drag.size * ((2 * pi * x) ** 2 * y + 4 * pi * x * y * drag.size))"
+    with ThreadPoolExecutor(2) as pool:
+        read = set(pool.map(lambda _: names_in(text), range(2000)))
+    assert read == {names_in(text)}
