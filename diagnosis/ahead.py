@@ -95,6 +95,15 @@ def errors(fit: Fit, horizons: Sequence[float]) -> list[Array]:
     return [np.array(each).reshape(len(each), outputs) for each in found]
 
 
+def times(fit: Fit, horizon: float) -> Array:
+    """When the errors at one `horizon` (s) alone are read off, s, (m,): row by row as `errors` gives them."""
+    found = []
+    for segment in fit.problem.segments:
+        (step,) = _steps(segment, (horizon,))
+        found.append(segment.time[2 * step :: step])
+    return np.concatenate(found)
+
+
 def floors(fit: Fit, gain: Array, covariance: Array, horizons: Sequence[float]) -> Array:
     """RMS error of a right model at each of `horizons` (s), (nh, ny), with its filter gain and innovation covariance.
 

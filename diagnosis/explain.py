@@ -42,6 +42,8 @@ def explain(finding: Finding, candidate: Candidate, score: Score, screened: Scre
     if finding.held_out is not None:
         gain, std = finding.held_out.gain, finding.held_out.std
         told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} +-{std:.2g}.")
+    else:
+        told.append("No part of these data tells enough of it to be held against another: record once more.")
     return " ".join(told)
 
 

@@ -43,7 +43,8 @@ class Score:
     """What the screen says of one candidate, at the best of its shapes.
 
     `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: by how much the log likelihood would rise.
-    `detectable`: the least size of the first amplitude that this record would show. `starts`: sizes and shape of all
+    `detectable`: the least size of the first amplitude that this record would show; of an effect that others do a part
+    of, beyond them and at the shape that shows best. `starts`: sizes and shape of all
     variants, the best first.
     """
 
@@ -172,7 +173,7 @@ def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, 
         drawn = _statistics(candidate, square, normal[:, where])
         entry = _Entry(candidate, number, where, sizes, square, inflation, statistic, drawn)
         by_name.setdefault(candidate.name, []).append(entry)
-    return _screen(by_name, columns)
+    return _screen(by_name, columns, information)
 
 
 def _draws(information: Array, left: NDArray[np.bool_]) -> Array:
@@ -214,7 +215,19 @@ def _bounds(candidate: Candidate) -> tuple[Array, Array]:
     return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
 
 
-def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array) -> Screen:
+def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array) -> float:
+    """The least size of the first amplitude: a step that shows no more than a constant torque does is none."""
+    candidate = entries[0].candidate
+    beyond = [f"{other}{candidate.name.removeprefix(candidate.effect.name)}" for other in candidate.effect.beyond]
+    others = [by_name[name][0].where for name in beyond if name in by_name]
+    variances = []
+    for each in entries if beyond else entries[:1]:
+        where = np.concatenate((each.where, *others))
+        variances.append(each.inflation * _variances(information[np.ix_(where, where)])[0])
+    return DETECTABLE * float(np.sqrt(min(variances)))
+
+
+def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array) -> Screen:
     best = {name: max(entries, key=lambda each: each.statistic) for name, entries in by_name.items()}
     # Each candidate's own distribution first (the best of its shapes), then that of the smallest p-value of all.
     largest = {name: np.max([each.drawn for each in entries], axis=0) for name, entries in by_name.items()}
@@ -223,7 +236,6 @@ def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array) -> Screen:
     scores = []
     for name, entry in best.items():
         errors = np.sqrt(entry.inflation * _variances(entry.square))
-        first = by_name[name][0]
         among = float(np.searchsorted(smallest, single[name], side="right") + 1.0) / (len(smallest) + 1.0)
         # Beyond what draws can tell: the bound of Bonferroni.
         p_value = among if single[name] > 2.0 / DRAWS else min(among, len(by_name) * single[name])
@@ -237,7 +249,7 @@ def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array) -> Screen:
                 standard_errors=dict(zip(entry.candidate.amplitudes, errors.tolist(), strict=True)),
                 shape=entry.candidate.variants[entry.number],
                 inflation=entry.inflation,
-                detectable=DETECTABLE * float(np.sqrt(first.inflation * _variances(first.square)[0])),
+                detectable=_detectable(by_name[name], by_name, information),
                 starts=tuple(each.start for each in sorted(by_name[name], key=lambda each: -each.statistic)),
             )
         )

@@ -1,13 +1,16 @@
 """What fits say of data that they have not seen: the last of several recordings, or each third of a single one in turn.
 
-A third is judged by fits of the other two. Predictors run through the whole recording, so that they know their state
-when the third begins, as an effect with memory asks for; only what they predict inside it counts.
+A third is every third of PIECES x THIRDS pieces, and is judged by fits of the other two. Predictors run through the
+whole recording, so that they know their state when a piece begins, as an effect with memory asks for; only what they
+predict inside it counts. Where an effect does so little that what it foretells is less than the noise of what is
+gained, nothing is said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +31,15 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 THIRDS = 3
+PIECES = 6
+"""Of each third, all over the recording: what shows in a few seconds only is both seen by fits and tried."""
 SETTLING = 0.5
 """s at the beginning of a recording that tell of the start, not of the model."""
 BLOCK = 1.0
 """s of held-out data that count as one piece of evidence."""
 SURE = 2.0
-"""Standard deviations from zero of an amplitude that a part of the data tells. One that does not tell cannot judge."""
+"""Standard deviations from zero of an amplitude that a part of the data tells. One that does not tell cannot judge, nor
+can one be judged in which the effect does so little that it would not be told there."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 HORIZON = 0.5
 """s ahead at which held-out errors are told: far enough for a missing force to show."""
@@ -41,20 +47,22 @@ HORIZON = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """`seen` is fitted. Of `whole`, the rows from `begin` to `end` (s) are judged; `tried` has these alone."""
+    """`seen` is fitted. Of `whole`, the rows in `pieces` (s, from and to) are judged."""
 
     seen: tuple[Recording, ...]
     whole: Recording
-    tried: Recording
-    begin: float
-    end: float
+    pieces: tuple[tuple[float, float], ...]
+
+    def judges(self, time: Array) -> NDArray[np.bool_]:
+        """Which of the rows at `time` (n,)."""
+        return _inside(time, self.pieces)
 
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """`gain`: rise of the log likelihood; `std` of it; `known`: by how much parameters are nearer to what was known of
-    them before, as a logarithm; `closed_percent`: of the error energy HORIZON ahead that exceeds
-    the sensors', what is gone, and the standard deviation of that, None where there was none."""
+    """`gain`: rise of the log likelihood; `std` of it, but for what was foretold; `known`: by how much parameters are
+    nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy HORIZON ahead that
+    exceeds the sensors', what is gone, and the standard deviation of that, None where there was none."""
 
     gain: float
     std: float
@@ -64,8 +72,8 @@ class Unseen:
 
     @property
     def stands(self) -> bool:
-        """Whether the likelihood rises beyond its own noise, and no error grows beyond its."""
-        closes = self.closed_percent is None or self.closed_std is None or self.closed_percent > -self.closed_std
+        """Whether the likelihood rises beyond its own noise, and no error surely grows."""
+        closes = self.closed_percent is None or self.closed_std is None or self.closed_percent > -SURE * self.closed_std
         return closes and self.gain + self.known >= self.std
 
 
@@ -75,8 +83,8 @@ class UnseenCheck:
     def __init__(self, base: FullFit, workspace: Workspace) -> None:
         self._base = base
         self._workspace = workspace
-        self._few: dict[float, Workspace] = {}
-        self._without: dict[float, Fit] = {}
+        self._few: dict[object, Workspace] = {}
+        self._without: dict[object, Fit] = {}
 
     def of(self, best: FullFit) -> Unseen | None:
         """What fits of a part of the data say of the rest; None where no part tells the effects that `best` adds."""
@@ -85,17 +93,18 @@ class UnseenCheck:
         workspace = self._workspace
         try:
             parts = folds(self._base.model, workspace.recordings, workspace.support)
-            return judge(parts, lambda part: self._fits(best, further, part), workspace.support)
+            amplitudes = {name for each in further for name in each.amplitudes}
+            return judge(parts, lambda part: self._fits(best, further, part), amplitudes, workspace.support)
         except (EstimationError, ArithmeticError):
             return None
 
     def _fits(self, best: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
         base, workspace = self._base.model, self._workspace
-        if part.begin not in self._few:
+        if part.pieces not in self._few:
             # Once each, whatever the number of its places.
             others = tuple({each.effect.name: each.effect for each in workspace.others(base)}.values())
-            self._few[part.begin] = Workspace.of(base, part.seen, workspace.support, others)
-        few = self._few[part.begin]
+            self._few[part.pieces] = Workspace.of(base, part.seen, workspace.support, others)
+        few = self._few[part.pieces]
         with_it = full(best.model, few, begin=best.fit.end).fit
         told = result(with_it, 0.0).parameters
         sizes = [told[name] for each in further for name in each.amplitudes]
@@ -107,89 +116,123 @@ class UnseenCheck:
         ]
         if any(told[name].status in NOT_TOLD for name in instants):
             return None
-        if part.begin not in self._without:
-            self._without[part.begin] = full(base, few, begin=self._base.fit.end).fit
-        return self._without[part.begin], with_it
+        if part.pieces not in self._without:
+            self._without[part.pieces] = full(base, few, begin=self._base.fit.end).fit
+        return self._without[part.pieces], with_it
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
     """What to fit and what to judge. Raises DataError where the recordings cannot be used."""
     whole = recordings[-1]
     if len(recordings) > 1:
-        return [Fold(tuple(recordings[:-1]), whole, whole, 0.0, float("inf"))]
+        return [Fold(tuple(recordings[:-1]), whole, ((0.0, float("inf")),))]
     rows = np.concatenate([segment.time for segment in segments(model, recordings, support=support)])
-    edges = np.quantile(rows, np.linspace(0.0, 1.0, THIRDS + 1))
+    edges = np.quantile(rows, np.linspace(0.0, 1.0, THIRDS * PIECES + 1))
     edges[-1] = np.inf
+    every = list(pairwise(edges.tolist()))
     found = []
-    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        inside = (whole.time >= begin) & (whole.time < end)
-        found.append(Fold((_only(model, whole, ~inside),), whole, _only(model, whole, inside), begin, end))
+    for third in range(THIRDS):
+        pieces = tuple(every[third::THIRDS])
+        found.append(Fold((_without(model, whole, pieces),), whole, pieces))
     return found
 
 
+def _inside(time: Array, pieces: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    return np.asarray(np.any([(time >= begin) & (time < end) for begin, end in pieces], axis=0))
+
+
 def judge(
-    parts: Sequence[Fold], fits: Callable[[Fold], tuple[Fit, Fit] | None], support: float | None
+    parts: Sequence[Fold],
+    fits: Callable[[Fold], tuple[Fit, Fit] | None],
+    amplitudes: Collection[str],
+    support: float | None,
 ) -> Unseen | None:
-    """What the second of two fits says of unseen data, against the first; None where no part has such fits.
+    """What the second of two fits says of unseen data, against the first; None where no part has such fits, or what its
+    `amplitudes` foretell of the gain is less than the noise of that.
 
     Raises ArithmeticError, EstimationError.
     """
     gains: list[Array] = []
     energies: list[Array] = []
     known: list[float] = []
+    promises: list[Array] = []
     for part in parts:
         found = fits(part)
         if found is None:
             continue
         without, with_it = found
+        promise = _foretold(with_it, amplitudes, part, support)
+        if 2.0 * np.sum(promise) < SURE**2:
+            continue
+        promises.append(promise)
         gains.append(_log_density(with_it, part, support) - _log_density(without, part, support))
         known.append(off_prior(without) - off_prior(with_it))
-        energies.append(_energies(without, with_it, part.tried, support))
+        energies.append(_energies(without, with_it, part, support))
     if not gains:
         return None
-    differences = np.concatenate(gains)
+    differences, foretold = np.concatenate(gains), np.concatenate(promises)
+    # What is gained where it was foretold is no noise, however few the seconds are in which the effect shows.
+    share = float(np.clip(np.sum(differences) / np.sum(foretold), 0.0, 1.0))
+    noise = float(np.linalg.norm(differences - share * foretold))
+    if np.sum(foretold) < noise:
+        return None
     squares = np.concatenate(energies)
     before, after = np.mean(squares, axis=0)
     spread = float(np.std(squares[:, 0] - squares[:, 1], ddof=1) / np.sqrt(len(squares)))
     return Unseen(
         gain=float(np.sum(differences)),
-        std=float(np.sqrt(len(differences)) * np.std(differences, ddof=1)),
+        std=noise,
         closed_percent=float(100.0 * (before - after) / (before - 1.0)) if before > 1.0 else None,
         closed_std=100.0 * spread / float(before - 1.0) if before > 1.0 else None,
         known=float(np.mean(known)),
     )
 
 
-def _energies(one: Fit, other: Fit, recording: Recording, support: float | None) -> Array:
+def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
     """Error energies HORIZON ahead over that of the sensors' noise, under `one` and under `other`, (m, 2)."""
-    there = ahead.on(other, problem(other.problem.model, [recording], support=support))
+    there = ahead.on(other, problem(other.problem.model, [part.whole], support=support))
     floor = ahead.sensor_floors(there, (HORIZON,))[0]
-    before = ahead.on(one, problem(one.problem.model, [recording], support=support))
+    before = ahead.on(one, problem(one.problem.model, [part.whole], support=support))
     squares = [np.mean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2, axis=1) for each in (before, there)]
-    both = np.stack(squares, axis=1)
+    both = np.stack(squares, axis=1)[part.judges(ahead.times(there, HORIZON))]
     return np.asarray(both[np.isfinite(both).all(axis=1)])
 
 
 def _log_density(fitted: Fit, part: Fold, support: float | None) -> Array:
     """Of the judged rows, by blocks of a second."""
-    seen = fitted.problem
-    task = problem(seen.model, [part.whole], support=support)
-    task = replace(task, substeps=max(task.substeps, seen.substeps))
-    outputs = len(task.kernel.outputs)
+    task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
+    return _by_blocks(part, task, [-0.5 * (np.sum(z**2, axis=1) + logarithm) for z in _innovations(fitted, task)])
+
+
+def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None) -> Array:
+    """How much the likelihood of the judged rows would rise by `amplitudes` if these are right, by blocks."""
+    task = _whole(fitted, part, support)
+    zero = [name in amplitudes for name in (parameter.name for parameter in task.parameters)]
+    without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
+    less = replace(fitted, minimum=replace(fitted.minimum, common=without))
+    both = zip(_innovations(fitted, task), _innovations(less, task), strict=True)
+    return _by_blocks(part, task, [0.5 * np.sum((one - other) ** 2, axis=1) for one, other in both])
+
+
+def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:
+    task = problem(fitted.problem.model, [part.whole], support=support)
+    return replace(task, substeps=max(task.substeps, fitted.problem.substeps))
+
+
+def _by_blocks(part: Fold, task: Problem, rows: Sequence[Array]) -> Array:
+    """Sums over the judged ones of `rows`, by stretch, of blocks of a second."""
     found = []
-    for segment, residual in zip(task.segments, _innovations(fitted, task), strict=True):
-        each = residual[: len(segment) * outputs].reshape(-1, outputs)
-        density = -0.5 * np.sum(each**2, axis=1) - 0.5 * logarithm
-        begin = max(part.begin, float(segment.time[0]) + SETTLING)
-        judged = (segment.time >= begin) & (segment.time < part.end)
-        number = ((segment.time - begin) / BLOCK).astype(np.int64)
-        found.append(np.bincount(number[judged], weights=density[judged]))
+    for segment, each in zip(task.segments, rows, strict=True):
+        begin = float(segment.time[0]) + SETTLING
+        judged = part.judges(segment.time) & (segment.time >= begin)
+        _, number = np.unique(((segment.time[judged] - begin) / BLOCK).astype(np.int64), return_inverse=True)
+        found.append(np.bincount(number, weights=each[judged]))
     return np.concatenate(found)
 
 
 def _innovations(fitted: Fit, task: Problem) -> list[Array]:
-    """Whitened, by stretch, with the initial state of each fitted."""
+    """Whitened, by stretch (rows, outputs), with the initial state of each fitted."""
     weights = whitening(fitted)
     common = fitted.minimum.common[: len(fitted.problem.free)]
     own = [part.copy() for part in task.own_start]
@@ -203,10 +246,15 @@ def _innovations(fitted: Fit, task: Problem) -> list[Array]:
             part - np.linalg.lstsq(block.own, block.residual, rcond=None)[0]
             for part, block in zip(own, blocks, strict=True)
         ]
-    return [eliminate(block)[0] for block in blocks]
+    outputs = len(task.kernel.outputs)
+    return [
+        eliminate(block)[0][: len(segment) * outputs].reshape(-1, outputs)
+        for segment, block in zip(task.segments, blocks, strict=True)
+    ]
 
 
-def _only(model: Model, recording: Recording, kept: NDArray[np.bool_]) -> Recording:
-    """`recording` with the measured outputs known where `kept` (n,) alone; time goes on counting from its first row."""
+def _without(model: Model, recording: Recording, pieces: Sequence[tuple[float, float]]) -> Recording:
+    """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
+    kept = ~_inside(recording.time, pieces)
     hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
     return replace(recording, values={**recording.values, **hidden})

@@ -116,6 +116,8 @@ class Whitened:
 
 
 PEAKS = 3
+FINER = 8
+"""Frequencies that are looked at for each that the record tells apart."""
 SLOWEST = 0.1
 """Hz, of a peak in the spectrum that is looked at."""
 
@@ -129,8 +131,10 @@ def peaks(innovations: Whitened) -> tuple[list[float], int]:
     segment = task.segments[longest]
     rows = innovations.residual[before : before + len(segment) * outputs].reshape(-1, outputs)
     window = np.hanning(len(rows))[:, None]
-    power = np.sum(np.abs(np.fft.rfft(rows * window, axis=0)) ** 2, axis=1)
-    frequency = np.fft.rfftfreq(len(rows), float(np.median(np.diff(segment.time))))
+    # Between the frequencies of the record, too: half of one off, a line of the record's length is hardly seen.
+    padded = FINER * len(rows)
+    power = np.sum(np.abs(np.fft.rfft(rows * window, padded, axis=0)) ** 2, axis=1)
+    frequency = np.fft.rfftfreq(padded, float(np.median(np.diff(segment.time))))
     power[frequency < SLOWEST] = 0.0
     found: list[float] = []
     for place in np.argsort(power)[::-1]:
@@ -138,7 +142,7 @@ def peaks(innovations: Whitened) -> tuple[list[float], int]:
             found.append(float(frequency[place]))
         if len(found) == PEAKS:
             break
-    return found, len(frequency)
+    return found, len(rows) // 2 + 1
 
 
 def whitening(fitted: Fit) -> Array:

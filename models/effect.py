@@ -102,8 +102,8 @@ class Effect:
     """One physical effect that a model may lack.
 
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
-    experiment tells them apart. `made_of`: two others that do almost the same together. `dissipative`: it never adds
-    energy. `in_radians`: names that are an angle in rad, or the effect makes no sense. `source` is where the equation
+    experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that do a part
+    of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `in_radians`: names that are an angle in rad, or the effect makes no sense. `source` is where the equation
     is from.
     """
 
@@ -125,6 +125,7 @@ class Effect:
     rate_reading: str = ""
     states: tuple[EffectState, ...] = ()
     made_of: tuple[str, ...] = ()
+    beyond: tuple[str, ...] = ()
     dissipative: bool = False
     in_radians: tuple[str, ...] = ()
     source: str = ""

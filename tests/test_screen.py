@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from diagnosis.candidates import at_frequencies, candidates_for
-from diagnosis.screen import Screen, screen
+from diagnosis.screen import DETECTABLE, Screen, screen
 from diagnosis.whitened import Whitened, project
 from diagnosis.workspace import Workspace, attached
 from estimators.identify import nominal_model, with_values
@@ -76,6 +76,29 @@ class TestSizes:
     def test_a_size_at_the_detectable_one_is_found(self) -> None:
         least = screened(clean()[1]).score("viscous_friction").detectable
         assert screened(planted("viscous_friction", 1.5 * least)).score("viscous_friction").p_single < 1e-3
+
+    def test_a_step_is_detectable_by_what_it_does_beyond_a_constant_torque(self) -> None:
+        """Four detectable sizes of it beat a constant torque by 4 x 4.66 standard deviations, whose square scatters by
+        twice that: 3.3 standard deviations to either side. At whatever instant it shows best, and only there."""
+        task, innovations = clean()
+        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, ("static_torque", "torque_step"))
+        step = next(each for each in workspace.candidates if each.name == "torque_step")
+
+        def look(innovations: Whitened) -> Screen:
+            return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+
+        least = look(white(seed=1)).score("torque_step").detectable
+        beyond = []
+        for shape in step.variants:
+            moved = innovations.directions(workspace.problem(attached(MODEL, [step])), step.amplitudes, shape)
+            noise = white(seed=1)
+            seen = noise.residual + 4.0 * least * project(moved, innovations.nuisance)[:, 0]
+            found = look(replace(noise, residual=seen))
+            one, other = (found.score(name) for name in ("torque_step", "static_torque"))
+            # As if nothing scattered more than the information says, which the rest of the step does.
+            beyond.append(one.statistic * one.inflation - other.statistic * other.inflation)
+        away = 4.0 * DETECTABLE
+        assert max(beyond) == pytest.approx(away**2, abs=3.3 * 2.0 * away)
 
 
 class TestProbabilities:

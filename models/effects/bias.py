@@ -51,6 +51,7 @@ TORQUE_STEP = Effect(
     confused_with=("static_torque", "torque_drift"),
     separated_by="A longer record, in which what came before and what came after each last longer than the slowest "
     "motion of the vehicle.",
+    beyond=("static_torque",),
     source="Griese et al. (MONOCAB): side load; tanh is the best fit to a straight ramp, to 7 % of the step",
 )
 
@@ -82,5 +83,6 @@ TORQUE_DRIFT = Effect(
         "gyro_bias",
     ),
     separated_by="A record that is several time constants long; a second one without a pause does not start again.",
+    beyond=("static_torque",),
     source="first-order creep; Lakes, Viscoelastic Materials (2009), standard linear solid",
 )

@@ -91,6 +91,9 @@ def _section(effect: Effect) -> str:
     lines += [f"**Confused with:** {', '.join(f'[`{name}`](#{name})' for name in effect.confused_with)}.", ""]
     lines += [f"**Told apart by:** {effect.separated_by}", ""]
     more = "It never adds energy. " if effect.dissipative else ""
+    if effect.beyond:
+        beyond = " and ".join(f"[`{name}`](#{name})" for name in effect.beyond)
+        more += f"It is detectable by what it does beyond {beyond}, at the shape that shows best. "
     if effect.in_radians:
         more += f"It needs {' and '.join(f'`{name}`' for name in effect.in_radians)} in rad. "
     return "\n".join([*lines, f"{more}Source: {effect.source}.", "", ""])
