@@ -138,7 +138,10 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
     time = period * np.arange(3.0)
     inputs, outputs = len(kernel.inputs), len(kernel.outputs)
     knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
-    rest = Segment(time, knots, np.zeros((3, inputs)), np.zeros((3, outputs)), "at rest")
+    measured = np.zeros((3, outputs))
+    # What is not known is not alike either: outputs that are, would be given one noise (estimators.innovations).
+    measured[-1] = np.nan
+    rest = Segment(time, knots, np.zeros((3, inputs)), measured, "at rest")
     free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
     fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, kernel.vector(), (rest,))))))

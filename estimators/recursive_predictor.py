@@ -9,6 +9,11 @@ through again with the unknowns held: a Gauss-Newton step of the batch fit. Fart
 go before that, since equations that were linear somewhere else lead astray, and a feedback loop at rest leads them on.
 Each time is at least a twentieth of free motion later than the one before, so the cost a cycle stays bounded.
 
+Of parameters that are known by their order of magnitude alone (estimators.logarithms) a record often tells products
+only. The unknowns are then their logarithms, in which a product is a sum wherever one is, and chunks in between are
+seen from where all was seen last. Seen each from another place, they would claim to know every factor: equations of
+which each leaves a slightly different direction open leave none open together.
+
 Without a gain it is a simulation, begun anew every second since an unstable plant's errors grow without bound. They are
 alike from row to row, so what is known is told from how the gradient varies between chunks. Where hardly anything is
 excited, feedback biases it as any output error: the predictor with a gain is the sound one.
@@ -28,11 +33,13 @@ from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
 from estimators.innovations import SPREAD, WIDEST, NoiseModel
+from estimators.logarithms import is_known_roughly
 from estimators.methods.prediction_error import FLOOR
 from estimators.problem import Problem
 from estimators.recursive_gauss_newton import RecursiveGaussNewton
 from models.expressions import number
 from models.kernel import Memory
+from models.model import Output
 from models.segment import Segment
 
 Array = NDArray[np.float64]
@@ -52,6 +59,11 @@ STALE = 1e-3
 """Share of its weight that the innovations' covariance keeps when all innovations are found anew."""
 ABSURD = 30.0
 """Standard deviations that no innovation of a predictor that works has."""
+ALIKE = 0.01
+"""Share of its noise by which a count may differ from another one that reads exactly like it, as both wheels of a
+vehicle that is symmetric to the last bit do: together they say no more than one of them."""
+LOGARITHM = 0.5
+"""Typical size of the logarithm of a parameter that is known roughly."""
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
 
@@ -100,6 +112,8 @@ class RecursivePredictor:
         self._noise = NoiseModel.of(problem) if corrected else None
         model, kernel = problem.model, problem.kernel
         free, logarithms = len(problem.free), self._noise.size if self._noise else 0
+        self._roughly = np.array([is_known_roughly(parameter) for parameter in problem.parameters], dtype=bool)
+        self._one_place = bool(self._roughly.any())
         parameters, states, outputs = len(kernel.parameters), len(kernel.states), len(kernel.outputs)
         gains = range(states * outputs) if self._noise else ()
         self._active = (
@@ -108,27 +122,27 @@ class RecursivePredictor:
             *problem.uncertain,
             *(parameters + states + entry for entry in gains),
         )
-        # Columns of the active are in their units: the typical sizes of parameters, standard deviations of the others.
         spread = [model.states[place].initial_std for place in problem.own]
         held = [model.parameters[place].std for place in problem.uncertain]
-        self._sizes = np.concatenate((problem.scale, spread, held))
+        self._others = np.concatenate((spread, held))
         self._own = slice(free, free + len(spread))
         self._free = free
-        self._start, self._scale, (self._lower, self._upper) = problem.start, problem.scale, problem.bounds
+        self._start, (self._lower, self._upper) = problem.start, problem.bounds
+        self._scale = np.where(self._roughly, LOGARITHM * self._start, problem.scale)
         known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
         widest = np.full(logarithms, WIDEST)
-        prior = np.concatenate(((problem.scale / known) ** 2, np.full(logarithms, SPREAD**-2)))
+        prior = np.concatenate(((self._scale / known) ** 2, np.full(logarithms, SPREAD**-2)))
         self._prior = np.concatenate((prior, np.ones(len(spread) + len(held))))
         self._regression = RecursiveGaussNewton(
             prior,
-            np.concatenate(((self._lower - self._start) / self._scale, -widest)),
-            np.concatenate(((self._upper - self._start) / self._scale, widest)),
+            np.concatenate((self._inside(self._lower), -widest)),
+            np.concatenate((self._inside(self._upper), widest)),
             asked=free,
             own=len(spread),
             held=len(held),
             clustered=self._noise is None,
         )
-        shares = [FLOOR if corrected and output.noise_known else 1e-9 for output in model.outputs]
+        shares = [_share(output, corrected=corrected) for output in model.outputs]
         self._floor = np.diag(
             [(share * output.noise) ** 2 for share, output in zip(shares, model.outputs, strict=True)]
         )
@@ -157,8 +171,12 @@ class RecursivePredictor:
         """The next chunk. One with absurd innovations is left out; the predictor then begins anew."""
         if self._state is None:
             chunk = chunk.as_first()
+        latest = self._regression.z
+        if self._one_place:  # the solution starts from there again
+            self._regression.z = self._seen_from
         error, slopes = self._predict(chunk)
         if not self._is_possible(error, slopes):
+            self._regression.z = latest
             self._state = None
             self.lost += bool(self.rows)
             return
@@ -169,6 +187,8 @@ class RecursivePredictor:
         if self.span > KEPT:
             self._kept.clear()
             self._regression.move(self._regression.z, self._reach)
+            if np.any(np.abs(self._regression.z - self._seen_from) > self._reach):
+                self._seen_from = self._regression.z
             return
         self._kept.append(chunk)
         held_back = self._regression.move(self._seen_from, self._reach)
@@ -181,7 +201,8 @@ class RecursivePredictor:
     def estimate(self, method: str) -> Estimate:
         """What is known now, under the name `method`."""
         uncertainty = self._regression.uncertainty()
-        units = np.outer(self._scale, self._scale)
+        sizes = self._sizes
+        units = np.outer(sizes, sizes)
         common = self._values[list(self._problem.free)]
         minimum = Minimum(
             common=common,
@@ -206,8 +227,21 @@ class RecursivePredictor:
     @property
     def _values(self) -> Array:
         """Of all parameters, (np,)."""
-        common = self._start + self._scale * self._regression.z[: self._free]
+        moved = self._regression.z[: self._free]
+        rough = self._start * np.exp(np.where(self._roughly, LOGARITHM * moved, 0.0))
+        common = np.where(self._roughly, rough, self._start + self._scale * moved)
         return self._problem.values(np.clip(common, self._lower, self._upper))
+
+    @property
+    def _sizes(self) -> Array:
+        """What one of each unknown parameter changes its value by, here, (p,)."""
+        values = self._values[list(self._problem.free)]
+        return np.where(self._roughly, LOGARITHM * values, self._scale)
+
+    def _inside(self, values: Array) -> Array:
+        """The unknowns (p,) at `values` (p,) of the estimated parameters."""
+        ratio = np.where(self._roughly, values / np.where(self._roughly, self._start, 1.0), 1.0)
+        return np.where(self._roughly, np.log(ratio) / LOGARITHM, (values - self._start) / self._scale)
 
     def _predict(self, chunk: Chunk) -> tuple[Array, Array]:
         """Errors of the predictor through `chunk`, (n, ny), and the slopes of what it predicts, (n, ny, active)."""
@@ -243,8 +277,9 @@ class RecursivePredictor:
             self._regression.begin()
         whitening = self._whitening()
         white = (whitening @ slopes).reshape(error.size, -1)
-        direct, free = len(self._sizes), self._free
-        scaled = white[:, :direct] * self._sizes
+        free = self._free
+        direct = free + len(self._others)
+        scaled = white[:, :direct] * np.concatenate((self._sizes, self._others))
         columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
         residual = (error @ whitening.T).ravel()
         self._regression.add(residual, columns, self._kept_share(error))
@@ -293,10 +328,10 @@ class RecursivePredictor:
 
     def _is_possible(self, error: Array, slopes: Array) -> bool:
         """Whether the predictor still follows the vehicle. If not, the noise may just be more than was thought: it is
-        learned, within bounds."""
+        learned, within bounds. From parameters known by their order of magnitude alone nobody expects that at first."""
         if not (np.isfinite(error).all() and np.isfinite(slopes).all()):
             return False
-        if self._noise is None:
+        if self._noise is None or (self._one_place and self.span < SOONEST):
             return True
         largest = ABSURD * np.sqrt(np.diagonal(self._covariance()))
         if (np.abs(error) <= largest).all():
@@ -305,7 +340,9 @@ class RecursivePredictor:
         return False
 
     def _learn_noise(self, error: Array, slopes: Array) -> None:
-        self._add_squares(error if self._noise else self._without_start(error, slopes))
+        # What is known roughly may set out far from where it was measured, which is no noise.
+        as_it_is = self._noise is not None and not self._one_place
+        self._add_squares(error if as_it_is else self._without_start(error, slopes))
 
     def _add_squares(self, error: Array) -> None:
         kept = self._kept_share(error)
@@ -324,10 +361,18 @@ class RecursivePredictor:
     def _without_start(self, error: Array, slopes: Array) -> Array:
         """`error` (n, ny) less what an initial state that is not quite as measured explains."""
         whitening = self._whitening()
-        own = (whitening @ slopes[:, :, self._own]).reshape(error.size, -1) * self._sizes[self._own]
+        spread = self._others[: self._own.stop - self._own.start]
+        own = (whitening @ slopes[:, :, self._own]).reshape(error.size, -1) * spread
         start = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (error @ whitening.T).ravel())
-        explained: Array = slopes[:, :, self._own] @ (self._sizes[self._own] * start)
+        explained: Array = slopes[:, :, self._own] @ (spread * start)
         return error - explained
+
+
+def _share(output: Output, *, corrected: bool) -> float:
+    """Of an output's noise: the standard deviation that is added to its innovations."""
+    if corrected and output.noise_known:
+        return FLOOR
+    return ALIKE if output.counted else 1e-9
 
 
 def inputs_at(problem: Problem, segment: Segment, row: int, values: Array) -> NDArray[np.int64]:

@@ -178,7 +178,7 @@ def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
 
 
 def test_the_balancing_robot_has_a_story_of_its_own(tmp_path: Path) -> None:
-    """Nothing is estimated while it runs: it is identified afterwards, without the seconds in which it gets up."""
+    """It is identified afterwards as well, without the seconds in which it gets up."""
     told = upright("demo", "--vehicle", "twsbr", "--experiment", "square", "--data", str(tmp_path))
     (recording,) = tmp_path.glob("*_square.arrow")
     fitted = json.loads(recording.with_suffix(".estimates.json").read_text())["methods"]["prediction_error"]

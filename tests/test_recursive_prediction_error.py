@@ -476,7 +476,7 @@ def test_one_that_fails_on_the_way_is_left_out(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_kind_without_estimators_has_none() -> None:
-    bank = online_estimators("twsbr", {}, {}, 0.1)
+    bank = online_estimators("other", {}, {}, 0.1)
     bank.join()
     bank.update(frames()[:10])
     assert bank.results() == {}

@@ -394,10 +394,12 @@ def test_a_robot_that_falls_is_stopped_before_it_drives_away() -> None:
 # --- what needs a model of the vehicle
 
 
-def test_no_live_estimator_is_made_up_for_it() -> None:
+def test_its_live_estimator_is_the_recursion_alone() -> None:
     bank = online_estimators("twsbr", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
+    assert not bank.complete
+    bank.join()
     assert bank.complete
-    assert (bank.results(), bank.diagnosis()) == ({}, None)
+    assert (list(bank.results()), bank.diagnosis()) == (["recursive_prediction_error"], None)
 
 
 def test_that_its_loop_cannot_be_run_again_is_said() -> None:
@@ -427,7 +429,7 @@ async def test_the_daemon_sets_up_the_motors_by_sdo_and_runs_it_over_a_bus(tmp_p
         assert [Path(report.eds).name for report in daemon.reports] == ["upright_motor.eds"] * 2
         answer = (await asyncio.to_thread(list, _ask(tmp_path, "experiment", name="doublet")))[-1]
         assert answer["exit_code"] == api.ExitCode.DONE, answer
-        assert (answer["estimates"], answer["diagnosis"]) == ({}, None)
+        assert (list(answer["estimates"]), answer["diagnosis"]) == (["recursive_prediction_error"], None)
         unknown = (await asyncio.to_thread(list, _ask(tmp_path, "experiment", name="step")))[-1]
         assert unknown["exit_code"] == api.ExitCode.USAGE
         assert "sine_stream" in unknown["text"]
@@ -439,6 +441,8 @@ async def test_the_daemon_sets_up_the_motors_by_sdo_and_runs_it_over_a_bus(tmp_p
     recording = load_recording(Path(answer["recording"]))
     assert recording.channels == TWSBR
     assert Phase.EXCITE in recording["phase"]
+    assert replay.replay(recording, vehicle) == answer["estimates"]
+    assert answer["estimates"]["recursive_prediction_error"]["samples"] > 200
     rebuilt = replay.load(Path(answer["recording"]).with_suffix(".log"), vehicle)
     assert "excitation" in replay.not_on_the_bus(TWSBR)
     for name in TWSBR.names:  # the last row's setpoints may come after the log's end
