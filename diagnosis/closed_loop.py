@@ -1,8 +1,9 @@
 """What a model would do in an experiment that was not run: the loop of the compiled model and its controller.
 
 Sample by sample the model shows its outputs, the controller answers with the inputs, and the model goes on: without
-noise, from rest. The controller is a plain callable, so that the vehicle's own can be used here. A command is held from
-its row on; an input that is a measurement (the gimbals' motion, say) is given for the row after, which it leads to.
+noise, from rest, or settled from there. The controller is a plain callable, so that the vehicle's own can be used here.
+A command is held from its row on; an input that is a measurement (the gimbals' motion, say) is given for the row after,
+which it leads to.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class Experiment:
 
     `parameters` as the vehicle file has them; `duration` s; `period` s of the control loop; `controller()` makes a
     fresh one with the excitation in it. `shorter(s)` is the same experiment in less time, None where it cannot be.
+    Before it the controller has had `settling` s, at times below zero.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Experiment:
     period: float
     controller: Callable[[], Controller] = field(repr=False)
     limits: tuple[Limit, ...] = ()
+    settling: float = 0.0
     shorter: Callable[[float], Experiment | None] = field(default=lambda duration: None, repr=False)
 
 
@@ -72,20 +75,23 @@ def causal(model: Model) -> Model:
 
 def simulate(model: Model, experiment: Experiment) -> Course:
     """The closed loop of `model` (see `causal`) and the controller, up to the row at which a limit is broken."""
-    count = round(experiment.duration / experiment.period) + 1
-    time = experiment.period * np.arange(count, dtype=np.float64)
+    first = round(experiment.settling / experiment.period)
+    count = first + round(experiment.duration / experiment.period) + 1
+    time = experiment.period * np.arange(-first, count - first, dtype=np.float64)
     inputs, outputs = len(model.inputs), len(model.outputs)
     knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
     usual = np.repeat([[0.0 if each.usual is None else each.usual for each in model.inputs]], count, axis=0)
     rows = Segment(time, knots, usual, np.zeros((count, outputs)), experiment.name)
     task = problem(model, (), rows=[rows])
     start = task.kernel.memory(np.zeros(len(task.kernel.states)))
+    course = Segment(time[first:], knots[first:], usual[first:], rows.measured[first:], experiment.name)
     for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller()):
         for limit in experiment.limits:
             value = abs(given[limit.channel] if limit.channel in given else seen[limit.channel])
-            if not value <= ROOM * limit.largest:
-                return Course(rows, _broken(limit, value, float(time[row])))
-    return Course(rows, "")
+            # Until it has settled a model comes from where the vehicle was not.
+            if not value <= (ROOM * limit.largest if row >= first else np.inf):
+                return Course(course, _broken(limit, value, float(time[row])))
+    return Course(course, "")
 
 
 def steps(
@@ -127,7 +133,7 @@ def steps(
 
 def _broken(limit: Limit, value: float, time: float) -> str:
     if not np.isfinite(value):
-        return f"the model runs away {time:.1f} s after the start"
+        return f"the model runs away {time:.1f} s after the start" if time >= 0.0 else "the model does not settle"
     return (
         f"{limit.channel} would reach {limit.factor * value:.3g} {limit.unit} after {time:.1f} s, more than"
         f" {100.0 * ROOM:g} % of the {limit.factor * limit.largest:.3g} {limit.unit} {limit.meaning}"

@@ -7,9 +7,10 @@ unstable plant is simulated for as long as the record is, and all that a predict
 
 The floor is the scatter of the same loop with the model's own noise in it: innovations e of the floor's covariance S,
 which the controller sees and which move the state by K e (diagnosis.floor), and a start as uncertain as a filtered
-state is. A right model has about 1, or less where the model states more noise than there is. So has one that lacks an
-effect which is too small to show in a loop that fights all errors: `adequate` is the sharper test, this one says how
-far the model is good for control.
+state is. What is counted has the white noise that its innovations show: a model states more, so that nothing builds on
+it, and a controller that was given as much would fight it. A right model has about 1, or less where the model states
+more noise than there is. So has one that lacks an effect which is too small to show in a loop that fights all errors:
+`adequate` is the sharper test, this one says how far the model is good for control.
 
 Time offsets of the inputs are as the model states them, up to a fraction of a row: more than that is a delay, which a
 simulation has to have from the model. Inputs that the loop does not give are as recorded.
@@ -25,8 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.closed_loop import Controller, steps
-from diagnosis.floor import Innovations
+from diagnosis.closed_loop import Controller, Limit, steps
+from diagnosis.floor import QUIETEST, Innovations
+from estimators.white_noise import white_variance
 from models.kernel import Memory
 from models.segment import Segment
 
@@ -47,7 +49,8 @@ class Loop:
     """What closed the loop around the vehicle on one recording, from `begins` to `ends` (s from its first row).
 
     `controller()` is the controller as it was at `begins`, its time s as in the recording; it needs the outputs `needs`
-    and gives the inputs `gives`, or those of them that a model has. `channels` are compared.
+    and gives the inputs `gives`, or those of them that a model has. `channels` are compared. Beyond `limits`, of these
+    channels, a vehicle is not controlled any more: a simulation that comes there is none.
     """
 
     begins: float
@@ -56,6 +59,7 @@ class Loop:
     needs: frozenset[str]
     gives: frozenset[str]
     channels: tuple[str, ...]
+    limits: tuple[Limit, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +144,7 @@ def _one(found: Innovations, numbers: Sequence[int], loop: Loop) -> ClosedLoop:
     measured = dict(_trajectories(found, loop, segment, segment))
     begin = _filtered(found, number, segment, first)
     simulated = _run(found, loop, segment, first, begin)
+    _check(loop, simulated, segment.time, first)
     limit = {name: BEYOND * float(np.ptp(values[first:])) for name, values in measured.items()}
     for name, values in simulated.items():
         away = np.flatnonzero(~(np.abs(values - measured[name])[first:] < limit[name]))
@@ -156,6 +161,20 @@ def _one(found: Innovations, numbers: Sequence[int], loop: Loop) -> ClosedLoop:
         simulated={name: values[first:] for name, values in simulated.items()},
         floor={name: _rms(np.array([draw[name] - simulated[name] for draw in draws])[:, first:]) for name in measured},
     )
+
+
+def _check(loop: Loop, simulated: Mapping[str, Array], time: Array, first: int) -> None:
+    """Raises _NotPossible where a limit is passed, with the one that is passed first."""
+    passed = [
+        (int(away[0]), limit)
+        for limit in loop.limits
+        if len(away := np.flatnonzero(np.abs(simulated[limit.channel][first:]) > limit.largest))
+    ]
+    if passed:
+        row, limit = min(passed, key=lambda each: each[0])
+        after = time[first + row] - time[first]
+        size = f"{limit.channel} passes the {limit.factor * limit.largest:.3g} {limit.unit} {limit.meaning}"
+        raise _NotPossible(f"with this model in the loop {size}, {after:.1f} s after its start")
 
 
 def _rows(found: Innovations, numbers: Sequence[int], loop: Loop) -> tuple[int, int, int]:
@@ -217,7 +236,7 @@ def _run(
     shocks = None
     if random is not None:
         memory.x += _root(_start_covariance(found)) @ random.standard_normal(len(memory.x))
-        kick = np.linalg.cholesky(found.floor.covariance)
+        kick = np.linalg.cholesky(_shown_covariance(found))
         noise = random.standard_normal((len(rows) - first, len(kick))) @ kick.T
         shocks = noise, noise @ found.floor.gain.T
     task = found.problem
@@ -229,6 +248,14 @@ def _run(
     if shocks is not None:
         rows.measured[-1] += shocks[0][-1]
     return dict(_trajectories(found, loop, rows, segment))
+
+
+def _shown_covariance(found: Innovations) -> Array:
+    """Of the innovations, (ny, ny): the floor's, in which what is counted has no more white noise than it shows."""
+    sensor = np.diag(found.floor.sensor)
+    counted = [output.counted for output in found.problem.model.outputs]
+    shown = np.minimum(sensor, np.maximum(white_variance(found.errors)[0], QUIETEST**2 * sensor))
+    return np.asarray(found.floor.covariance - np.diag(np.where(counted, sensor - shown, 0.0)))
 
 
 def _start_covariance(found: Innovations) -> Array:

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from diagnosis.closed_loop import Course, Experiment, simulate
 from diagnosis.gate import SHORTEST
-from diagnosis.rivals import NOTHING_MORE, Rival, innovation_covariance
+from diagnosis.rivals import NOTHING_MORE, Rival
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
-from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
 from estimators.problem import Problem, problem
 from models.segment import Segment
 
@@ -156,15 +155,15 @@ def expected_log_odds(truth: Rival, rows: Segment, other: Rival) -> float:
     """
     task = problem(other.model, (), rows=[rows])
     noise, values = NoiseModel.of(task), task.kernel.vector()
-    known = np.diag([(SENSOR_FLOOR * each.noise) ** 2 if each.noise_known else 0.0 for each in task.model.outputs])
     start, best, least = task.start, np.inf, 0.0
+    told = truth.logarithms(noise)
     for factor in WIDENING:
-        logarithms = truth.noise.copy()
+        logarithms = told.copy()
         logarithms[sorted(set(noise.process_place))] += np.log(factor)
         gain = noise.gain(values, logarithms)
         if gain is None:
             break
-        covariance = truth.scale * innovation_covariance(noise, values, truth.noise, gain) + known
+        covariance = truth.covariance(noise, values, told, gain)
         if factor == 1.0:
             least = float(np.linalg.slogdet(covariance)[1])
         weights = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from diagnosis.stationary import stationary
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -28,14 +29,14 @@ NOTHING_MORE = "nothing more"
 class Rival:
     """`model` has its values and says what is estimated.
 
-    `noise`: natural logarithms (q,) of its process and sensor noise against what it states, as in a fit
-    (estimators.innovations); `scale`: variance of what is measured over what that makes of it.
+    `noise`: natural logarithms of its process and sensor noise against what it states, by ("state" or "output", name),
+    as in a fit (estimators.innovations); `scale`, by output: variance of its innovations over what that makes of it.
     """
 
     name: str
     model: Model
-    noise: Array
-    scale: float = 1.0
+    noise: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    scale: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, name: str, fitted: FullFit) -> Rival:
@@ -43,17 +44,52 @@ class Rival:
         task, known = fitted.fit.problem, fitted.fit.values
         model = causal(fitted.model.change(dict(zip(task.kernel.parameters, known.tolist(), strict=True))))
         logarithms = fitted.fit.minimum.common[len(task.free) :]
-        expected = innovation_covariance(NoiseModel.of(task), known, logarithms, fitted.fit.gain)
-        # The fit's noises are ratios to the last output's, so that one tells the scale.
-        return cls(name, model, logarithms, float(fitted.fit.covariance[-1, -1] / expected[-1, -1]))
+        noise = NoiseModel.of(task)
+        expected = innovation_covariance(noise, known, logarithms, fitted.fit.gain)
+        told = {each: float(logarithms[place]) for each, place in _noisy(noise)}
+        # The fit's noises are ratios, and it counts with more noise of what it takes for known.
+        shown = np.diag(fitted.fit.covariance) - counted_with(model)
+        scale = np.maximum(shown, 0.0) / np.diag(expected)
+        return cls(name, model, told, dict(zip(task.kernel.outputs, scale.tolist(), strict=True)))
 
     @classmethod
     def assumed(cls, name: str, model: Model) -> Rival:
         """`model` as it is, with the noise that it states."""
-        model = causal(model)
-        noisy = sum(state.process_noise > 0.0 and not state.noise_known for state in model.states)
-        loud = sum(not output.noise_known for output in model.outputs[:-1])
-        return cls(name, model, np.zeros(noisy + loud))
+        return cls(name, causal(model))
+
+    def covariance(self, noise: NoiseModel, values: Array, logarithms: Array, gain: Array) -> Array:
+        """Of the innovations as a fit counts with them, (ny, ny); arguments as of `innovation_covariance`."""
+        model = noise.problem.model
+        factor = np.sqrt([self.scale.get(output.name, 1.0) for output in model.outputs])
+        expected = innovation_covariance(noise, values, logarithms, gain)
+        return np.asarray(np.outer(factor, factor) * expected + np.diag(counted_with(model)))
+
+    def logarithms(self, noise: NoiseModel) -> Array:
+        """Its noise as `noise` has it, (q,): outputs that read alike in one record have one noise there, in another
+        each has its own."""
+        found = np.zeros(noise.size)
+        for name, place in _noisy(noise):
+            found[place] = self.noise.get(name, 0.0)
+        return found
+
+
+def _noisy(noise: NoiseModel) -> list[tuple[tuple[str, str], int]]:
+    """States and outputs whose noise is not known, each with the place of its logarithm."""
+    states, outputs = noise.problem.model.states, noise.problem.model.outputs
+    names = [("state", states[each].name) for each in noise.noisy]
+    names += [("output", outputs[each].name) for each in noise.loud]
+    return list(zip(names, (*noise.process_place, *noise.sensor_place), strict=True))
+
+
+def counted_with(model: Model) -> Array:
+    """Variance (ny,) that a fit adds to the innovations of outputs whose noise is known."""
+    return np.array([(SENSOR_FLOOR * each.noise) ** 2 if each.noise_known else 0.0 for each in model.outputs])
+
+
+def with_named(model: Model, name: str) -> Model:
+    """`model` with the effect `name`, EFFECT or EFFECT@PLACE. Raises ModelError."""
+    effect, _, place = name.partition("@")
+    return model.add(effect, place)
 
 
 def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, gain: Array) -> Array:
@@ -73,12 +109,15 @@ def fitted(model: Model, recordings: Sequence[Recording], support: float | None)
 def fitted_rivals(
     model: Model, recordings: Sequence[Recording], support: float | None, effects: Sequence[str]
 ) -> list[Rival]:
-    """`model` with each of `effects`, fitted to `recordings`; an effect under which it runs away is left out.
+    """`model` with each of `effects` (EFFECT, or EFFECT@PLACE as a finding names it), fitted to `recordings`; an effect
+    under which it runs away is left out.
 
     All count with the noise of the one that explains them best: what the others have more is what they fail to explain.
     Raises DataError where the recordings cannot be used.
     """
-    workspace = Workspace.of(model, recordings, support, tuple(effects))
+    asked = [with_named(model, name).effects[-1].name for name in effects]
+    workspace = Workspace.of(model, recordings, support, tuple(dict.fromkeys(name.split("@")[0] for name in asked)))
+    workspace = replace(workspace, candidates=tuple(each for each in workspace.candidates if each.name in asked))
     base = full(model, workspace)
     screened = screen(
         Whitened.of(base.fit),
@@ -98,6 +137,4 @@ def fitted_rivals(
         return []
     best = max(fits, key=lambda name: fits[name].log_likelihood)
     known = Rival.of(best, fits[best])
-    return [
-        replace(Rival.of(name, fits[name]), noise=known.noise, scale=known.scale) for name in effects if name in fits
-    ]
+    return [replace(Rival.of(name, fits[name]), noise=known.noise, scale=known.scale) for name in asked if name in fits]

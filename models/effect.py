@@ -103,8 +103,8 @@ class Effect:
 
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
     experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that do a part
-    of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `in_radians`: names that are an angle in rad, or the effect makes no sense. `source` is where the equation
-    is from.
+    of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `in_radians`:
+    names that are an angle in rad, or the effect makes no sense. `source` is where the equation is from.
     """
 
     name: str

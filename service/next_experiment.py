@@ -13,16 +13,15 @@ from typing import Any
 from diagnosis.closed_loop import Experiment, simulate
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
-from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals
+from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
 from models.model import Model, ModelError
 from service.excitation import ExcitationError, InjectionPoint
 from service.monocab import predicted as monocab
+from service.twsbr import predicted as twsbr
 from service.vehicle_sections import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
-UNTOLD = ("coulomb_friction", "viscous_friction")
-"""What a record that is too poor for a diagnosis tells apart the least."""
 SMALL = 0.03
 """Share of its typical size at which an effect is looked at to find the size at which it just shows."""
 MOST_RIVALS = 4
@@ -37,15 +36,21 @@ class Prediction:
     """How the loop of one kind of vehicle is predicted.
 
     It needs these outputs of a model and gives these inputs; `of` a vehicle file makes what predicts an experiment of
-    it by name.
+    it by name. `untold` is what a record that is too poor for a diagnosis tells apart the least. `assumed` is a model
+    with what no recording has told yet of how late the loop's inputs act.
     """
 
     needs: frozenset[str]
     gives: frozenset[str]
     of: Callable[[Any], Callable[[str], Experiment]]
+    untold: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
+    assumed: Callable[[Model], Model] = lambda model: model
 
 
-PREDICTIONS = {"monocab": Prediction(monocab.NEEDS, monocab.GIVES, monocab.predictor)}
+PREDICTIONS = {
+    "monocab": Prediction(monocab.NEEDS, monocab.GIVES, monocab.predictor),
+    "twsbr": Prediction(twsbr.NEEDS, twsbr.GIVES, twsbr.predictor, twsbr.UNTOLD, twsbr.assumed),
+}
 """By kind of vehicle."""
 
 
@@ -97,7 +102,7 @@ def _suggestion(
     progress: Progress | None,
 ) -> Mapping[str, Any] | None:
     if diagnosis.verdict is Verdict.INSUFFICIENT_DATA:
-        return _as_json(separating(vehicle, model, UNTOLD, progress=progress))
+        return _as_json(separating(vehicle, model, _prediction(vehicle, model).untold, progress=progress))
     repaired = diagnosis.repaired
     if repaired is None:
         return None
@@ -136,6 +141,7 @@ def separating(
             bare = bare.remove(name)
     if recordings:
         return suggest(fitted_rivals(bare, recordings, vehicle.support, effects), experiments, progress)
+    bare = _prediction(vehicle, model).assumed(bare)
     alone = Rival.assumed(NOTHING_MORE, bare)
     rivals = [_just_visible(bare, name, alone, experiments) for name in effects]
     return suggest(rivals, experiments, progress)
@@ -145,12 +151,17 @@ def _as_json(choice: Choice) -> Mapping[str, Any] | None:
     return choice.best.to_json() if choice.best is not None else None
 
 
-def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
-    """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
+def _prediction(vehicle: VehicleFile, model: Model) -> Prediction:
     prediction = PREDICTIONS.get(vehicle.vehicle.kind)
     if prediction is None:
         what = f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet"
         raise ModelError(f"model {model.name}", what, remedy="choose the next experiment by hand.")
+    return prediction
+
+
+def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
+    """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
+    prediction = _prediction(vehicle, model)
     lacking = prediction.needs - {each.name for each in model.outputs}
     lacking |= {each.name for each in model.inputs if each.usual is None} - prediction.gives
     if lacking:
@@ -163,7 +174,7 @@ def _unseen(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]
     """Effects and the size up to which they may have been missed, the largest against its typical size first."""
     found = []
     for name, size in sizes.items():
-        attached = model.add(name).effects[-1]
+        attached = with_named(model, name).effects[-1]
         first = next(p for p in attached.parameters if p.name == attached.amplitudes[0])
         if size <= max(abs(first.lower), abs(first.upper)):
             found.append((size / first.typical, name, size))
@@ -172,17 +183,19 @@ def _unseen(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]
 
 def _with(model: Model, effect: str, size: float) -> Model:
     """`model` with `effect`, its first amplitude at `size`, all of them estimated."""
-    wider = model.add(effect)
+    wider = with_named(model, effect)
     return wider.change({wider.effects[-1].amplitudes[0]: size})
 
 
 def _just_visible(model: Model, effect: str, alone: Rival, experiments: Sequence[Experiment]) -> Rival:
     """`model` with `effect` as small as the best of `experiments` would just show it: nats grow with the square."""
-    attached = model.add(effect).effects[-1]
+    attached = with_named(model, effect).effects[-1]
     size = SMALL * next(p for p in attached.parameters if p.name == attached.amplitudes[0]).typical
     tried = Rival.assumed(effect, _with(model, effect, size))
-    courses = (simulate(tried.model, experiment) for experiment in experiments)
-    nats = [expected_log_odds(tried, course.rows, alone) for course in courses if not course.broken]
+    courses = {experiment.name: simulate(tried.model, experiment) for experiment in experiments}
+    nats = [expected_log_odds(tried, course.rows, alone) for course in courses.values() if not course.broken]
     if not nats or max(nats) <= 0.0:
-        raise ModelError(f"effect {effect}", "no safe experiment shows it", remedy="give recordings of it.")
+        refused = [f"{name}: {course.broken}" for name, course in courses.items() if course.broken]
+        told = "; ".join(["no safe experiment shows it", *refused])
+        raise ModelError(f"effect {effect}", told, remedy="give recordings of it.")
     return Rival.assumed(effect, _with(model, effect, size * (DETECTABLE / max(nats)) ** 0.5))

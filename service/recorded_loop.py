@@ -10,10 +10,11 @@ from typing import Any
 
 from diagnosis.closed_loop_error import Loop
 from service.monocab.recorded_loop import recorded_loop as monocab
+from service.twsbr.recorded_loop import recorded_loop as twsbr
 from service.vehicle_sections import VehicleFile
 from telemetry.recording import Recording
 
-LOOPS: dict[str, Callable[[Any, Recording], Loop | str]] = {"monocab": monocab}
+LOOPS: dict[str, Callable[[Any, Recording], Loop | str]] = {"monocab": monocab, "twsbr": twsbr}
 """By kind of vehicle."""
 
 

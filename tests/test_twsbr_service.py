@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from diagnosis.closed_loop_error import Loop
 from drivers.cia402.config import DriveConfig
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State
@@ -402,9 +403,11 @@ def test_its_live_estimator_is_the_recursion_alone() -> None:
     assert (list(bank.results()), bank.diagnosis()) == (["recursive_prediction_error"], None)
 
 
-def test_that_its_loop_cannot_be_run_again_is_said() -> None:
-    found = recorded_loop(VEHICLE, record("twsbr", "doublet", duration=SHORT))
-    assert found == "the loop of a twsbr cannot be run again yet"
+def test_its_loop_can_be_run_again() -> None:
+    recording = record("twsbr", "doublet", duration=SHORT)
+    found = recorded_loop(VEHICLE, recording)
+    assert isinstance(found, Loop)
+    assert found.begins == pytest.approx(recording.time[recording["phase"] == Phase.EXCITE][0])
 
 
 # --- the daemon
