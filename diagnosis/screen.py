@@ -44,8 +44,7 @@ class Score:
 
     `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: by how much the log likelihood would rise.
     `detectable`: the least size of the first amplitude that this record would show; of an effect that others do a part
-    of, beyond them and at the shape that shows best. `starts`: sizes and shape of all
-    variants, the best first.
+    of, beyond them and at the shape that shows best. `starts`: sizes and shape of all variants, the best first.
     """
 
     candidate: Candidate
