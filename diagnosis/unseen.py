@@ -29,6 +29,8 @@ from models.model import Model
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
+Pieces = tuple[tuple[float, float], ...]
+"""s of a recording, from and to."""
 
 THIRDS = 3
 PIECES = 2
@@ -39,8 +41,8 @@ SETTLING = 0.5
 BLOCK = 1.0
 """s of held-out data that count as one piece of evidence."""
 SURE = 2.0
-"""Standard deviations from zero of an amplitude that a part of the data tells. One that does not tell cannot judge, nor
-can one be judged in which the effect does so little that it would not be told there."""
+"""Standard deviations from zero of an amplitude that a part of the data tells: one that does not tell cannot judge, and
+in one where the effect would not be told it is not judged. And those by which an error ahead surely grows."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 HORIZON = 0.5
 """s ahead at which held-out errors are told: far enough for a missing force to show."""
@@ -48,11 +50,11 @@ HORIZON = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """`seen` is fitted. Of `whole`, the rows in `pieces` (s, from and to) are judged."""
+    """`seen` is fitted. Of `whole`, the rows in `pieces` are judged."""
 
     seen: tuple[Recording, ...]
     whole: Recording
-    pieces: tuple[tuple[float, float], ...]
+    pieces: Pieces
 
     def judges(self, time: Array) -> NDArray[np.bool_]:
         """Which of the rows at `time` (n,)."""
@@ -84,8 +86,8 @@ class UnseenCheck:
     def __init__(self, base: FullFit, workspace: Workspace) -> None:
         self._base = base
         self._workspace = workspace
-        self._few: dict[object, Workspace] = {}
-        self._without: dict[object, Fit] = {}
+        self._few: dict[Pieces, Workspace] = {}
+        self._without: dict[Pieces, Fit] = {}
 
     def of(self, best: FullFit) -> Unseen | None:
         """What fits of a part of the data say of the rest; None where no part tells the effects that `best` adds."""
@@ -138,7 +140,7 @@ def folds(model: Model, recordings: Sequence[Recording], support: float | None) 
     return found
 
 
-def _inside(time: Array, pieces: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+def _inside(time: Array, pieces: Pieces) -> NDArray[np.bool_]:
     return np.asarray(np.any([(time >= begin) & (time < end) for begin, end in pieces], axis=0))
 
 
@@ -254,7 +256,7 @@ def _innovations(fitted: Fit, task: Problem) -> list[Array]:
     ]
 
 
-def _without(model: Model, recording: Recording, pieces: Sequence[tuple[float, float]]) -> Recording:
+def _without(model: Model, recording: Recording, pieces: Pieces) -> Recording:
     """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
     kept = ~_inside(recording.time, pieces)
     hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
