@@ -102,4 +102,5 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
         return Adequacy(before, float("inf"), None)
     found = Innovations(last, least, tuple(last.innovations()))
     shaped = shapes(found, probe(found))
-    return Adequacy(before, left.ratio, views(left), shaped[0] if shaped else None, gained)
+    sure = [each for each in shaped if each.p_value < CHANCE] or shaped
+    return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained)

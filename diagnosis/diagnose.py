@@ -13,13 +13,13 @@ from dataclasses import replace
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy
-from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_apart
+from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
 from diagnosis.gate import check
 from diagnosis.ready import ready
-from diagnosis.refit import FullFit, full
+from diagnosis.refit import FullFit, settled
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
 from diagnosis.timed import untimed
@@ -63,7 +63,7 @@ def diagnose(
     except DataError as error:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
     tell("fitting the model as it is", 0.05)
-    base = full(model, workspace)
+    base = settled(model, workspace)
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
@@ -90,19 +90,26 @@ def _search(
         part = partial(_part, tell, step / (most + 1.0), 1.0 / (most + 1.0))
         part("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), 0.0)
         screens.append(look(whole, workspace))
+        if len(findings) == most:
+            break
         seen = surprising(screens[-1])
-        if len(findings) == most or not (seen or (masked and not findings)):
-            break
-        # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
-        more = unseen_at_zero(workspace) if seen and not findings else []
-        found = find(whole, screens[-1], workspace, {*masked, *more}, part)
-        if found is None:
-            break
-        if found.finding.log_likelihood_gain < asked(found.finding, findings):
-            whole = found.fit
-            break
-        before = [*findings, found.finding]
-        findings, whole = exchange(before, found.fit, workspace, masked, part)
+        found = None
+        if seen or (masked and not findings):
+            # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
+            more = unseen_at_zero(workspace) if seen and not findings else []
+            found = find(whole, screens[-1], workspace, {*masked, *more}, part)
+        before = findings
+        if found is not None:
+            if found.finding.log_likelihood_gain < asked(found.finding, findings):
+                whole = found.fit
+                break
+            before = [*findings, found.finding]
+            findings, whole = exchange(before, found.fit, workspace, masked, part)
+        else:
+            two = two_at_once(whole, screens[-1], workspace, masked, part) if not findings and most > 1 else None
+            if two is None:
+                break
+            findings, whole = two
         if len(findings) < most:
             findings, whole = taken_apart(findings, whole, workspace, masked, part)
         findings, whole = put_together(findings, whole, workspace, part)

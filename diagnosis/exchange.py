@@ -9,6 +9,8 @@ Taken out one at a time, an effect that has the parameters of two is never compa
 differs between the directions, with dry friction and a static torque. What is made of two is taken apart, and two are
 put together, for one cause is likelier than two: of M effects there are more pairs than single ones, and each number of
 effects is as likely before (Chen, Chen, "Extended Bayesian information criteria", 2008).
+
+Nor does a search that begins with one find two of which each hides the other: they are looked for at once.
 """
 
 from __future__ import annotations
@@ -20,14 +22,19 @@ from itertools import pairwise
 
 from diagnosis.findings import Finding
 from diagnosis.refit import FullFit, by_chance, full, with_effect
+from diagnosis.screen import Screen
 from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, surprising, unseen_at_zero
 from diagnosis.ties import LEVEL, alike
 from diagnosis.workspace import Workspace
 
-FURTHER = 0.05
-"""Share of what was gained so far that a further effect has to gain: no formula is exact, and a long record tells."""
+FURTHER = 0.02
+"""Share of what was gained so far that a further effect has to gain: no formula is exact, and a long record tells.
+
+What play leaves looks like elasticity, which is a neighbour. With 0.05 friction or a torque beside it had no name."""
 FURTHER_ALIKE = 0.1
 """The same for an effect that is easily confused with one that was found: it bends its formula."""
+PAIRS = 2
+"""Pairs that are looked for at once, at most."""
 TURNS = 2
 """How often each effect is looked for again, at most."""
 
@@ -111,10 +118,34 @@ def put_together(
     return list(findings), whole
 
 
+def two_at_once(
+    base: FullFit, screened: Screen, workspace: Workspace, masked: Collection[str], tell: Tell
+) -> tuple[list[Finding], FullFit] | None:
+    """Two effects of which none shows alone, and the fit with them; None where no two are worth being two.
+
+    Each takes away what shows of the other: friction the work that a torque does which the actuators bring along. So
+    each is looked for beside the other, as in `exchange`.
+    """
+    for pair in screened.pairs[:PAIRS]:
+        if pair.p_value >= LEVEL:
+            return None
+        first, second = pair.candidates
+        tell(f"looking for {first.name} and {second.name} at once", 0.9)
+        try:
+            start = with_effect(base.model, first, pair.starts[0])
+            one = _beside(full(start, workspace, first), workspace, masked)
+            other = one and _beside(full(one.fit.model.remove(first.name), workspace), workspace, masked)
+        except ArithmeticError:
+            continue
+        if one is not None and other is not None and worth_two(other.fit, base, 0, workspace):
+            return exchange([one.finding, other.finding], other.fit, workspace, masked, tell)
+    return None
+
+
 def worth_two(two: FullFit, one: FullFit, count: int, workspace: Workspace) -> bool:
-    """Whether the fit with `count` + 1 effects is likelier by the odds of a name than that with `count` of them."""
+    """Whether the fit `two` is likelier by the odds of a name than the fit `one`, which has `count` effects."""
     candidates = len(workspace.candidates)
-    rarer = math.log(math.comb(candidates, count + 1) / math.comb(candidates, count))
+    rarer = math.log(math.comb(candidates, max(count + 1, 2)) / math.comb(candidates, count))
     return two.evidence - one.evidence > max(0.0, rarer) + WORTH
 
 

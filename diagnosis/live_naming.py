@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from diagnosis.candidates import Candidate
-from diagnosis.exchange import FURTHER, FURTHER_ALIKE
+from diagnosis.exchange import FURTHER_ALIKE
 from diagnosis.live_odds import Weighed, weigh
 from diagnosis.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.products import Products
@@ -48,6 +48,9 @@ KEPT = 32
 """s back within which an onset is looked for, one that was found excepted."""
 MOST = 3
 """Effects that are named at once."""
+FURTHER = 0.05
+"""Share of the statistics of those named that a further effect has to have: at one shape, and one linear step away, a
+formula fits less well than one that is refitted."""
 SUDDEN = {"static_torque": "torque_step"}
 """What an effect is called that was not there from the beginning."""
 ALWAYS = (

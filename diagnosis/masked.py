@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from diagnosis.candidates import Candidate
-from diagnosis.refit import FullFit, full, with_effect
+from diagnosis.refit import FURTHER_FITS, FullFit, full, with_effect
 from diagnosis.whitened import BLOCK
 from diagnosis.workspace import Workspace, attached
 from models.effect import Place, starts
@@ -35,7 +35,7 @@ def fits(model: Model, workspace: Workspace, names: Collection[str]) -> list[Ful
         own = candidate.attached
         values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
         try:
-            found.append(full(_with(model, candidate, values), workspace, candidate))
+            found.append(full(_with(model, candidate, values), workspace, candidate, longer=FURTHER_FITS))
         except ArithmeticError:
             continue
     return found

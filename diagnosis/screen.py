@@ -17,7 +17,8 @@ Sources: Rao's score test; Westfall and Young, "Resampling-based multiple testin
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,11 +65,23 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
+class Pair:
+    """Two candidates at once, each of which may take away what shows of the other. `p_value` with all pairs looked at,
+    a bound; `starts`: sizes and shape of each."""
+
+    candidates: tuple[Candidate, Candidate]
+    p_value: float
+    starts: tuple[Mapping[str, float], Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
 class Screen:
-    """`scores` in order, the surest first; `bases` of what each does to the innovations, orthonormal, by name."""
+    """`scores` in order, the surest first; `bases` of what each does to the innovations, orthonormal, by name; `pairs`
+    whose sizes physics allows, the surest first."""
 
     scores: tuple[Score, ...]
     bases: Mapping[str, Array]
+    pairs: tuple[Pair, ...] = ()
 
     def score(self, name: str) -> Score:
         return next(score for score in self.scores if score.candidate.name == name)
@@ -172,7 +185,7 @@ def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, 
         drawn = _statistics(candidate, square, normal[:, where])
         entry = _Entry(candidate, number, where, sizes, square, inflation, statistic, drawn)
         by_name.setdefault(candidate.name, []).append(entry)
-    return _screen(by_name, columns, information)
+    return _screen(by_name, columns, information, score)
 
 
 def _draws(information: Array, left: NDArray[np.bool_]) -> Array:
@@ -215,18 +228,21 @@ def _bounds(candidate: Candidate) -> tuple[Array, Array]:
 
 
 def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array) -> float:
-    """The least size of the first amplitude: a step that shows no more than a constant torque does is none."""
+    """The least size of the first amplitude: a step that shows no more than a constant torque does is none.
+
+    Beyond others, by what the first amplitude does alone: all of them together may do all that the others do.
+    """
     candidate = entries[0].candidate
     beyond = [f"{other}{candidate.name.removeprefix(candidate.effect.name)}" for other in candidate.effect.beyond]
     others = [by_name[name][0].where for name in beyond if name in by_name]
     variances = []
     for each in entries if beyond else entries[:1]:
-        where = np.concatenate((each.where, *others))
+        where = np.concatenate((each.where[:1] if beyond else each.where, *others))
         variances.append(each.inflation * _variances(information[np.ix_(where, where)])[0])
     return DETECTABLE * float(np.sqrt(min(variances)))
 
 
-def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array) -> Screen:
+def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array, score: Array) -> Screen:
     best = {name: max(entries, key=lambda each: each.statistic) for name, entries in by_name.items()}
     # Each candidate's own distribution first (the best of its shapes), then that of the smallest p-value of all.
     largest = {name: np.max([each.drawn for each in entries], axis=0) for name, entries in by_name.items()}
@@ -253,7 +269,39 @@ def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information
             )
         )
     scores.sort(key=lambda score: (score.p_value, -score.statistic))
-    return Screen(tuple(scores), {name: np.linalg.qr(columns[:, entry.where])[0] for name, entry in best.items()})
+    bases = {name: np.linalg.qr(columns[:, entry.where])[0] for name, entry in best.items()}
+    return Screen(tuple(scores), bases, _pairs(best, by_name, information, score))
+
+
+def _pairs(
+    best: Mapping[str, _Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array, score: Array
+) -> tuple[Pair, ...]:
+    """What two candidates, each at the best of its shapes, explain together; those that would count, by Bonferroni."""
+    found = []
+    together = list(combinations(best.values(), 2))
+    for one, other in together:
+        where = np.concatenate((one.where, other.where))
+        sizes = _inverse(information[np.ix_(where, where)]) @ score[where]
+        statistic = float(sizes @ score[where]) / max(one.inflation, other.inflation)
+        tries = len(together) * _tries(one, by_name) * _tries(other, by_name)
+        p_value = tries * float(chi2.sf(statistic, len(where)))
+        if p_value >= 1.0:
+            continue
+        parts = sizes[: len(one.where)], sizes[len(one.where) :]
+        if all(_allowed(each.candidate, part) for each, part in zip((one, other), parts, strict=True)):
+            starts = replace(one, sizes=parts[0]).start, replace(other, sizes=parts[1]).start
+            found.append(Pair((one.candidate, other.candidate), p_value, starts))
+    return tuple(sorted(found, key=lambda each: each.p_value))
+
+
+def _tries(entry: _Entry, by_name: Mapping[str, Sequence[_Entry]]) -> int:
+    """Among how many shapes this one was picked."""
+    return len(by_name[entry.candidate.name]) * (entry.candidate.among if entry.picked else 1)
+
+
+def _allowed(candidate: Candidate, sizes: Array) -> bool:
+    lower, upper = _bounds(candidate)
+    return bool(np.all((sizes >= lower) & (sizes <= upper)))
 
 
 def _inverse(square: Array) -> Array:

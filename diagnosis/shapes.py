@@ -1,9 +1,10 @@
 """Would a force of any shape still help? A test for lack of fit that needs no formula.
 
 A missing force at a joint is let depend on one coordinate after the other as it likes: piecewise straight lines
-over it, the same times rate or coordinate, waves over it, and swinging or creeping in time. What each would do to the
-innovations is its linear response (diagnosis.force_probe), less what parameters, noise and initial states could do, the
-effects that are in the model included. So what is left is what no value of theirs would mend.
+over it, the same times rate or coordinate, waves over it, and swinging or creeping in time. Beside these, which may
+have any shape and pay for it, come the first terms of Taylor's series: whatever is smooth looks like one of them. What
+each would do to the innovations is its linear response (diagnosis.force_probe), less what parameters, noise and initial
+states could do, the effects that are in the model included. So what is left is what no value of theirs would mend.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ HARMONICS = 12
 """Of the range of a coordinate."""
 SLOWEST, FASTEST, BANDS = 0.1, 5.0, 60
 """Hz, between which a coefficient may swing in time, and how many bands' strongest lines are tried."""
+CUBES = ("{0} cubed", "{0} squared times {1}", "{0} times {1} squared", "{1} cubed")
 OVERSAMPLED = 4
 """Lines a band of the width that a record resolves, one over its length: between two of them nothing is missed."""
 LEAST = 1e-6
@@ -94,9 +96,20 @@ def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str,
     yield "time", clock[0].shape[1], clock
     for word, slope in slopes.items():
         for name in values:
+            if name == joint.coordinate and word == joint.rate:
+                continue  # the same as the other way round
+            yield f"{word} times {name}", 1, _times([each[:, None] for each in values[name]], slope)
+        for name in values:
             if name != word:
                 yield f"{word} by {name}", hats[name][0].shape[1], _times(hats[name], slope)
         yield f"{word} by time", clock[0].shape[1], _times(clock, slope)
+    if angle is not None and rate is not None:
+        for power, name in enumerate(CUBES):
+            yield (
+                name.format(joint.coordinate, joint.rate),
+                1,
+                [(one ** (3 - power) * other**power)[:, None] for one, other in zip(angle, rate, strict=True)],
+            )
     if angle is not None:
         whole = np.concatenate(angle)
         span = float(np.quantile(whole, 0.999) - np.quantile(whole, 0.001))

@@ -16,7 +16,7 @@ from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
-from diagnosis.refit import FullFit, QuickFit, by_chance, full, quick, surety, with_effect
+from diagnosis.refit import FURTHER_FITS, FullFit, QuickFit, by_chance, full, quick, surety, with_effect
 from diagnosis.screen import Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, TIED, exact, needless, tied
@@ -40,8 +40,6 @@ FAR = 4.0
 so far from white that what is missing counts against the very effect that it is."""
 CONTENDERS = 6
 """Full fits a step, at most."""
-FURTHER_FITS = 2
-"""Times that a fit which does not settle goes on."""
 CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
 CHECKED = 3

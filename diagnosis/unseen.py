@@ -65,19 +65,30 @@ class Fold:
 class Unseen:
     """`gain`: rise of the log likelihood; `std` of it, but for what was foretold; `known`: by how much parameters are
     nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy HORIZON ahead that
-    exceeds the sensors', what is gone, and the standard deviation of that, None where there was none."""
+    exceeds the sensors', what is gone, and the standard deviation of that, None where there was none;
+    `closing_percent`: what would be gone if the effect were right, and would have come if there were none of it."""
 
     gain: float
     std: float
     closed_percent: float | None
     closed_std: float | None = None
+    closing_percent: float | None = None
     known: float = 0.0
 
     @property
     def stands(self) -> bool:
-        """Whether the likelihood rises beyond its own noise, and no error surely grows."""
-        closes = self.closed_percent is None or self.closed_std is None or self.closed_percent > -SURE * self.closed_std
-        return closes and self.gain + self.known >= self.std
+        """Whether the likelihood rises beyond its own noise, and no error surely grows.
+
+        What an effect does ahead that is less than the scatter there is judged by the rows alone: other errors of the
+        model, which add up on the way, would decide.
+        """
+        return not self._grows and self.gain + self.known >= self.std
+
+    @property
+    def _grows(self) -> bool:
+        if self.closed_percent is None or self.closed_std is None or self.closing_percent is None:
+            return False
+        return self.closing_percent > self.closed_std and self.closed_percent <= -SURE * self.closed_std
 
 
 class UnseenCheck:
@@ -180,25 +191,28 @@ def judge(
     if np.sum(foretold) < noise:
         return None
     squares = np.concatenate(energies)
-    before, after = np.mean(squares, axis=0)
+    before, after, apart = np.mean(squares, axis=0)
     spread = float(np.std(squares[:, 0] - squares[:, 1], ddof=1) / np.sqrt(len(squares)))
     return Unseen(
         gain=float(np.sum(differences)),
         std=noise,
         closed_percent=float(100.0 * (before - after) / (before - 1.0)) if before > 1.0 else None,
         closed_std=100.0 * spread / float(before - 1.0) if before > 1.0 else None,
+        closing_percent=float(100.0 * apart / (before - 1.0)) if before > 1.0 else None,
         known=float(np.mean(known)),
     )
 
 
 def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
-    """Error energies HORIZON ahead over that of the sensors' noise, under `one` and under `other`, (m, 2)."""
+    """Error energies HORIZON ahead over that of the sensors' noise, under `one`, under `other`, and of what the two
+    predict apart, (m, 3)."""
     there = ahead.on(other, problem(other.problem.model, [part.whole], support=support))
     floor = ahead.sensor_floors(there, (HORIZON,))[0]
     before = ahead.on(one, problem(one.problem.model, [part.whole], support=support))
-    squares = [np.mean((ahead.errors(each, (HORIZON,))[0] / floor) ** 2, axis=1) for each in (before, there)]
-    both = np.stack(squares, axis=1)[part.judges(ahead.times(there, HORIZON))]
-    return np.asarray(both[np.isfinite(both).all(axis=1)])
+    errors, less = (ahead.errors(each, (HORIZON,))[0] / floor for each in (before, there))
+    squares = np.stack([np.mean(each**2, axis=1) for each in (errors, less, errors - less)], axis=1)
+    judged = squares[part.judges(ahead.times(there, HORIZON))]
+    return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 
 def _log_density(fitted: Fit, part: Fold, support: float | None) -> Array:

@@ -92,7 +92,8 @@ class TestRecords:
         found = diagnosed(f"backlash={level}", seed)
         # At four times the size the crossing, drawn as a lag, leaves so much that the rest may be called unknown.
         assert found.verdict in (Verdict.MISSING_EFFECT, Verdict.UNKNOWN)
-        finding = found.findings[0]
+        # What its formula leaves looks like a spring, and is no finding.
+        (finding,) = found.findings
         assert finding.effect == "backlash"
         assert len(finding.tied_with) <= 1
         width, inertia = (finding.parameters[f"backlash.{name}"] for name in ("width", "load_inertia"))
@@ -115,3 +116,11 @@ class TestRecords:
         found = diagnosed(hide, 31)
         names = {name for each in found.findings for name in (each.effect, *each.tied_with)}
         assert "backlash" not in names
+
+    def test_a_torque_beside_it_has_a_name_however_much_more_the_play_explains(self) -> None:
+        # 2.4 N m, twice what 30 s just show without play, gain a fortieth of what the play gains.
+        hide = ("backlash=0.005", f"static_torque={2.4 / HIDDEN['static_torque'].size:.4g}")
+        candidates = ("backlash", "static_torque", "flexible_mode", "hysteresis")
+        recording = record("monocab", "multisine", hide=hide, seed=43, duration=30.0)
+        found = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates)
+        assert {each.effect for each in found.findings} == {"backlash", "static_torque"}

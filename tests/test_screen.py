@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -99,6 +100,68 @@ class TestSizes:
             beyond.append(one.statistic * one.inflation - other.statistic * other.inflation)
         away = 4.0 * DETECTABLE
         assert max(beyond) == pytest.approx(away**2, abs=3.3 * 2.0 * away)
+
+    def test_friction_of_two_directions_is_detectable_by_what_sets_them_apart(self) -> None:
+        """One direction alone is half Coulomb friction, so that what is beyond is harder to see than the whole."""
+        task, innovations = clean()
+        names = ("coulomb_friction", "asymmetric_friction")
+        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, names)
+        found = screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+        one = found.bases["coulomb_friction"]
+        moved = project(
+            innovations.directions(
+                workspace.problem(attached(MODEL, [found.score("asymmetric_friction").candidate])),
+                ["asymmetric_friction.torque_forward"],
+                {},
+            ),
+            innovations.nuisance,
+        )
+        left = np.linalg.norm(moved - one @ (one.T @ moved))
+        score = found.score("asymmetric_friction")
+        assert score.detectable == pytest.approx(DETECTABLE * np.sqrt(score.inflation) / left, rel=1e-6)
+        assert left < 0.8 * np.linalg.norm(moved)
+
+
+class TestPairs:
+    NAMES = ("gimbal_imbalance", "load_dependent_friction", "static_torque", "viscous_friction")
+
+    def look(self, sizes: Mapping[str, float]) -> Screen:
+        """The screen of white innovations with `sizes`, in the standard errors that each would have alone."""
+        task, innovations = clean()
+        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, self.NAMES)
+        noise = white(seed=5)
+        seen = noise.residual.copy()
+        for each in workspace.candidates:
+            if each.name in sizes:
+                task_with_it = workspace.problem(attached(MODEL, [each]))
+                moved = innovations.directions(task_with_it, each.amplitudes[:1], {})
+                moved = project(moved, innovations.nuisance)[:, 0]
+                seen += sizes[each.name] * moved / np.linalg.norm(moved)
+        return screen(
+            replace(noise, residual=seen),
+            lambda group: workspace.problem(attached(MODEL, group)),
+            workspace.candidates,
+        )
+
+    def test_two_that_hide_each_other_show_together(self) -> None:
+        one, other = self.NAMES[:2]
+        nothing = self.look({})
+        along = float((nothing.bases[one].T @ nothing.bases[other]).item())
+        # What one does is in part what the other undoes.
+        assert abs(along) > 0.5
+        found = self.look({one: -8.0 * np.sign(along), other: 8.0})
+        assert {each.name for each in found.pairs[0].candidates} == {one, other}
+        alone = min(score.p_value for score in found.scores if score.candidate.name in (one, other))
+        assert found.pairs[0].p_value < 1e-3 * alone
+
+    def test_a_pair_of_a_sign_that_physics_forbids_is_none(self) -> None:
+        one, other = self.NAMES[:2]
+        along = float((self.look({}).bases[one].T @ self.look({}).bases[other]).item())
+        pairs = self.look({one: 8.0 * np.sign(along), other: -8.0}).pairs
+        assert all({each.name for each in pair.candidates} != {one, other} for pair in pairs)
+
+    def test_chance_makes_no_pair(self) -> None:
+        assert all(pair.p_value > 0.01 for pair in self.look({}).pairs)
 
 
 class TestProbabilities:

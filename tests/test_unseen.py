@@ -5,7 +5,11 @@ from __future__ import annotations
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.parts import diagnose_actuators
+from diagnosis.unseen import Unseen
 from estimators.identify import nominal_model, with_values
+from models.effects import find
+from models.library import ACTUATORS
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.hidden import HIDDEN
@@ -39,3 +43,40 @@ def test_an_effect_is_not_judged_where_it_does_nothing(found: Diagnosis) -> None
 def test_it_is_said_that_nothing_was_held_against_it(found: Diagnosis) -> None:
     for each in found.findings:
         assert ("record once more" in each.explanation) == (each.held_out is None)
+
+
+@pytest.mark.parametrize(
+    ("closed", "closed_std", "closing", "stands"),
+    [
+        (90.0, 20.0, 85.0, True),
+        (-80.0, 16.0, 55.0, False),  # it does much ahead, and makes it worse
+        (-30.0, 16.0, 55.0, True),  # not surely
+        (-9.0, 4.0, 2.0, True),  # it does next to nothing there: what else is wrong decides
+        (None, None, None, True),
+    ],
+)
+def test_an_error_ahead_judges_what_does_something_ahead(
+    closed: float | None, closed_std: float | None, closing: float | None, stands: bool
+) -> None:
+    told = Unseen(30.0, 6.0, closed_percent=closed, closed_std=closed_std, closing_percent=closing)
+    assert told.stands is stands
+
+
+def test_a_likelihood_that_does_not_rise_refuses_whatever_the_error_ahead() -> None:
+    assert not Unseen(3.0, 6.0, closed_percent=90.0, closed_std=10.0, closing_percent=90.0).stands
+
+
+def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_leaves() -> None:
+    """It shows by the rows; half a second ahead the error is a dozen times what it does there."""
+    hide = ("input_asymmetry=0.0008", "load_dependent_friction=0.01")
+    recording = record("monocab", "multisine", hide=hide, seed=83, duration=30.0)
+    values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
+    actuators = [with_values(each, values, deviations) for each in ACTUATORS["monocab"]]
+    candidates = [find(name) for name in ("input_asymmetry", "input_gain", "input_delay", "actuator_lag")]
+    found = diagnose_actuators(actuators, [recording], support=VEHICLE.support, candidates=candidates)
+    (finding,) = found.findings
+    assert finding.effect == "input_asymmetry"
+    assert finding.held_out is not None
+    assert finding.held_out.closing_percent is not None
+    assert finding.held_out.closed_std is not None
+    assert finding.held_out.closing_percent < finding.held_out.closed_std

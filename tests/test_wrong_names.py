@@ -20,11 +20,14 @@ from models.model import ModelError
 from models.segment import Segment
 from service.vehicle_file import load
 from service.virtual_run import record
+from simulation.hidden import HIDDEN
 
 VEHICLE = load("monocab")
 MODEL = with_values(
     nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
 )
+HIDE_EACH_OTHER = {"gimbal_imbalance": 31.0, "load_dependent_friction": 2.0e-3}
+"""N m, and the share of the actuators' torque."""
 
 
 def found_in(*hide: str) -> Diagnosis:
@@ -70,6 +73,24 @@ class TestNames:
         assert found.unexplained is not None
         assert found.unexplained.shape is not None
         assert found.unexplained.shape.name == "roll swinging in time"
+
+    def test_a_damping_of_one_side_is_no_step(self) -> None:
+        # Four times the size that the record would just show, which a step and play had explained between them.
+        # One term of Taylor's series tells what a curve of eight corners is too free to tell.
+        recording = record("monocab", "multisine", hide=("test_one_sided_damping=0.038",), seed=11, duration=30.0)
+        found = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=("torque_step", "torque_drift"))
+        assert found.verdict is Verdict.UNKNOWN
+        assert found.unexplained is not None
+        assert found.unexplained.shape is not None
+        assert {"roll", "roll_rate"} <= set(found.unexplained.shape.name.split())
+
+    def test_two_that_hide_each_other_are_found(self) -> None:
+        # Friction takes out what the leakage of the gimbals' weight puts in: twice their detectable sizes each.
+        hide = tuple(f"{name}={size / HIDDEN[name].size:.4g}" for name, size in HIDE_EACH_OTHER.items())
+        recording = record("monocab", "multisine", hide=hide, seed=12, duration=30.0)
+        found = diagnose(MODEL, [recording], support=VEHICLE.support)
+        assert {each.effect for each in found.findings} == set(HIDE_EACH_OTHER)
+        assert found.verdict is Verdict.MISSING_EFFECT
 
 
 def adequacy(gain: float, p_value: float, gained: float = 100.0) -> Adequacy:

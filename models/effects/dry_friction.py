@@ -70,6 +70,7 @@ STRIBECK_FRICTION = Effect(
         "hysteresis",
         "backlash",
     ),
+    beyond=("coulomb_friction",),
     separated_by="Slow and fast motion in one record, as a triangle wave of the angle at two frequencies: friction "
     "falls with the rate where Coulomb friction stays and viscous friction grows.",
     dissipative=True,
@@ -129,6 +130,7 @@ ASYMMETRIC_FRICTION = Effect(
     separated_by="Motion and long rests in one record: at rest the mean of friction is gone, that of a static torque "
     "is not.",
     made_of=("coulomb_friction", "static_torque"),
+    beyond=("coulomb_friction",),
     dissipative=True,
     source="Armstrong-Helouvry, Control of Machines with Friction (1991)",
 )

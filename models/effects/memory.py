@@ -122,6 +122,7 @@ BACKLASH = Effect(
         "hysteresis",
         "coulomb_friction",
         "stribeck_friction",
+        "flexible_mode",
         "input_deadband",
         "input_delay",
         "actuator_lag",

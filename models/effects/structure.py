@@ -47,7 +47,7 @@ FLEXIBLE_MODE = Effect(
     force=f"share / (1 - share) * (load + inertia * {_SPRING})",
     signature="The missing torque rings on at one frequency after each hit; the frequency response has a notch and a "
     "peak.",
-    confused_with=("periodic_disturbance",),
+    confused_with=("periodic_disturbance", "backlash"),
     separated_by="A chirp through 1 to 20 Hz, then silence: a mode answers to the excitation and dies out, a periodic "
     "disturbance stays.",
     source="Craig, Kurdila, Fundamentals of Structural Dynamics (2006), base excitation",
