@@ -19,7 +19,7 @@ from typing import Any
 
 from diagnosis.diagnose import diagnose
 from diagnosis.gate import check
-from diagnosis.refit import full
+from diagnosis.refit import settled
 from diagnosis.screen import screen
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -54,7 +54,7 @@ def main() -> None:
     def first_answer() -> str:
         check(MODEL, [recording], VEHICLE.support)
         workspace = Workspace.of(MODEL, [recording], VEHICLE.support)
-        base = full(MODEL, workspace)
+        base = settled(MODEL, workspace)
         found = screen(
             Whitened.of(base.fit), lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates
         )

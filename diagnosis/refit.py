@@ -173,10 +173,7 @@ def full(
         if fitted.minimum.converged or _creeps(fitted):
             break
         fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end)
-    own = {p.name for each in model.effects for p in each.parameters}
-    count = sum(p.estimated for p in model.parameters if p.name in own)
-    rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
-    return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
+    return _full(model, fitted, workspace, candidate)
 
 
 def settled(model: Model, workspace: Workspace) -> FullFit:
@@ -184,11 +181,19 @@ def settled(model: Model, workspace: Workspace) -> FullFit:
     nothing. In a narrow valley steps grow short, and from there on with fresh ones it has gone on by 1,200 nats."""
     found = full(model, workspace, longer=FURTHER_FITS)
     for _ in range(FURTHER_FITS):
-        again = full(model, workspace, begin=found.fit.end)
+        fitted = fit(workspace.problem(model), near=found.fit, begin=found.fit.end)
+        again = _full(model, fitted, workspace)
         if again.log_likelihood - found.log_likelihood < CREEPING:
             break
         found = again
     return found
+
+
+def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
+    own = {p.name for each in model.effects for p in each.parameters}
+    count = sum(p.estimated for p in model.parameters if p.name in own)
+    rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
+    return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
 
 
 def _creeps(fitted: Fit) -> bool:
