@@ -230,15 +230,18 @@ def _bounds(candidate: Candidate) -> tuple[Array, Array]:
 def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array) -> float:
     """The least size of the first amplitude: a step that shows no more than a constant torque does is none.
 
-    Beyond others, by what the first amplitude does alone: all of them together may do all that the others do.
+    Beyond others, of which the one that does most of it counts, by what the first amplitude does alone: all of them
+    together may do all that another does.
     """
     candidate = entries[0].candidate
     beyond = [f"{other}{candidate.name.removeprefix(candidate.effect.name)}" for other in candidate.effect.beyond]
-    others = [by_name[name][0].where for name in beyond if name in by_name]
+    others = [entry.where for name in beyond for entry in by_name.get(name, ())]
     variances = []
     for each in entries if beyond else entries[:1]:
-        where = np.concatenate((each.where[:1] if beyond else each.where, *others))
-        variances.append(each.inflation * _variances(information[np.ix_(where, where)])[0])
+        own = each.where[:1] if beyond else each.where
+        told_from = [np.concatenate((own, other)) for other in others] or [own]
+        variance = max(_variances(information[np.ix_(where, where)])[0] for where in told_from)
+        variances.append(each.inflation * variance)
     return DETECTABLE * float(np.sqrt(min(variances)))
 
 

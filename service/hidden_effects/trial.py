@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from models.effects import CATALOGUE
 from models.library import get
 from models.model import Model
 from service.hidden_effects.answers import Answer, Method, diagnosis
@@ -136,8 +137,8 @@ def _asked(
             methods[name] = {"seconds": time.perf_counter() - began, "error": f"{type(error).__name__}: {error}"}
             continue
         if name == SUBJECT and case == case.reference:
-            unlisted = method(model, [recording], support, candidates=list(UNLISTED_EFFECTS.values())).detectable
-            extra[DETECTABLE] = {**answer.detectable, **unlisted}
+            whole = method(model, [recording], support, candidates=[*CATALOGUE, *UNLISTED_EFFECTS.values()]).detectable
+            extra[DETECTABLE] = {**answer.detectable, **{name: whole[name] for name in UNLISTED_EFFECTS if name in whole}}
     return {"methods": methods, **extra}
 
 

@@ -1,4 +1,5 @@
-"""The effects that no catalogue has, as a model would have them: only to tell how small one could just be seen.
+"""The effects that no catalogue has, as a model would have them: only to tell how small one could just be told from all
+that the catalogue has.
 
 The virtual vehicle has its own formulas for them (simulation.roll_effects). A diagnosis is never given these as
 candidates where it is asked what is missing.
@@ -7,6 +8,7 @@ candidates where it is asked what is missing.
 from __future__ import annotations
 
 from models.effect import Effect, EffectParameter, Family, Place
+from models.effects import CATALOGUE
 
 
 def _torque(name: str, title: str, unit: str, scale: str, shape: str, cosine: str = "") -> Effect:
@@ -25,6 +27,8 @@ def _torque(name: str, title: str, unit: str, scale: str, shape: str, cosine: st
         signature="",
         confused_with=(),
         separated_by="",
+        # Smaller, it is to the record the effect of the catalogue that does most of what it does.
+        beyond=tuple(CATALOGUE),
         force=force,
     )
 
