@@ -138,7 +138,8 @@ def _asked(
             continue
         if name == SUBJECT and case == case.reference:
             whole = method(model, [recording], support, candidates=[*CATALOGUE, *UNLISTED_EFFECTS.values()]).detectable
-            extra[DETECTABLE] = {**answer.detectable, **{name: whole[name] for name in UNLISTED_EFFECTS if name in whole}}
+            unlisted = {name: size for name, size in whole.items() if name in UNLISTED_EFFECTS}
+            extra[DETECTABLE] = {**answer.detectable, **unlisted}
     return {"methods": methods, **extra}
 
 
