@@ -3,7 +3,9 @@
 Everybody starts from the paper's table 1, stays within its table 2 and minimises the same negative log likelihood of
 the same record, in the same unknowns: parameters, noises and the initial state. Peers get the cost by simulation alone,
 compiled and without derivatives, as an optimiser of a simulation toolbox does; SLSQP and trust-constr difference it.
-Each is stopped after LIMIT seconds; what it has reached by then counts, and its ratio is then a lower bound.
+A peer's time is that at which it first came within NEAR of the cost that the fit reached. One that stops by itself
+before is started again from its best point, with a fresh approximation of the Hessian or a fresh simplex. Each is
+stopped after LIMIT seconds; what it has reached by then counts, and its ratio is then a lower bound.
 """
 
 from __future__ import annotations
@@ -25,11 +27,16 @@ from service.virtual_run import record
 Array = NDArray[np.float64]
 
 LIMIT = 120.0
+"""s for each peer."""
+NEAR = 0.5
+"""Nats above the cost of the fit at which a peer has arrived: less than any decision on a model asks for."""
 PEERS = ("SLSQP", "trust-constr", "Nelder-Mead")
+OPTIONS = {"SLSQP": {"ftol": 1e-12}, "Nelder-Mead": {"maxfev": 10**9, "adaptive": True}}
+"""As good as was found for each: with its own tolerance SLSQP stops every few steps, and restarts make it slower."""
 
 
-class OutOfTime(Exception):
-    """A peer has had its time."""
+class Over(Exception):
+    """A peer has arrived, or has had its time."""
 
 
 class Cost:
@@ -50,18 +57,23 @@ class Cost:
         self.bounds = Bounds(
             *(np.concatenate((e, *more)) / self.scale for e, more in zip((lower, upper), ends, strict=True))
         )
-        self.restart()
+        self.goal = found.fit.minimum.cost + NEAR
+        self.begin(LIMIT)
 
-    def restart(self) -> None:
-        self.best, self.count, self.deadline = np.inf, 0, time.perf_counter() + LIMIT
+    def begin(self, limit: float) -> None:
+        """Another peer begins, with `limit` seconds."""
+        self.best, self.at, self.count, self.deadline = np.inf, self.start, 0, time.perf_counter() + limit
 
     def __call__(self, unknowns: Array) -> float:
         if time.perf_counter() > self.deadline:
-            raise OutOfTime
+            raise Over
         self.count += 1
-        natural = np.clip(unknowns, self.bounds.lb, self.bounds.ub) * self.scale
-        value = self.value(natural)
-        self.best = min(self.best, value)
+        inside = np.clip(unknowns, self.bounds.lb, self.bounds.ub)
+        value = self.value(inside * self.scale)
+        if value < self.best:
+            self.best, self.at = value, inside
+        if value <= self.goal:
+            raise Over
         return value / self.likelihood.task.rows
 
     def value(self, natural: Array) -> float:
@@ -88,34 +100,42 @@ class Cost:
         return cost if sign > 0.0 and np.isfinite(cost) else 1e12
 
 
+def run(cost: Cost, peer: str, limit: float) -> tuple[float, int]:
+    """Seconds that the peer took, and how often it stopped by itself short of the goal and was started again."""
+    cost.begin(limit)
+    options = {"maxiter": 10**6} | OPTIONS.get(peer, {})
+    began, again = time.perf_counter(), 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        while True:
+            try:
+                minimize(cost, cost.at, method=peer, bounds=cost.bounds, options=options)
+            except Over:
+                return time.perf_counter() - began, again
+            again += 1
+
+
 def main() -> None:
-    global LIMIT
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--limit", type=float, default=LIMIT, help="s for each peer")
-    LIMIT = parser.parse_args().limit
+    limit = parser.parse_args().limit
     recording = record("twsbr", "square", seed=1)
     bounded_fit(get("twsbr"), [recording])  # compiles
     began = time.perf_counter()
     found = bounded_fit(get("twsbr"), [recording])
     own = time.perf_counter() - began
     cost = Cost(found)
-    start = cost.value(cost.start * cost.scale)
     reached = found.fit.minimum.cost
-    print(f"{'':14}{'s':>8}{'ratio':>8}{'cost above upright':>20}{'costs':>8}")
-    print(f"{'start':14}{'':8}{'':8}{start - reached:20.2f}")
-    print(f"{'upright':14}{own:8.2f}{1:8.1f}{0:20.2f}")
+    print(f"{len(cost.start)} unknowns, {cost.likelihood.task.rows} rows. Peers get the same compiled cost,")
+    print("the same unknowns, scaled by the start, and the same bounds. Where one stops by itself, it begins")
+    print(f"again at its best point. It ends within {NEAR:g} nat of upright's cost, or after {limit:g} s.")
+    print(f"{'':14}{'s':>8}{'ratio':>9}{'cost above upright':>20}{'costs':>8}{'restarts':>10}")
+    print(f"{'start':14}{'':8}{'':9}{cost.value(cost.start * cost.scale) - reached:20.2f}")
+    print(f"{'upright':14}{own:8.2f}{1:9.1f}{0:20.2f}")
     for peer in PEERS:
-        cost.restart()
-        began, capped = time.perf_counter(), ""
-        options = {"maxiter": 10**6} | ({"maxfev": 10**9, "adaptive": True} if peer == "Nelder-Mead" else {})
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                minimize(cost, cost.start, method=peer, bounds=cost.bounds, options=options)
-        except OutOfTime:
-            capped = f"  stopped after {LIMIT:g} s"
-        took = time.perf_counter() - began
-        print(f"{peer:14}{took:8.2f}{took / own:8.1f}{cost.best - reached:20.2f}{cost.count:8}{capped}", flush=True)
+        took, again = run(cost, peer, limit)
+        ratio = f"{'' if cost.best <= cost.goal else '>= '}{took / own:.1f}"
+        print(f"{peer:14}{took:8.2f}{ratio:>9}{cost.best - reached:20.2f}{cost.count:8}{again:10}", flush=True)
 
 
 if __name__ == "__main__":
