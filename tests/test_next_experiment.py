@@ -28,6 +28,7 @@ from service.next_experiment import experiments_of, separating, suggest_for
 from service.sequence import Phase
 from service.vehicle_file import VehicleFile, load
 from service.virtual_run import record
+from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
 VEHICLE = load("monocab")
@@ -253,6 +254,29 @@ def test_the_command_runs_the_experiment_that_separates(tmp_path: Path) -> None:
     assert asked == [{"verb": "experiment", "name": "square"}]
     assert "of square" in output
     assert "separates" in output
+
+
+def test_a_part_of_the_recordings_is_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "hold.arrow"
+    whole = record("monocab", "hold", seed=6, duration=2.0)
+    whole.save(path)
+    seen: list[Recording] = []
+
+    def separating(
+        file: VehicleFile, model: Model, effects: object, recordings: list[Recording], progress: object
+    ) -> Any:
+        seen.extend(recordings)
+        raise UprightError("enough was seen.", remedy="")
+
+    monkeypatch.setattr("service.next_experiment.separating", separating)
+    arguments = ["experiment", "--separate", *PAIR, str(path), "--from", "0.5", "--to", "1.5"]
+    assert CliRunner().invoke(app, arguments).exit_code == 1
+    (part,) = seen
+    assert part.duration == pytest.approx(1.0, abs=0.02)
+    assert part.timestamp_ns[0] - whole.timestamp_ns[0] == pytest.approx(0.5e9, abs=0.02e9)
+    # A part of nothing, and a part that there is not, are said.
+    assert CliRunner().invoke(app, ["experiment", "sweep", "--from", "0.5"]).exit_code == ExitCode.USAGE
+    assert CliRunner().invoke(app, [*arguments[:5], "--from", "500"]).exit_code != 0
 
 
 def test_the_command_needs_one_name_or_two_effects() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,8 +14,12 @@ class NothingSeparates(UprightError):
     """No safe experiment of the vehicle tells two effects apart in a reasonable time."""
 
 
-def chosen_experiment(effects: tuple[str, str], recordings: Sequence[str], vehicle: str) -> tuple[str, str]:
+def chosen_experiment(
+    effects: tuple[str, str], recordings: Sequence[str], vehicle: str, begin: float = 0.0, end: float = math.inf
+) -> tuple[str, str]:
     """The experiment's name and the vehicle's id; what will be run, and why no other, is printed on stderr.
+
+    `begin`, `end` s: the part of the recordings that is looked at.
 
     Raises NothingSeparates, and ModelError for an effect that the vehicle's model cannot have.
     """
@@ -24,7 +29,7 @@ def chosen_experiment(effects: tuple[str, str], recordings: Sequence[str], vehic
     from service.vehicle_file import load
 
     file = load(vehicle)
-    loaded = [load_recording(Path(path), vehicle) for path in recordings]
+    loaded = [load_recording(Path(path), vehicle).between(begin, end) for path in recordings]
     with share_done() as progress:
         choice = separating(file, identified_model(None, file), effects, loaded, progress)
     for outlook in choice.outlooks:

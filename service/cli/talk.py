@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,16 @@ def experiment(
             show_default=False,
         ),
     ] = None,
+    begin: Annotated[
+        float,
+        typer.Option(
+            "--from", help="With --separate: look at the recordings from this second on.", show_default="the beginning"
+        ),
+    ] = 0.0,
+    end: Annotated[
+        float,
+        typer.Option("--to", help="With --separate: look at the recordings up to this second.", show_default="the end"),
+    ] = math.inf,
     vehicle: VehicleOption = "monocab",
     socket: SocketOption = None,
     json: JsonOption = False,
@@ -55,7 +66,9 @@ def experiment(
     if separate is not None:
         from service.cli.separate import chosen_experiment
 
-        name, vehicle = chosen_experiment(separate, names or [], vehicle)
+        name, vehicle = chosen_experiment(separate, names or [], vehicle, begin, end)
+    elif begin > 0.0 or end < math.inf:
+        raise typer.BadParameter("it is of recordings, which go with --separate", param_hint="--from, --to")
     elif names and len(names) == 1:
         name = names[0]
     else:
