@@ -2,9 +2,9 @@
 
 The recursive prediction error method gives, chunk by chunk, innovations and what its unknowns do to them. A second
 kernel, of the model with every candidate attached at amplitude zero, runs along with the same parameters and the same
-gain: it says what a little of each effect would do. Once a second `diagnosis.live_odds` weighs each effect against
-none, whenever it set in. One whose odds no chance explains gets a name (`diagnosis.live_naming`), with those that are
-not told from it yet; it is then taken for granted, and the next one is looked for.
+gain: it says what a little of each effect would do. Every second or two `diagnosis.live_odds` weighs each effect
+against none, whenever it set in. One whose odds no chance explains gets a name (`diagnosis.live_naming`), with those
+that are not told from it yet; it is then taken for granted, and the next one is looked for.
 
 It sees each effect at one shape only (`upright diagnose` tries several and refits each), but for the frequency of a
 disturbance, which is followed. A size is one linear step
@@ -117,6 +117,7 @@ class LiveDiagnosis:
         self._far: Array = np.zeros(0)
         self._going_on = False
         self._waiting: list[Seen] = []
+        self._waits = 0
         self._substeps = self._usual
         self._neutral = self._defaults.copy()
         self._line: LineFinder | None = None
@@ -142,8 +143,10 @@ class LiveDiagnosis:
             if seen.chunk.begins or (seen.count and seen.place == 0):
                 # Another initial state, which what was gathered knows nothing of.
                 self._waiting.clear()
+                self._waits = 0
                 self._memory = self._gathered = None
             self._waiting.append(seen)
+            self._waits += len(seen.residual)
             if seen.count or self._is_due():
                 self._take()
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
@@ -153,7 +156,7 @@ class LiveDiagnosis:
         """Whether what waits completes a second, which is when it is needed."""
         if self._gathered is None or self._line is None:
             return len(self._waiting) == JOINED
-        rows = sum(len(each.residual) for each in self._waiting) // len(self._base.kernel.outputs)
+        rows = self._waits // len(self._base.kernel.outputs)
         return self._gathered.completes(rows * self._line.period, CHUNK * self._line.period)
 
     def _goes_on(self, seen: Seen) -> bool:
@@ -166,7 +169,7 @@ class LiveDiagnosis:
 
     def _take(self) -> None:
         """What waits, in one."""
-        waiting, self._waiting = self._waiting, []
+        waiting, self._waiting, self._waits = self._waiting, [], 0
         if not waiting:
             return
         last = waiting[-1]
@@ -183,15 +186,16 @@ class LiveDiagnosis:
         # As seen from one place, so that it does not matter that the recursion moves on meanwhile.
         gathered, about, order = self._gathered, self._gathered.about, self._gathered.order
         columns = self._room("columns", len(effects), len(order) + len(self._active) + 1)
-        residual = np.concatenate([each.residual for each in waiting])
-        nuisances = np.concatenate([each.columns for each in waiting])
+        first = 0
         for each in waiting:
             self._line.add(each.residual.reshape(-1, outputs))
-        moved = np.repeat([each.z - about for each in waiting], [len(each.residual) for each in waiting], axis=0)
-        columns[:, : len(order)] = nuisances[:, order]
-        columns[:, -1] = residual + np.einsum("np,np->n", nuisances[:, : len(about)], moved)
+            rows = slice(first, first + len(each.residual))
+            columns[rows, : len(order)] = each.columns[:, order]
+            columns[rows, -1] = each.residual + each.columns[:, : len(about)] @ (each.z - about)
+            first = rows.stop
         columns[:, len(order) : -1] = effects
-        if gathered.add(columns, parts(chunk, outputs)) and last.place + 1 >= last.count:
+        whole = gathered.add(columns, parts(chunk, outputs)) and last.place + 1 >= last.count
+        if whole and (last.count or gathered.is_due()):
             self._result = gathered.look(self._shapes, {LINE: self._line.bins})
             self._follow_line()
 

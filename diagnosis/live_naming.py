@@ -51,6 +51,9 @@ MOST = 3
 FURTHER = 0.05
 """Share of the statistics of those named that a further effect has to have: at one shape, and one linear step away, a
 formula fits less well than one that is refitted."""
+NEAR = 0.5
+"""Of the logarithm of the odds of a name, from which on an effect is looked at every second: what sets in passes it in
+half the time that it takes to a name, and without it every other second is looked at."""
 SUDDEN = {"static_torque": "torque_step"}
 """What an effect is called that was not there from the beginning."""
 ALWAYS = (
@@ -130,7 +133,7 @@ TOO_LITTLE = LiveResult((), {}, 0, "too little free motion yet to tell")
 
 
 class Gathered:
-    """What has come in so far, and what it tells, renewed every second."""
+    """What has come in so far, and what it tells, renewed every second or two."""
 
     def __init__(self, entries: Sequence[Entry], order: NDArray[np.int64], products: Products, about: Array) -> None:
         self._entries = {each.amplitudes.name: each for each in entries}
@@ -142,6 +145,7 @@ class Gathered:
         self._began: list[float] = []
         self._filled = 0.0
         self._onsets: list[int] = []
+        self._near = True
 
     @classmethod
     def of(cls, base: Problem, candidates: Sequence[Candidate], seen: Seen) -> Gathered:
@@ -193,6 +197,10 @@ class Gathered:
         if effect in self._entries:
             self.products.forget(self._entries[effect].amplitudes.columns)
 
+    def is_due(self) -> bool:
+        """Whether the last complete second is looked at: every one while anything is near a name, else every other."""
+        return self._near or self.products.seconds % 2 == 0
+
     def look(self, shapes: Mapping[str, tuple[float, float, str]], tries: Mapping[str, int]) -> LiveResult:
         """Name what stands out, the strongest first, each with those before it taken for granted.
 
@@ -210,8 +218,9 @@ class Gathered:
         detectable: dict[str, float] = {}
         reason = ""
         while len(named) < MOST:
-            found, errors = weigh(self.products, amplitudes, named, tries, least)
+            found, errors = weigh(self.products, amplitudes, named, tries, least if named else NEAR * least)
             if not named:
+                self._near = bool(found)
                 detectable = {name: DETECTABLE * error * self._entries[name].scale[0] for name, error in errors.items()}
             if not found or found[0].log_odds < least or self._is_young(found[0]):
                 break

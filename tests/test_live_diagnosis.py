@@ -13,7 +13,7 @@ from observer_harness import VEHICLE
 from diagnosis.candidates import candidates_for
 from diagnosis.line import LineFinder
 from diagnosis.live import LiveDiagnosis
-from diagnosis.live_naming import LiveFinding, LiveResult
+from diagnosis.live_naming import Gathered, LiveFinding, LiveResult
 from diagnosis.workspace import attached
 from estimators.identify import nominal_model
 from estimators.recursive_prediction_error import RecursivePredictionError
@@ -100,6 +100,27 @@ def test_weak_friction_is_named_within_five_seconds_with_what_it_is_not_told_fro
         assert "coulomb_friction" in (each.effect, *each.tied_with)
         assert len(each.tied_with) <= 4
         assert each.p_value < 0.01
+
+
+def test_where_nothing_is_near_a_name_every_other_second_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And every one from soon after something set in."""
+    looked: list[int] = []
+    look = Gathered.look
+
+    def counted(self: Gathered, *arguments: Any) -> LiveResult:
+        looked.append(self.products.seconds)
+        return look(self, *arguments)
+
+    monkeypatch.setattr(Gathered, "look", counted)
+    recording = recorded("viscous_friction=0.5@25")
+    told = course(recording)
+    begin = onset(recording, 25.0)
+    quiet = max(result.seconds for time, result in told if time < begin)
+    before, after = ([each for each in looked if (each > quiet) is late] for late in (False, True))
+    assert len(set(before)) < 0.8 * quiet
+    assert max(np.diff(before)) <= 2
+    # Two seconds to be near a name, then no second is left out.
+    assert set(range(quiet + 3, max(after) + 1)) <= set(after)
 
 
 def test_what_no_effect_explains_yet_has_no_name() -> None:
