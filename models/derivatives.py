@@ -38,6 +38,9 @@ class Derivatives:
                 return exponent * base ** (exponent - 1) * self.by(base, symbol)
             case sympy.Function(args=(argument,)):
                 return expression.fdiff(1) * self.by(argument, symbol)
+            case sympy.Max(args=arguments) | sympy.Min(args=arguments):
+                inner = [(place, self.by(argument, symbol)) for place, argument in enumerate(arguments, 1)]
+                return sympy.Add(*(expression.fdiff(place) * each for place, each in inner if each != 0))
         return expression.diff(symbol)
 
     def _symbols(self, expression: sympy.Basic) -> frozenset[sympy.Basic]:
