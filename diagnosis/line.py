@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
+from scipy.special import gammaincc
 
 Array = NDArray[np.float64]
 
@@ -15,6 +16,10 @@ SLOWEST = 0.1
 """Hz, of a line that is looked at."""
 LONGEST, SHORTEST = 32.0, 4.0
 """s of the signal that are looked at, at most and at least."""
+RECENT = 8.0
+"""s that are looked at apart too: a line that has just begun is little in all of it, and least at the window's end."""
+CHANCE = 0.1
+"""Probability of a line as strong as one that is followed, where all is noise."""
 
 
 class LineFinder:
@@ -33,31 +38,41 @@ class LineFinder:
             self._rows -= len(self._parts.popleft())
 
     @property
-    def span(self) -> float:
-        """s that are looked at."""
-        return self._rows * self.period
-
-    @property
     def bins(self) -> int:
         """Among how many frequencies the line is picked, at least 1."""
-        return max(1, self._rows // 2)
+        return max(1, sum(self._lengths()) // 2)
 
-    def frequency(self) -> float | None:
-        """Hz of the strongest line, between bins by a parabola through logarithms; None where too little is there."""
-        if self.span < SHORTEST:
+    def frequency(self) -> tuple[float, float] | None:
+        """Hz of the strongest line, and the s in which it was found; None where noise may be all there is."""
+        if self._rows * self.period < SHORTEST:
             return None
-        # Zeros are added up to a number that is quick to transform: one with large factors takes ten times as long.
-        count = next_fast_len(self._rows, real=True)
-        spectrum = rfft(np.concatenate(self._parts) * _window(self._rows), count, axis=0, overwrite_x=True)
-        numbers = spectrum.view(np.float64)
-        power = np.einsum("fc,fc->f", numbers, numbers)
-        span = count * self.period
-        first = max(1, int(np.ceil(SLOWEST * span)))
-        peak = first + int(np.argmax(power[first:-1]))
-        before, there, after = np.log(np.maximum(power[peak - 1 : peak + 2], 1e-300))
-        bend = before - 2.0 * there + after
-        shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-        return float((peak + np.clip(shift, -0.5, 0.5)) / span)
+        rows = np.concatenate(self._parts)
+        power, frequency, span = max(strongest(rows[-length:], self.period) for length in self._lengths())
+        outputs = rows.shape[1]
+        return (frequency, span) if self.bins * gammaincc(outputs, outputs * power) < CHANCE else None
+
+    def _lengths(self) -> tuple[int, ...]:
+        """Rows of all that is looked at, and of what is recent."""
+        recent = int(RECENT / self.period)
+        return (self._rows, recent) if recent < self._rows else (self._rows,)
+
+
+def strongest(rows: Array, period: float) -> tuple[float, float, float]:
+    """Of rows (n, ny), one every `period` s: the power of their strongest line over the mean of all frequencies, its
+    frequency in Hz, between bins by a parabola through logarithms, and the s of these rows."""
+    # Zeros are added up to a number that is quick to transform: one with large factors takes ten times as long.
+    count = next_fast_len(len(rows), real=True)
+    spectrum = rfft(rows * _window(len(rows)), count, axis=0, overwrite_x=True)
+    numbers = spectrum.view(np.float64)
+    power = np.einsum("fc,fc->f", numbers, numbers)
+    span = count * period
+    first = max(1, int(np.ceil(SLOWEST * span)))
+    peak = first + int(np.argmax(power[first:-1]))
+    before, there, after = np.log(np.maximum(power[peak - 1 : peak + 2], 1e-300))
+    bend = before - 2.0 * there + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    frequency = float((peak + np.clip(shift, -0.5, 0.5)) / span)
+    return float(power[peak] / max(power[first:-1].mean(), 1e-300)), frequency, len(rows) * period
 
 
 @functools.lru_cache(maxsize=4)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import candidates_for
-from diagnosis.line import LineFinder
+from diagnosis.line import LONGEST, LineFinder
 from diagnosis.live_naming import SUDDEN, TOO_LITTLE, Gathered, LiveResult
 from diagnosis.workspace import attached
 from estimators.frame_chunks import Chunk, join
@@ -50,7 +50,7 @@ known of some noises, so that these move for minutes."""
 LINE = "periodic_disturbance"
 """The effect whose frequency is followed."""
 NEAR = 0.25
-"""Of the width of a line, by which its frequency may be off."""
+"""Of a turn, by which a line may get ahead in what was gathered of it, or its frequency be off in what told it."""
 UNSEEN = ("backlash", "sensor_lag")
 """Effects whose own motion is too fast to be followed along with all others."""
 
@@ -121,6 +121,7 @@ class LiveDiagnosis:
         self._substeps = self._usual
         self._neutral = self._defaults.copy()
         self._line: LineFinder | None = None
+        self._line_since = 0
         self._shapes: dict[str, tuple[float, float, str]] = {}
         self._failure = ""
         self._result = TOO_LITTLE
@@ -182,6 +183,7 @@ class LiveDiagnosis:
             self._gathered, self._seen_from = Gathered.of(self._base, self._candidates, last), last.z
             self._far = np.repeat(FAR, (len(self._base.free), len(last.z) - len(self._base.free)))
             self._line = LineFinder(float(np.median(np.diff(chunk.segment.time))))
+            self._line_since = 0
         assert self._line is not None
         # As seen from one place, so that it does not matter that the recursion moves on meanwhile.
         gathered, about, order = self._gathered, self._gathered.about, self._gathered.order
@@ -206,11 +208,17 @@ class LiveDiagnosis:
         """
         if self._line_place is None or self._gathered is None or self._line is None:
             return
-        found, width = self._line.frequency(), NEAR / max(self._line.span, 1.0)
-        if found is not None and abs(found - float(self._neutral[self._line_place])) > width:
-            self._neutral[self._line_place] = found
-            self._shapes[f"{LINE}.frequency"] = (found, width, "Hz")
+        found = self._line.frequency()
+        if found is None:
+            return
+        frequency, span = found
+        seconds = self._gathered.products.seconds
+        followed = min(max(1.0, seconds - self._line_since), LONGEST)
+        if abs(frequency - float(self._neutral[self._line_place])) * followed > NEAR:
+            self._neutral[self._line_place] = frequency
+            self._line_since = seconds
             self._gathered.forget(LINE)
+        self._shapes[f"{LINE}.frequency"] = (frequency, NEAR / span, "Hz")
 
     def _effects(self, chunk: Chunk, seen: Seen) -> Array | None:
         """What the candidates do to a chunk's innovations, (n, m), with what was `seen` last.

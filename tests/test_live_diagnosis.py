@@ -11,7 +11,7 @@ import pytest
 from observer_harness import VEHICLE
 
 from diagnosis.candidates import candidates_for
-from diagnosis.line import LineFinder
+from diagnosis.line import RECENT, LineFinder, strongest
 from diagnosis.live import LiveDiagnosis
 from diagnosis.live_naming import Gathered, LiveFinding, LiveResult
 from diagnosis.workspace import attached
@@ -174,8 +174,35 @@ def test_a_line_is_found_between_the_bins(frequency: float) -> None:
         finder.add(part)
     found = finder.frequency()
     assert found is not None
-    assert abs(found - frequency) < 0.1 / 20.0
-    assert finder.span < 34.0
+    assert abs(found[0] - frequency) < 0.1 / 20.0
+    assert 31.0 <= found[1] <= 33.0
+
+
+def test_a_line_that_has_just_begun_is_found_among_what_is_recent() -> None:
+    """Half the noise in amplitude, in the last 5 of 31 s; all 31 s alone have another one that chance made."""
+    rng = np.random.default_rng(5)
+    time = 0.004 * np.arange(7750)
+    rows = rng.standard_normal((len(time), 2))
+    rows[time >= 26.0, 0] += 0.5 * np.sin(2.0 * np.pi * 1.3 * time[time >= 26.0])
+    finder = LineFinder(0.004)
+    for part in np.array_split(rows, 31):
+        finder.add(part)
+    found = finder.frequency()
+    assert found is not None
+    assert abs(found[0] - 1.3) < 0.5 / 5.0, "to within half a width of a line of 5 s"
+    assert found[1] == pytest.approx(RECENT, abs=0.1)
+    assert abs(strongest(rows, 0.004)[1] - 1.3) > 0.5, "or all of it would have done"
+
+
+def test_noise_alone_is_seldom_taken_for_a_line() -> None:
+    """A tenth of the time at most, of 40: more than 9 would come of less than one seed in a hundred."""
+    rng = np.random.default_rng(11)
+    followed = 0
+    for _ in range(40):
+        finder = LineFinder(0.004)
+        finder.add(rng.standard_normal((4000, 2)))
+        followed += finder.frequency() is not None
+    assert followed <= 9
 
 
 def test_the_recursion_gives_the_same_numbers_with_and_without_it() -> None:
