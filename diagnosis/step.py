@@ -140,12 +140,17 @@ def _contenders(
     # Where the model alone is far off, a line from there may miss what would do the same as the surest.
     near = worth[0].candidate.effect.confused_with if worth else ()
     worth += [score for score in screened.scores if score.candidate.name in near and score not in worth]
-    for score in worth:  # compiled one after the other, where that was not done yet
-        workspace.problem(with_effect(base.model, score.candidate, score.starts[0]))
+    for number, score in enumerate(worth):  # compiled one after the other, where that was not done yet
+        title, share = score.candidate.effect.title, 0.3 * number / len(worth)
+
+        def compiles(text: str, title: str = title, share: float = share) -> None:
+            tell(f"{text} with {title}", share)
+
+        workspace.problem(with_effect(base.model, score.candidate, score.starts[0]), compiles)
     quicks: list[QuickFit] = []
     for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
         quicks.append(each)
-        tell(f"tried {each.candidate.effect.title}", 0.6 * len(quicks) / len(worth))
+        tell(f"tried {each.candidate.effect.title}", 0.3 + 0.3 * len(quicks) / len(worth))
     quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
     quicks.sort(key=lambda each: -each.gain)
     chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain]
