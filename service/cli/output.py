@@ -44,10 +44,11 @@ def _finite(value: Any) -> Any:
 def parameter_table(estimates: dict[str, Any], title: str = "") -> Table:
     """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
-    for heading in ("method", "parameter"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("value", "±", "unit", "", "note"):
-        table.add_column(heading, justify="right" if heading in ("value", "±") else "left")
+    # Where there is little room, a method's name is folded and a note wrapped: a number is never cut.
+    table.add_column("method", overflow="fold", min_width=12)
+    for heading in ("parameter", "value", "±", "unit", ""):
+        table.add_column(heading, no_wrap=True, justify="right" if heading in ("value", "±") else "left")
+    table.add_column("note", overflow="fold", min_width=8)
     for method, estimate in estimates.items():
         shown = method
         for name, entry in estimate["parameters"].items():
