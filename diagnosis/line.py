@@ -48,6 +48,7 @@ class LineFinder:
             return None
         rows = np.concatenate(self._parts)
         power, frequency, span = max(strongest(rows[-length:], self.period) for length in self._lengths())
+        # Of white noise in ny outputs, ny times a frequency's power over the mean is gamma distributed, of shape ny.
         outputs = rows.shape[1]
         return (frequency, span) if self.bins * gammaincc(outputs, outputs * power) < CHANCE else None
 

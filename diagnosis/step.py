@@ -17,7 +17,7 @@ from diagnosis.findings import Finding
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
 from diagnosis.refit import FURTHER_FITS, FullFit, QuickFit, by_chance, full, quick, surety, with_effect
-from diagnosis.screen import Screen, screen
+from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, TIED, exact, needless, tied
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
@@ -140,13 +140,14 @@ def _contenders(
     # Where the model alone is far off, a line from there may miss what would do the same as the surest.
     near = worth[0].candidate.effect.confused_with if worth else ()
     worth += [score for score in screened.scores if score.candidate.name in near and score not in worth]
-    for number, score in enumerate(worth):  # compiled one after the other, where that was not done yet
+
+    def prepare(number: int, score: Score) -> None:
         title, share = score.candidate.effect.title, 0.3 * number / len(worth)
+        model = with_effect(base.model, score.candidate, score.starts[0])
+        workspace.problem(model, lambda text: tell(f"{text} with {title}", share))
 
-        def compiles(text: str, title: str = title, share: float = share) -> None:
-            tell(f"{text} with {title}", share)
-
-        workspace.problem(with_effect(base.model, score.candidate, score.starts[0]), compiles)
+    for number, score in enumerate(worth):  # compiled one after the other, where that was not done yet
+        prepare(number, score)
     quicks: list[QuickFit] = []
     for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
         quicks.append(each)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,6 +175,17 @@ class TestDocument:
             "tied_with",
             "explanation",
         }
+
+    def test_what_is_compiled_is_told(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """As on a computer that has none of its models yet."""
+        monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
+        monkeypatch.setattr("models.kernel._loaded", {})
+        told: list[str] = []
+        friction = multisine("coulomb_friction")
+        few = ("coulomb_friction", "viscous_friction")
+        diagnose(MODEL, [friction], support=VEHICLE.support, candidates=few, progress=lambda text, _: told.append(text))
+        compiled = [text for text in told if ": compiling with " in text]
+        assert any(text.endswith("with dry friction of constant size") for text in compiled)
 
     def test_progress_is_told_in_order(self) -> None:
         told: list[float] = []
