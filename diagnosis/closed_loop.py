@@ -127,7 +127,7 @@ def steps(
         yield row, seen, given
         for number, name in places:
             if name in given:
-                rows.inputs[row + later[name], number] = given[name]
+                rows.row_inputs[row + later[name], number] = given[name]
         move(row, row + 1, True)
 
 

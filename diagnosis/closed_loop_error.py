@@ -193,8 +193,14 @@ def _rows(found: Innovations, numbers: Sequence[int], loop: Loop) -> tuple[int, 
 
 def _part(segment: Segment, last: int) -> Segment:
     """Up to and with row `last`."""
-    columns = {name: getattr(segment, name)[: last + 1] for name in ("time", "knots", "inputs", "measured")}
-    return replace(segment, **columns)
+    rows, samples = last + 1, segment.earlier + last + 1
+    return replace(
+        segment,
+        time=segment.time[:rows],
+        knots=segment.knots[:samples],
+        inputs=segment.inputs[:samples],
+        measured=segment.measured[:rows],
+    )
 
 
 def _values(found: Innovations) -> Array:
@@ -231,7 +237,7 @@ def _run(
     rows = replace(segment, knots=segment.knots.copy(), inputs=segment.inputs.copy(), measured=segment.measured.copy())
     for place, name in enumerate(inputs):
         if name in loop.gives:
-            rows.knots[first + 1 :, place] = rows.time[first + 1 :]
+            rows.row_knots[first + 1 :, place] = rows.time[first + 1 :]
     memory = Memory(begin.x.copy(), begin.S.copy(), begin.lag.copy(), begin.lag_S.copy(), begin.pointer.copy())
     shocks = None
     if random is not None:

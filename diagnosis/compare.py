@@ -137,7 +137,7 @@ def _stretches(model: Model, recording: Recording, support: float | None) -> Ite
         inputs = segment.inputs.copy()
         for place, name in idle.items():
             if name in recording.values and np.all(np.isfinite(recording[name])):
-                inputs[:, place] = np.interp(segment.time, recording.time, recording[name])
+                inputs[segment.earlier :, place] = np.interp(segment.time, recording.time, recording[name])
         yield replace(segment, inputs=inputs)
 
 

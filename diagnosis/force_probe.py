@@ -113,12 +113,12 @@ def _opened(model: Model) -> tuple[Model, Mapping[str, tuple[str, str]]]:
 
 def _extended(segment: Segment, forces: int, outputs: int) -> Segment:
     """`segment` with no force, and with unknown coordinates."""
-    rows = len(segment)
+    time = np.concatenate((np.repeat(segment.time[0], segment.earlier), segment.time))
     return replace(
         segment,
-        knots=np.hstack((segment.knots, np.repeat(segment.time[:, None], forces, axis=1))),
-        inputs=np.hstack((segment.inputs, np.zeros((rows, forces)))),
-        measured=np.hstack((segment.measured, np.full((rows, outputs), np.nan))),
+        knots=np.hstack((segment.knots, np.repeat(time[:, None], forces, axis=1))),
+        inputs=np.hstack((segment.inputs, np.zeros((len(time), forces)))),
+        measured=np.hstack((segment.measured, np.full((len(segment), outputs), np.nan))),
     )
 
 
@@ -167,7 +167,7 @@ def _coordinates(
         if name in moving or name not in std
     ]
     found += [
-        Coordinate(each.name, each.unit, tuple(segment.inputs[:, place] for segment in segments), 0.0)
+        Coordinate(each.name, each.unit, tuple(segment.row_inputs[:, place] for segment in segments), 0.0)
         for place, each in enumerate(model.inputs)
         if each.name not in shown
     ]

@@ -2,7 +2,8 @@
 
 A row is used where every input and the outputs are known and, where the model has a support angle to keep clear of, the
 vehicle is free. Inputs keep the instants at which they were sampled; outputs of a device that is sampled at other
-instants than the row (`age`) are read by straight lines.
+instants than the row (`age`) are read by straight lines. An input that acts late acts on the first row by what it was
+before: where a recording begins with a stretch, its first row tells that and no more.
 
 What makes a fit look good and be wrong is refused here, with the channel and the reason: a channel that is missing, one
 that never moves, that is clipped, and an angle and a rate that do not belong together (degrees for radians, a swapped
@@ -33,6 +34,8 @@ SUPPORT_MARGIN = float(np.radians(0.3))
 """rad inside the support angle within which a vehicle counts as free."""
 RESTING = 0.8
 """Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
+REACH = 0.1
+"""s before a stretch of which it keeps the inputs."""
 LONGEST_GAP = 2.5
 """Sampling periods after which a stretch ends."""
 AGREEMENT = (0.5, 2.0)
@@ -68,7 +71,8 @@ def segments(
                 remedy="record it upright.",
             )
         _check_free(model, recording, free)
-        found += [_segment(model, recording, part) for part in _stretches(recording, free, longest)]
+        late = _late(model, recording)
+        found += [_segment(model, recording, part, late) for part in _stretches(recording, free, longest)]
     if not found:
         raise DataError(
             Status.TOO_FEW_SAMPLES,
@@ -232,18 +236,44 @@ def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | N
                 yield slice(first, last)
 
 
-def _segment(model: Model, recording: Recording, part: slice) -> Segment:
+def _late(model: Model, recording: Recording) -> NDArray[np.bool_] | None:
+    """The rows (n,) at which all inputs are known that the model uses; None where none of them may act late."""
+    used = channels_of(model)
+    inputs = [each for each in model.inputs if each.channel in used and each.channel in recording.values]
+    if not any(each.delays for each in inputs):
+        return None
+    channels = {each.channel for each in inputs} | {each.age for each in inputs if each.age in recording.values}
+    return np.asarray(np.all([np.isfinite(recording[channel]) for channel in channels], axis=0))
+
+
+def _before(recording: Recording, part: slice, known: NDArray[np.bool_]) -> int:
+    """The first of the rows before `part` that follow each other to it, no longer than REACH before, all `known`."""
+    time, longest = recording.time, LONGEST_GAP * float(np.median(np.diff(recording.time)))
+    row: int = part.start
+    while (
+        row > 0 and known[row - 1] and time[row] - time[row - 1] < longest and time[part.start] - time[row - 1] < REACH
+    ):
+        row -= 1
+    return row
+
+
+def _segment(model: Model, recording: Recording, part: slice, late: NDArray[np.bool_] | None) -> Segment:
+    """`late`: see `_late`."""
     time = recording.time
     used = channels_of(model)
     zeros = np.zeros(len(time))
+    acting = part
+    if late is not None:
+        acting = slice(_before(recording, part, late), part.stop)
+        part = slice(max(part.start, acting.start + 1), part.stop)
 
-    inputs = [_input(recording, each, part) if each.channel in used else zeros for each in model.inputs]
+    inputs = [_input(recording, each, acting) if each.channel in used else zeros for each in model.inputs]
     knots = [_sampled(recording, each.age if each.channel in used else "") for each in model.inputs]
     measured = [_reading(recording, each) for each in model.outputs]
     return Segment(
         time=np.ascontiguousarray(time[part]),
-        knots=_columns(knots, part),
-        inputs=_columns(inputs, part),
+        knots=_columns(knots, acting),
+        inputs=_columns(inputs, acting),
         measured=_columns(measured, part),
         source=recording.source,
     )

@@ -177,7 +177,7 @@ class Kernel:
 
         Arrays are looked at and written to where they are, so they must not be replaced in between.
         """
-        rows, columns = len(segment), len(active)
+        rows, samples, columns = len(segment), len(segment.inputs), len(active)
         states, inputs, outputs, parameters = map(len, (self.states, self.inputs, self.outputs, self.parameters))
         asked = _asked(tuple(active), parameters, states, outputs)
         limit = parameters + states * (1 + outputs)
@@ -201,10 +201,10 @@ class Kernel:
         before = (
             _address(functions),
             _address(structure),
-            rows,
+            samples,
             _pointer("time", segment.time, rows),
-            _pointer("knots", segment.knots, rows, inputs),
-            _pointer("inputs", segment.inputs, rows, inputs),
+            _pointer("knots", segment.knots, samples, inputs),
+            _pointer("inputs", segment.inputs, samples, inputs),
             _pointer("measured", segment.measured, rows, outputs),
             _pointer("values", values, parameters),
             columns,

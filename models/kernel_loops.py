@@ -74,7 +74,7 @@ def _at(typing, pointer, offset):
 
 
 @njit(**INLINE)
-def _line(i, when, left, rows, NU, knots, u, pointer, line, slope):
+def _line(i, when, left, samples, NU, knots, u, pointer, line, slope):
     """Input i at an instant, on the straight line between two samples; `left`: where two meet, the one before.
 
     `line` (NU, 4) is the line found last: where it begins and ends, a knot on it and its value there.
@@ -84,7 +84,7 @@ def _line(i, when, left, rows, NU, knots, u, pointer, line, slope):
         j = pointer[i]
         while j > 0 and knots[j * NU + i] > when:
             j -= 1
-        while j < rows - 1 and (knots[(j + 1) * NU + i] < when or (not left and knots[(j + 1) * NU + i] == when)):
+        while j < samples - 1 and (knots[(j + 1) * NU + i] < when or (not left and knots[(j + 1) * NU + i] == when)):
             j += 1
         pointer[i] = j
         knot = knots[j * NU + i]
@@ -92,7 +92,7 @@ def _line(i, when, left, rows, NU, knots, u, pointer, line, slope):
         slope[i] = 0.0
         if when < knot or (left and when == knot and j == 0):  # before the first sample
             line[mine], line[mine + 1] = -math.inf, knot
-        elif j == rows - 1:
+        elif j == samples - 1:
             line[mine], line[mine + 1] = knot, math.inf
         else:
             line[mine], line[mine + 1] = knot, knots[(j + 1) * NU + i]
@@ -132,7 +132,7 @@ def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begi
 def run(
     functions,
     structure,
-    rows,
+    samples,
     time,
     knots,
     u,
@@ -256,12 +256,12 @@ def run(
         for i in range(NU):
             pointer[i] = 0
             if first_order[i]:
-                memory[i] = _line(i, time[first] - delay[i], True, rows, NU, knots, u, pointer, line, slope)
+                memory[i] = _line(i, time[first] - delay[i], True, samples, NU, knots, u, pointer, line, slope)
                 for q in range(count):
                     if moves[2 * q] == i:
                         memory_S[i * width + moves[2 * q + 1]] -= slope[i]
             else:
-                while pointer[i] < rows - 1 and knots[(pointer[i] + 1) * NU + i] + delay[i] < time[first]:
+                while pointer[i] < samples - 1 and knots[(pointer[i] + 1) * NU + i] + delay[i] < time[first]:
                     pointer[i] += 1
                 memory[i] = u[pointer[i] * NU + i]
 
@@ -269,7 +269,7 @@ def run(
         if k > first or not skip:
             for i in range(NU):
                 if first_order[i]:
-                    value[i] = _line(i, time[k] - delay[i], True, rows, NU, knots, u, pointer, line, slope)
+                    value[i] = _line(i, time[k] - delay[i], True, samples, NU, knots, u, pointer, line, slope)
                 else:
                     value[i] = u[pointer[i] * NU + i]
                 if lagged[i]:
@@ -314,7 +314,7 @@ def run(
             cut = finish
             following = -1
             for i in range(NU):
-                if not first_order[i] and pointer[i] < rows - 1:
+                if not first_order[i] and pointer[i] < samples - 1:
                     candidate = knots[(pointer[i] + 1) * NU + i] + delay[i]
                     if candidate < cut:
                         cut = candidate if candidate > begin else begin
@@ -340,7 +340,7 @@ def run(
                 for i in range(NU):
                     value[i] = held[i]
                     if first_order[i]:
-                        value[i] = _line(i, begin - delay[i], False, rows, NU, knots, u, pointer, line, slope)
+                        value[i] = _line(i, begin - delay[i], False, samples, NU, knots, u, pointer, line, slope)
                     if lagged[i] and p[lag[i]] > 0.0:
                         for q in range(several):
                             climb = (value[i] - memory[i]) / p[lag[i]]
@@ -361,14 +361,14 @@ def run(
                             begin_S[c] = 0.0
                             end_S[c] = 0.0
                         if first_order[i]:
-                            head = _line(i, start - delay[i], False, rows, NU, knots, u, pointer, line, slope)
+                            head = _line(i, start - delay[i], False, samples, NU, knots, u, pointer, line, slope)
                             for q in range(count):
                                 if moves[2 * q] == i:
                                     begin_S[moves[2 * q + 1]] -= slope[i]
                             if moving:
                                 for q in range(several):
                                     begin_S[shifting[q]] += slope[i] * later[shifting[q]]
-                            tail = _line(i, start + h - delay[i], True, rows, NU, knots, u, pointer, line, slope)
+                            tail = _line(i, start + h - delay[i], True, samples, NU, knots, u, pointer, line, slope)
                             for q in range(count):
                                 if moves[2 * q] == i:
                                     end_S[moves[2 * q + 1]] -= slope[i]
@@ -392,7 +392,7 @@ def run(
                     if r != 2:
                         for i in range(NU):
                             if first_order[i]:
-                                value[i] = _line(i, t - delay[i], r == 3, rows, NU, knots, u, pointer, line, slope)
+                                value[i] = _line(i, t - delay[i], r == 3, samples, NU, knots, u, pointer, line, slope)
                                 value[i] += shift[i]
                     if patched:
                         for i in range(NX * width):

@@ -238,6 +238,19 @@ def test_a_held_force_is_integrated_exactly(delay: float) -> None:
     assert run.predicted == pytest.approx(np.column_stack((position, rate)), abs=1e-13)
 
 
+@pytest.mark.parametrize("hold", Hold)
+@pytest.mark.parametrize("delay", [-0.05, 0.123, 0.9])
+def test_what_acted_before_the_first_row_still_acts(hold: Hold, delay: float) -> None:
+    """A stretch that begins later goes on as the whole one does, from the state that this one has there."""
+    kernel, values = cart(hold, delay=delay)
+    whole = cart_segment(KNOTS, FORCES)
+    expected = kernel.run(whole, values, np.array([0.3, -0.2])).predicted[15:]
+    part = Segment(TIME[15:], whole.knots, whole.inputs, whole.measured[15:])
+    assert part.earlier == 15
+    assert np.shares_memory(part.row_inputs, part.inputs)
+    assert kernel.run(part, values, expected[0]).predicted == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_force_in_straight_lines_is_integrated_exactly() -> None:
     kernel, values = cart(Hold.FIRST_ORDER)
     forces = np.sin(TIME) + np.cos(3.0 * TIME)

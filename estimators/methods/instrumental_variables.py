@@ -116,7 +116,7 @@ def noise_free(balance: Balance, data: Sequence[Segment], banks: Sequence[Array]
     scale = np.sqrt(np.mean(tools**2, axis=0))
     tools = tools[:, scale > 0.0] / scale[scale > 0.0]
     width = data[0].measured.shape[1]
-    channels = np.concatenate([np.concatenate((each.measured, each.inputs), axis=1) for each in data])
+    channels = np.concatenate([np.concatenate((each.measured, each.row_inputs), axis=1) for each in data])
     projected = tools @ np.linalg.lstsq(tools, channels, rcond=None)[0]
     found, first = [], 0
     for segment in data:

@@ -93,7 +93,7 @@ def _section(effect: Effect) -> str:
     more = "It never adds energy. " if effect.dissipative else ""
     if effect.beyond:
         beyond = " and ".join(f"[`{name}`](#{name})" for name in effect.beyond)
-        more += f"It is detectable by what it does beyond {beyond}, at the shape that shows best. "
+        more += f"It is detectable by what it does beyond {beyond} at its usual shape. "
     if effect.in_radians:
         more += f"It needs {' and '.join(f'`{name}`' for name in effect.in_radians)} in rad. "
     return "\n".join([*lines, f"{more}Source: {effect.source}.", "", ""])

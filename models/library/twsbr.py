@@ -63,6 +63,9 @@ _PARAMETERS = (
 
 # The tilt filter's own (estimators.roll_filter): densities of gyro and accelerometer as the vehicle file states them.
 _GYRO, _ACCELEROMETER = 0.001**2, 0.2**2 / (200.0 * GRAVITY**2)
+_LEVEL_NOISE = 2e-4
+"""rad/sqrt(s), of the accelerometer's direction: data sheets say 400 ug/sqrt(Hz) (MPU-6050), 0.015 m/s^2 a sample (IG1),
+which is 1.1e-4. Without it the mean of the tilt is believed better than it is known, and has to be a torque."""
 _SMOOTHING = 1.0
 """s, of its accelerometer's low pass."""
 
@@ -199,6 +202,8 @@ TWSBR = Model(
             f"-level / {_SMOOTHING}",
             initial=f"{0.0325 / (GRAVITY * _SMOOTHING)} * (0.5 * (left_wheel_rate + right_wheel_rate) + tilt_rate)",
             initial_std=1e-3,
+            process_noise=_LEVEL_NOISE,
+            noise_known=True,
             meaning="error of the accelerometer's direction, and the speed that made it",
         ),
         State(

@@ -61,8 +61,8 @@ def measured(model: Model, segment: Segment) -> dict[str, Array | float]:
     """Parameters by their values; inputs, their slopes, outputs and time as they were measured, (n,)."""
     names: dict[str, Array | float] = {**model.values, "time": segment.time}
     for place, each in enumerate(model.inputs):
-        names[each.name] = segment.inputs[:, place]
-        names[f"{each.name}_slope"] = np.gradient(segment.inputs[:, place], segment.time)
+        names[each.name] = segment.row_inputs[:, place]
+        names[f"{each.name}_slope"] = np.gradient(segment.row_inputs[:, place], segment.time)
     for place, output in enumerate(model.outputs):
         names[output.name] = segment.measured[:, place]
     return names
