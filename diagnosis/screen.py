@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from diagnosis.candidates import Candidate, at_frequencies
-from diagnosis.instants import at_instants
+from diagnosis.instants import INSTANT, at_instants
 from diagnosis.side_by_side import side_by_side
 from diagnosis.whitened import Whitened, peaks, project
 from estimators.problem import Problem
@@ -44,8 +44,8 @@ class Score:
     """What the screen says of one candidate, at the best of its shapes.
 
     `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: by how much the log likelihood would rise.
-    `detectable`: the least size of the first amplitude that this record would show; of an effect that others do a part
-    of, beyond them and at the shape that shows best. `starts`: sizes and shape of all variants, the best first.
+    `detectable`: the least size of the first amplitude that this record would show at the effect's usual shape, beyond
+    others that do a part of it. `starts`: sizes and shape of all variants, the best first.
     """
 
     candidate: Candidate
@@ -151,9 +151,13 @@ class _Entry:
         return self.number >= len(self.candidate.variants) - self.candidate.picked
 
     @property
+    def shape(self) -> Mapping[str, float]:
+        return self.candidate.variants[self.number]
+
+    @property
     def start(self) -> dict[str, float]:
         amplitudes = dict(zip(self.candidate.amplitudes, self.sizes.tolist(), strict=True))
-        return {**amplitudes, **self.candidate.variants[self.number]}
+        return {**amplitudes, **self.shape}
 
 
 def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, columns: Array) -> Screen:
@@ -228,21 +232,28 @@ def _bounds(candidate: Candidate) -> tuple[Array, Array]:
 
 
 def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array) -> float:
-    """The least size of the first amplitude: a step that shows no more than a constant torque does is none.
+    """The least size of the first amplitude at the usual shape: a step that shows no more than a constant torque does is
+    none. What sets in at an instant counts at the one of them at which it shows best.
 
     Beyond others, of which the one that does most of it counts, by what the first amplitude does alone: all of them
     together may do all that another does.
     """
     candidate = entries[0].candidate
+    start = candidate.attached.qualified(INSTANT)
+    usual = [each for each in entries if _but(start, each.shape) == _but(start, entries[0].shape)]
     beyond = [f"{other}{candidate.name.removeprefix(candidate.effect.name)}" for other in candidate.effect.beyond]
     others = [entry.where for name in beyond for entry in by_name.get(name, ())]
     variances = []
-    for each in entries if beyond else entries[:1]:
+    for each in usual:
         own = each.where[:1] if beyond else each.where
         told_from = [np.concatenate((own, other)) for other in others] or [own]
         variance = max(_variances(information[np.ix_(where, where)])[0] for where in told_from)
         variances.append(each.inflation * variance)
     return DETECTABLE * float(np.sqrt(min(variances)))
+
+
+def _but(name: str, shape: Mapping[str, float]) -> dict[str, float]:
+    return {other: value for other, value in shape.items() if other != name}
 
 
 def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array, score: Array) -> Screen:
@@ -265,7 +276,7 @@ def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information
                 p_value=p_value,
                 sizes=dict(zip(entry.candidate.amplitudes, entry.sizes.tolist(), strict=True)),
                 standard_errors=dict(zip(entry.candidate.amplitudes, errors.tolist(), strict=True)),
-                shape=entry.candidate.variants[entry.number],
+                shape=entry.shape,
                 inflation=entry.inflation,
                 detectable=_detectable(by_name[name], by_name, information),
                 starts=tuple(each.start for each in sorted(by_name[name], key=lambda each: -each.statistic)),
