@@ -221,6 +221,36 @@ def test_no_reading_is_made_of_a_known_and_an_unknown_sample() -> None:
     assert len(used) == np.count_nonzero(known & (recording.time >= used.time[0])) - 1
 
 
+@pytest.mark.parametrize("begin", [8.0, 8.005, 8.01, 8.015])
+def test_what_the_motors_had_before_the_first_row_is_no_error_of_the_model(begin: float) -> None:
+    """The voltage acts a millisecond late, so that of the row before acts on the first one: 3 of its standard deviations
+    on each of the first three rows of the tilt rate, where it was not known. Of 12 innovations with unit variance the
+    mean square is beyond 2.74 one time in a thousand.
+    """
+    recording = run("square").between(begin)
+    found = fit(problem(MODEL, [recording]))
+    (used,) = found.problem.segments
+    assert (used.earlier, used.time[0]) == (1, pytest.approx(recording.time[1]))
+    errors = found.innovations[0][:, found.problem.kernel.outputs.index("tilt_rate")]
+    assert np.mean(errors[:12] ** 2) < 2.74 * np.mean(errors**2)
+
+
+def test_a_stretch_after_a_gap_knows_what_the_motors_had() -> None:
+    recording = run("square")
+    free = (recording.time > 10.0) & (recording.time < 14.0)
+    hidden = {each.name: np.where(free, recording[each.name], np.nan) for each in MODEL.outputs}
+    (used,) = segments(MODEL, [replace(recording, values={**recording.values, **hidden})])
+    assert used.earlier == 20, "what comes within 0.1 s at 200 Hz"
+    assert np.array_equal(used.row_knots[:, 0], used.time)
+    assert np.array_equal(used.inputs[:, 0], recording["left_voltage"][np.isin(recording.time, used.knots[:, 0])])
+
+
+def test_the_recorded_voltage_is_what_the_bridge_makes_of_it() -> None:
+    steps = run("square")["left_voltage"] / PLANT.supply_voltage * PLANT.pwm_steps
+    assert np.ptp(steps) > 100.0
+    assert np.max(np.abs(steps - np.round(steps))) < 1e-3
+
+
 def test_a_robot_that_only_lies_is_refused() -> None:
     recording = run("square")
     lying = {**recording.values, "tilt": np.full(len(recording.time), np.radians(12.4))}
