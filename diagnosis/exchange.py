@@ -20,11 +20,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+from diagnosis.candidates import Candidate
 from diagnosis.findings import Finding
 from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, surprising, unseen_at_zero
-from diagnosis.ties import LEVEL, alike
+from diagnosis.ties import LEVEL, NEIGHBOUR, alike
 from diagnosis.workspace import Workspace
 
 FURTHER = 0.02
@@ -103,7 +104,11 @@ def taken_apart(
 def put_together(
     findings: Sequence[Finding], whole: FullFit, workspace: Workspace, tell: Tell
 ) -> tuple[list[Finding], FullFit]:
-    """`findings` with one that is made of two in place of these two, where they are not worth being two."""
+    """`findings` with one that is made of two in place of these two, where they are not worth being two.
+
+    Where they are, but by no more than formulas bend towards real friction, the one is tied with that of the two that
+    is alike: friction that differs between the directions keeps its mean at rest, where its formula has none.
+    """
     named = {name: each for each in findings for name in each.tied_with} | {each.effect: each for each in findings}
     for made in workspace.candidates:
         parts = [named[name] for name in made.effect.made_of if name in named]
@@ -112,10 +117,22 @@ def put_together(
         tell(f"putting {parts[0].effect} and {parts[1].effect} together", 0.98)
         base = full(whole.model.remove(parts[0].effect).remove(parts[1].effect), workspace)
         one = named_alone(base, look(base, workspace), made, parts, workspace)
-        if one is None or worth_two(whole, one.fit, len(findings) - 1, workspace):
+        if one is None:
+            continue
+        if worth_two(whole, one.fit, len(findings) - 1, workspace):
+            gain, together = (fit.log_likelihood - base.log_likelihood for fit in (one.fit, whole))
+            if gain >= NEIGHBOUR * together:
+                findings = [_tied(each, made) if any(each is part for part in parts) else each for each in findings]
             continue
         return [one.finding, *(each for each in findings if all(each is not part for part in parts))], one.fit
     return list(findings), whole
+
+
+def _tied(part: Finding, made: Candidate) -> Finding:
+    """`part`, tied with what is `made` of it and another, where the two are of one family."""
+    if part.definition.family is not made.effect.family or made.name in part.tied_with:
+        return part
+    return replace(part, tied_with=(*part.tied_with, made.name))
 
 
 def two_at_once(

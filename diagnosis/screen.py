@@ -232,11 +232,10 @@ def _bounds(candidate: Candidate) -> tuple[Array, Array]:
 
 
 def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array) -> float:
-    """The least size of the first amplitude at the usual shape: a step that shows no more than a constant torque does is
-    none. What sets in at an instant counts at the one of them at which it shows best.
+    """The least size of the first amplitude at the usual shape, and of what sets in at an instant, at the best of them.
 
-    Beyond others, of which the one that does most of it counts, by what the first amplitude does alone: all of them
-    together may do all that another does.
+    A step that shows no more than a constant torque does is none. Beyond others, of which the one that does most of it
+    counts, by what the first amplitude does alone: all of them together may do all that another does.
     """
     candidate = entries[0].candidate
     start = candidate.attached.qualified(INSTANT)
