@@ -46,9 +46,10 @@ def exchange(
     """`findings` as each is found beside the others, and the fit with all of them; `whole` is that of the given ones.
 
     The last of `findings` was found beside the others. What is not missing beside the others is left out. The order
-    stays where the names do; otherwise what explains most comes first.
+    stays where the names do; otherwise what explains most comes first. What it leads to is not taken where it explains
+    less than what was there: without an effect a fit may end where none of the others helps.
     """
-    found = list(findings)
+    found, given = list(findings), whole
     settled, turns = 1, TURNS * len(found)
     for turn in range(turns):
         if settled >= len(found):
@@ -68,6 +69,8 @@ def exchange(
         else:
             settled = 0
             whole = without
+    if given.log_likelihood - whole.log_likelihood > FURTHER * _gained(findings):
+        return list(findings), given
     place = {each.effect: number for number, each in enumerate(findings)}
     if {each.effect for each in found} == set(place):
         return sorted(found, key=lambda each: place[each.effect]), whole
@@ -191,6 +194,11 @@ def _again(oldest: Named, without: FullFit, workspace: Workspace, masked: Collec
 
 def asked(further: Finding, before: Sequence[Finding]) -> float:
     """Gain in log likelihood that a further effect has to bring, beside those found before."""
-    total = sum(each.log_likelihood_gain for each in before)
+    total = _gained(before)
     neighbours = any(alike(further.definition, each.definition) for each in before)
     return total * (FURTHER_ALIKE if neighbours else FURTHER)
+
+
+def _gained(findings: Sequence[Finding]) -> float:
+    """Of log likelihood, by all of `findings`."""
+    return sum(each.log_likelihood_gain for each in findings)

@@ -19,7 +19,7 @@ from diagnosis.masked import surprise
 from diagnosis.refit import FURTHER_FITS, FullFit, QuickFit, by_chance, full, quick, surety, with_effect
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
-from diagnosis.ties import LEVEL, SIMPLER, TIED, exact, needless, tied
+from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -85,9 +85,16 @@ def find(
     if before:
         hidden = [*(each for each in hidden if each.name != before.fit.name), before.fit]
     fits = _contenders(base, screened, workspace, hidden, tell)
-    # What the screen saw in a neighbour is this effect's, too: the strongest is tested, the best fitting is named.
-    names = {each.candidate.name for each in fits if each.candidate}
-    p_value = min((each.p_value for each in screened.scores if each.candidate.name in names), default=1.0)
+    # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
+    # strongest is tested, the best fitting is named.
+    left = [each.candidate for each in fits if each.candidate]
+    names = {each.name for each in left}
+    seen = [
+        score.p_value
+        for score in screened.scores
+        if any(score.candidate.name == each.name or alike(score.candidate.effect, each.effect) for each in left)
+    ]
+    p_value = min(seen, default=1.0)
     tries = len(screened.scores)
     unscreened = [each for each in hidden if each.name in names and not (before and each is before.fit)]
     p_value = min([p_value, *(tries * surprise(base, each) for each in unscreened)])
