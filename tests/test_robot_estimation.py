@@ -223,7 +223,7 @@ def test_no_reading_is_made_of_a_known_and_an_unknown_sample() -> None:
 
 @pytest.mark.parametrize("begin", [8.0, 8.005, 8.01, 8.015])
 def test_what_the_motors_had_before_the_first_row_is_no_error_of_the_model(begin: float) -> None:
-    """The voltage acts a millisecond late, so that of the row before acts on the first one: 3 of its standard deviations
+    """The voltage acts a millisecond late, so that of the row before acts on the first one: 3 standard deviations
     on each of the first three rows of the tilt rate, where it was not known. Of 12 innovations with unit variance the
     mean square is beyond 2.74 one time in a thousand.
     """

@@ -64,8 +64,8 @@ _PARAMETERS = (
 # The tilt filter's own (estimators.roll_filter): densities of gyro and accelerometer as the vehicle file states them.
 _GYRO, _ACCELEROMETER = 0.001**2, 0.2**2 / (200.0 * GRAVITY**2)
 _LEVEL_NOISE = 2e-4
-"""rad/sqrt(s), of the accelerometer's direction: data sheets say 400 ug/sqrt(Hz) (MPU-6050), 0.015 m/s^2 a sample (IG1),
-which is 1.1e-4. Without it the mean of the tilt is believed better than it is known, and has to be a torque."""
+"""rad/sqrt(s), of the accelerometer's direction: data sheets say 400 ug/sqrt(Hz) (MPU-6050) and 0.015 m/s^2 a sample,
+1.1e-4 (IG1). Without it the mean of the tilt is believed better than it is known, and has to be a torque."""
 _SMOOTHING = 1.0
 """s, of its accelerometer's low pass."""
 
