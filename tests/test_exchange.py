@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.exchange import put_together
+from diagnosis.exchange import exchange, put_together
 from diagnosis.refit import by_chance, full, surety, with_effect
 from diagnosis.unseen import SURE
 from diagnosis.workspace import Workspace
@@ -122,6 +124,40 @@ def test_two_are_put_together_where_one_that_is_made_of_them_does_as_well(
     assert sizes[0] is not None
     assert sizes[1] is not None
     assert sizes[0] > sizes[1] > 0.0  # as it is hidden: a third, the other way
+
+
+def test_what_explains_nearly_as_much_as_two_is_tied_with_the_one_that_is_like_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As where the odds are for two: bristles keep their mean at rest, so that asymmetric friction looks like them."""
+    recording = record("monocab", "multisine", hide=("asymmetric_friction=0.1",), seed=31, duration=30.0)
+    two = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=PARTS)
+    workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
+    monkeypatch.setattr("diagnosis.exchange.worth_two", lambda *_: True)
+    found, whole = put_together(two.findings, two.steps[-1], workspace, lambda text, share: None)
+    assert {each.effect: each.tied_with for each in found} == {
+        each.effect: ("asymmetric_friction",) if each.effect == "coulomb_friction" else each.tied_with
+        for each in two.findings
+    }
+    assert whole is two.steps[-1]
+
+
+def test_looking_again_does_not_end_with_less_than_there_was(
+    two_drags: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fit without an effect may end where no other helps, as the robot's did with a fifth of its lever arm."""
+    last = two_drags.steps[-1]
+    lost = replace(last, log_likelihood=last.log_likelihood - 1e3)
+    recording = record(
+        "monocab", "multisine", hide=("coulomb_friction=0.04", "quadratic_drag=0.1"), seed=31, duration=20.0
+    )
+    workspace = Workspace.of(MODEL, [recording], VEHICLE.support, DRAGS)
+    monkeypatch.setattr("diagnosis.exchange.full", lambda *_: lost)
+    monkeypatch.setattr("diagnosis.exchange.by_chance", lambda *_: 1.0)
+    monkeypatch.setattr("diagnosis.exchange._again", lambda *_: None)
+    found, whole = exchange(two_drags.findings, last, workspace, (), lambda text, share: None)
+    assert found == list(two_drags.findings)
+    assert whole is last
 
 
 def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:

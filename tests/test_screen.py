@@ -101,6 +101,21 @@ class TestSizes:
         away = 4.0 * DETECTABLE
         assert max(beyond) == pytest.approx(away**2, abs=3.3 * 2.0 * away)
 
+    def test_what_is_detectable_is_told_at_the_usual_shape(self) -> None:
+        """Stribeck friction with nothing left in fast motion is seen at less than half the size: it is another one."""
+        _, innovations = clean()
+        workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, ("coulomb_friction", "stribeck_friction"))
+        coulomb, stribeck = workspace.candidates
+
+        def least(*variants: Mapping[str, float]) -> float:
+            both = [coulomb, replace(stribeck, variants=variants)]
+            found = screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), both)
+            return found.score("stribeck_friction").detectable
+
+        usual, other = least(stribeck.variants[0]), [least(each) for each in stribeck.variants[1:]]
+        assert least(*stribeck.variants) == pytest.approx(usual)
+        assert min(other) < 0.6 * usual
+
     def test_friction_of_two_directions_is_detectable_by_what_sets_them_apart(self) -> None:
         """One direction alone is half Coulomb friction, so that what is beyond is harder to see than the whole."""
         task, innovations = clean()
