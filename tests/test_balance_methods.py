@@ -271,7 +271,7 @@ def test_without_a_known_excitation_there_are_no_instruments(sweep: list[Recordi
     assert_unknown(missing, Status.MISSING_CHANNEL, "channel excitation is missing")
     unknown = with_channels(sweep[0], excitation=np.full(len(sweep[0]), np.nan))
     assert_unknown(
-        instrumental_variables(ROLL, [unknown], support=SUPPORT), Status.MISSING_CHANNEL, "unknown in 5250 of 5250"
+        instrumental_variables(ROLL, [unknown], support=SUPPORT), Status.MISSING_CHANNEL, "unknown in 5249 of 5249"
     )
     other = instrumental_variables(ROLL, [unknown], support=SUPPORT, excitation="roll_reference")
     assert abs(error(other, "inertia")) < 0.01

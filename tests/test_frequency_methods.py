@@ -341,7 +341,7 @@ def test_standing_still_leaves_nothing_to_use(method: Method) -> None:
             lambda r: with_channels(r, excitation=np.full(len(r), np.nan)),
             {"excitation": "excitation"},
             Status.MISSING_CHANNEL,
-            "unknown in 15250 rows",
+            "unknown in 15249 rows",
         ),
         (lambda r: r, {"window": 50.0}, Status.TOO_FEW_SAMPLES, "does not fit twice"),
         (lambda r: r, {"window": 0.0}, Status.TOO_FEW_SAMPLES, "does not fit twice"),

@@ -125,6 +125,7 @@ def noise_free(balance: Balance, data: Sequence[Segment], banks: Sequence[Array]
         found.append(
             replace(
                 segment,
+                knots=segment.row_knots,
                 measured=np.ascontiguousarray(part[:, :width]),
                 inputs=np.ascontiguousarray(part[:, width:]),
             )
