@@ -3,12 +3,14 @@
 A cycle is used where every channel of the model is known and the vehicle is free of its supports, by the rules of
 estimators.segments. Chunks are cut by cycles alone, so live, replayed and simulated runs cut them alike. A measured
 input is read between its samples and may act earlier than its time stamp says, so a chunk is complete when the input is
-known that far beyond its last row; rows before it go along for one that acts later.
+known that far beyond its last row; rows before it, on a support or where an output is not known too, go along for one
+that acts later.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
@@ -17,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Status
-from estimators.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError
+from estimators.segments import LONGEST_GAP, REACH, SHORTEST, SUPPORT_MARGIN, DataError
 from models.model import Hold, Model
 from models.segment import Segment
 from telemetry.channels import ChannelTable
@@ -110,6 +112,7 @@ class FrameChunks:
         self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]
         self._ages = sorted({place for place in places if place != zero})
         self._reach = _reach(model)
+        self._late = any(each.delays for each in model.inputs)
         self._chunk = rows
         self._window = window
         self.reset()
@@ -145,9 +148,6 @@ class FrameChunks:
         if total != total and self._usual:
             row = self._with_usual(row)
             total = sum(row)
-        if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle:  # NaN, infinite or on a support
-            self._end_stretch()
-            return None
         oldest = 0.0
         for place in self._ages:
             age = row[place]
@@ -156,6 +156,9 @@ class FrameChunks:
                 return None
             oldest = max(oldest, age)
         time = (stamp - self._start) * 1e-9
+        if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle:  # NaN, infinite or on a support
+            self._wait(time, row)
+            return None
         self._times.append(time)
         self._rows.append(row)
         known = self._known
@@ -163,6 +166,18 @@ class FrameChunks:
         if len(self._times) < self._wanted or known < self._times[self._first + self._length] + self._reach:
             return None
         return self._cut()
+
+    def _wait(self, time: float, row: tuple[float, ...]) -> None:
+        """A row outside of any stretch: its inputs may still act on the first rows of the next one."""
+        times, rows = self._times, self._rows
+        self._end_stretch()
+        if not self._late or not all(math.isfinite(row[place]) for place in self._inputs):
+            return
+        begin = bisect_right(times, time + self.period - REACH)
+        self._times = [*times[begin:], time]
+        self._rows = [*rows[begin:], row]
+        self._first = len(self._times)
+        self._wanted = max(SHORTEST, self._first + self._length + 1)
 
     def _with_usual(self, row: tuple[float, ...]) -> tuple[float, ...]:
         """The row with the usual value of what no device told."""
@@ -188,10 +203,11 @@ class FrameChunks:
         self._times: list[float] = []
         self._rows: list[tuple[float, ...]] = []
         self._known = -math.inf
-        self._first = 0
+        # What an input that acts late was before the first row is not known: that row tells it, and no more.
+        self._first = 1 if self._late else 0
         self._begins = True
         self._length: int = self._chunk - 1 if self._window else self._chunk
-        self._wanted: int = max(SHORTEST, self._length + 1)
+        self._wanted: int = max(SHORTEST, self._first + self._length + 1)
 
     def _cut(self) -> Chunk:
         first, last = self._first, self._first + self._length

@@ -48,9 +48,10 @@ GAIN_MOVES = (0.5, 0.5)
 """Typical sizes of a parameter, and natural logarithms of a noise, after which the gain is computed anew."""
 FAR, REACH = (0.05, 0.3), (0.5, 0.5)
 """The same after which what is kept is gone through again, and how far from there the unknowns may go before it is."""
-SOONEST, USUAL, URGENT = 0.5, 1.2, 1.05
-"""s of free motion after which this is done at the soonest, and factors to the next time: `URGENT` where the reach
-holds the unknowns back."""
+SOONEST, USUAL, ROUGH, URGENT = 0.5, 1.2, 1.1, 1.05
+"""s of free motion after which this is done at the soonest, and factors to the next time: `ROUGH` where parameters are
+known roughly (for all, a live diagnosis named something in 3 of 40 clean records, in place of 1), `URGENT` where the
+reach holds the unknowns back."""
 KEPT = 64.0
 """s of free motion from which on no chunks are kept any more."""
 JOINED = 40
@@ -114,6 +115,7 @@ class RecursivePredictor:
         free, logarithms = len(problem.free), self._noise.size if self._noise else 0
         self._roughly = np.array([is_known_roughly(parameter) for parameter in problem.parameters], dtype=bool)
         self._one_place = bool(self._roughly.any())
+        self._usual = ROUGH if self._one_place else USUAL
         parameters, states, outputs = len(kernel.parameters), len(kernel.states), len(kernel.outputs)
         gains = range(states * outputs) if self._noise else ()
         self._active = (
@@ -193,7 +195,7 @@ class RecursivePredictor:
         self._kept.append(chunk)
         held_back = self._regression.move(self._seen_from, self._reach)
         moved = np.abs(self._regression.z - self._seen_from)
-        again_at = max(SOONEST, self._seen_at * (URGENT if held_back or self._noise is None else USUAL))
+        again_at = max(SOONEST, self._seen_at * (URGENT if held_back or self._noise is None else self._usual))
         if self.span >= again_at and np.any(moved > self._far):
             moved = self._learn_again()
         self._settled = bool(np.all(moved[: self._free] < 0.99 * self._reach[: self._free]))

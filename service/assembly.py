@@ -45,6 +45,7 @@ def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:
         increments_per_turn=drive.increments_per_turn,
         velocity_unit_rpm=drive.velocity_unit_rpm,
         rated_torque=drive.rated_torque,
+        setpoint_resolution=drive.setpoint_resolution,
         eds=str(find_eds(drive.eds, drive=drive.name, folder=Path(vehicle.path).parent)),
         vendor_id=drive.vendor_id,
         product_code=drive.product_code,

@@ -136,6 +136,8 @@ class DriveSection(Section):
     eds: str = "upright_servo.eds"
     vendor_id: Annotated[int, Field(ge=0)] = 0
     product_code: Annotated[int, Field(ge=0)] = 0
+    setpoint_resolution: Annotated[float, Field(ge=0.0)] = 0.0
+    """Of the setpoint (rad/s, m/s or V), where the drive's is coarser than its objects: a PWM bridge has steps."""
     stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
     target_velocity_fine_index: Annotated[int, Field(ge=0x2000, le=0x5FFF)] = 0x2F15
     """Vendor object of the fine part of the target velocity (1/8192 rpm), where `rpdo` maps it."""

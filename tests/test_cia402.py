@@ -412,6 +412,22 @@ def test_a_setpoint_that_does_not_fit_is_limited_and_counted(
     assert math.isfinite(drive.setpoint)
 
 
+@given(velocity=st.floats(-30.0, 30.0))
+def test_what_the_drive_cannot_tell_apart_is_not_asked_for(velocity: float) -> None:
+    config = replace(GIMBAL, setpoint_resolution=0.047)
+    drive = drive_in(State.OPERATION_ENABLED, config)
+    drive.command(State.OPERATION_ENABLED, velocity)
+    assert abs(drive.setpoint - velocity) <= 0.5000001 * 0.047
+    assert drive.setpoint == config.resolved(velocity) == -config.resolved(-velocity)
+
+
+def test_no_number_stands_still_whatever_the_resolution() -> None:
+    drive = drive_in(State.OPERATION_ENABLED, replace(GIMBAL, setpoint_resolution=0.047))
+    drive.command(State.OPERATION_ENABLED, math.nan)
+    assert drive.setpoint == 0.0
+    assert drive.clipped == 1
+
+
 @pytest.mark.parametrize("state", [state for state in WORDS if state is not State.OPERATION_ENABLED])
 def test_a_velocity_goes_only_to_an_enabled_drive(state: State) -> None:
     drive = drive_in(state)
@@ -599,6 +615,7 @@ def test_nmt_frames() -> None:
         ({"mode": 3}, "mode", "Use 2, 9 or -1"),
         ({"rated_torque": math.nan}, "rated_torque", "positive"),
         ({"axis_per_turn": 0.0}, "axis_per_turn", "positive"),
+        ({"setpoint_resolution": -0.1}, "setpoint_resolution", "not a resolution"),
         ({"rpdo": (("controlword",),)}, "rpdo", "'target_velocity' is not mapped"),
         ({"rpdo": (("controlword", "target_velocty"),)}, "rpdo", "'target_velocty' cannot be mapped"),
         ({"rpdo": (("controlword", "target_velocity", "statusword"),)}, "rpdo", "'statusword' cannot be mapped"),

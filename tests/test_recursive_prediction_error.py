@@ -321,9 +321,8 @@ def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -
         used = [place for place, each in enumerate(model.inputs) if each.name not in ("precession", "gyro_bias_std")]
         np.testing.assert_allclose(chunk.segment.knots[here][:, used], whole.row_knots[there][:, used], atol=1e-9)
         lines = [place for place in used if model.inputs[place].hold is Hold.FIRST_ORDER]
-        # The inputs before and after the rows are there, too, as far as any delay reaches; but before a stretch, which
-        # live data do not keep: its first sample has no neighbour to be raised by.
-        reach = slice(max(int(chunk.begins), here.start - 10), here.stop + 10)
+        # The inputs before and after the rows are there, too, as far as any delay reaches, on the support as well.
+        reach = slice(max(0, here.start - 10), here.stop + 10)
         back = here.start - reach.start
         first = whole.earlier + rows - back
         np.testing.assert_allclose(

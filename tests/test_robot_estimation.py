@@ -245,6 +245,12 @@ def test_a_stretch_after_a_gap_knows_what_the_motors_had() -> None:
     assert np.array_equal(used.inputs[:, 0], recording["left_voltage"][np.isin(recording.time, used.knots[:, 0])])
 
 
+def test_the_recorded_voltage_is_what_the_bridge_makes_of_it() -> None:
+    steps = run("square")["left_voltage"] / PLANT.supply_voltage * PLANT.pwm_steps
+    assert np.ptp(steps) > 100.0
+    assert np.max(np.abs(steps - np.round(steps))) < 1e-3
+
+
 def test_a_robot_that_only_lies_is_refused() -> None:
     recording = run("square")
     lying = {**recording.values, "tilt": np.full(len(recording.time), np.radians(12.4))}

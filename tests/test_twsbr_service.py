@@ -103,7 +103,8 @@ def test_config_check_tells_of_controller_and_experiments() -> None:
 
 
 def wheel(direction: int = 1) -> DriveConfig:
-    return replace(assembly.drive_config(VEHICLE, VEHICLE.drive[0]), direction=direction)
+    """With steps of a millivolt, as its object has them, and not those of the bridge."""
+    return replace(assembly.drive_config(VEHICLE, VEHICLE.drive[0]), direction=direction, setpoint_resolution=0.0)
 
 
 @pytest.mark.parametrize("direction", [1, -1])

@@ -63,6 +63,8 @@ class DriveConfig:
     """1018h:1; 0 is not checked."""
     product_code: int = 0
     """1018h:2; 0 is not checked."""
+    setpoint_resolution: float = 0.0
+    """Axis unit/s or V that the drive can tell apart, where that is coarser than its objects; 0 for these."""
     stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
     """What the drive does when the master is gone (6007h)."""
     target_velocity_fine_index: int = 0x2F15
@@ -79,6 +81,9 @@ class DriveConfig:
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0):
                 self._refuse(key, f"{value} is not a positive number", "Take it from the drive's data sheet.")
+        if not (math.isfinite(self.setpoint_resolution) and self.setpoint_resolution >= 0.0):
+            message = f"{self.setpoint_resolution} is not a resolution"
+            self._refuse("setpoint_resolution", message, "Use 0 where the drive takes what its objects can say.")
         self._check_pdos("rpdo", self.rpdo, self._rpdo_objects, needed=("controlword", self.operation.target.name))
         self._check_pdos("tpdo", self.tpdo, pdo.tpdo_objects(), needed=("statusword", "position_actual"))
         velocities = [name for pdo_names in self.tpdo for name in pdo_names if name.startswith("velocity_actual")]
@@ -144,6 +149,11 @@ class DriveConfig:
     def operation(self) -> Mode:
         """What hangs on the mode."""
         return MODES[self.mode]
+
+    def resolved(self, setpoint: float) -> float:
+        """What the drive makes of `setpoint`, axis unit/s or V: the nearest that it can tell apart."""
+        step = self.setpoint_resolution
+        return step * round(setpoint / step) if step > 0.0 and math.isfinite(setpoint) else setpoint
 
     @property
     def setpoint_unit(self) -> float:

@@ -33,7 +33,7 @@ class Drive:
     Attributes, for others to read:
         state, statusword: as reported last; UNKNOWN and None before.
         position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first.
-        setpoint: axis unit/s or V, as quantised in the frame that was sent (in replay: read) last.
+        setpoint: axis unit/s or V, as the drive makes it of the frame that was sent (in replay: read) last.
         controlword: as sent (in replay: read) last.
         *_timestamp_ns: receive time of the frame that a value came with, 0 before the first.
         nmt_state: of the last heartbeat, None before.
@@ -210,8 +210,11 @@ class Drive:
         self.trip_reason = reason
 
     def _quantise(self, setpoint: float) -> int:
-        """Axis unit/s or V to the smallest steps of the target's object, limited to what it can hold."""
-        units = setpoint / self._setpoint_unit
+        """Axis unit/s or V to the smallest steps of the target's object, limited to what it can hold.
+
+        What the drive cannot tell apart is not asked for: what is recorded is what it does.
+        """
+        units = self.config.resolved(setpoint) / self._setpoint_unit
         if self._lowest <= units <= self._highest:
             return round(units)
         self.clipped += 1
@@ -223,7 +226,8 @@ class Drive:
         """Set what is known of our own frames from their integers, alike for frames sent and frames replayed."""
         word, coarse, fine = self._sent
         self.controlword = word
-        self.setpoint = (coarse * self._split + fine) * self._setpoint_unit + 0.0  # never -0.0
+        sent = (coarse * self._split + fine) * self._setpoint_unit
+        self.setpoint = self.config.resolved(sent) + 0.0  # never -0.0
 
     # Frames in
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from diagnosis.closed_loop import Controller, Limit
 from diagnosis.closed_loop_error import Loop
+from service.assembly import drive_config
 from service.excitation import InjectionPoint
 from service.sequence import Phase
 from service.twsbr.controller import TiltController
@@ -113,7 +114,10 @@ def _replayed(
     controller = TiltController.of(vehicle)
     measured = [told.values[name] for name in (*TILT, *WHEELS)]
     rows = range(told.rise + 1, until)
-    return controller, [_step(vehicle, controller, told, at, row, *(each[row] for each in measured)) for row in rows]
+    sent = drive_config(vehicle, vehicle.drive[0]).resolved
+    return controller, [
+        sent(_step(vehicle, controller, told, at, row, *(each[row] for each in measured))) for row in rows
+    ]
 
 
 def _step(
@@ -151,6 +155,7 @@ def _loop(vehicle: TwsbrFile, told: _Recorded, at: InjectionPoint) -> Controller
     time, age = np.array(told.time), np.array(told.values["drive_age"])
     wheels = {name: np.interp(time[: told.first + 1], time - age, told.values[name]).tolist() for name in WHEELS}
     row = told.first - 1
+    sent = drive_config(vehicle, vehicle.drive[0])
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal row
@@ -165,6 +170,6 @@ def _loop(vehicle: TwsbrFile, told: _Recorded, at: InjectionPoint) -> Controller
                 column.append(seen[name])
             shown.append(column[back] + part * (column[back - 1] - column[back]))
         voltage = _step(vehicle, controller, told, at, row, seen["tilt"], seen["tilt_rate"], *shown)
-        return dict.fromkeys(VOLTAGES, round(voltage, 3))
+        return dict.fromkeys(VOLTAGES, sent.resolved(voltage))
 
     return step

@@ -1,7 +1,7 @@
 """A geared DC motor on a PWM bridge, at the wheel; its encoder, and the wheel that it turns.
 
 current = (voltage - n K rate) / R and torque = n K current, rate being the wheel's against the body. With an open
-bridge no current flows. The bridge has whole steps of the supply; ahead of it act the hidden input effects.
+bridge no current flows. The bridge has whole steps of the supply; what comes out of it meets the hidden input effects.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ class Motor:
         if not self.powered:
             self.duty, self.limited, self._drive = 0.0, False, (0.0, 0.0)
             return self._drive
-        volts = self.target
-        self.limited = abs(volts) > self._nominal
+        share = self.target / self._nominal
+        self.limited = abs(share) > 1.0
+        volts = round(min(1.0, max(-1.0, share)) * self._pwm_steps) / self._pwm_steps * self._nominal
         for effect in self._effects:
             volts = effect(volts)
-        share = min(1.0, max(-1.0, volts / self._nominal))
-        self.duty = round(share * self._pwm_steps) / self._pwm_steps
+        self.duty = min(1.0, max(-1.0, volts / self._nominal))
         gain = self._constant / self._resistance
         self._drive = (gain * self.duty * supply, gain * self._constant)
         return self._drive
