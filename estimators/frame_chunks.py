@@ -169,15 +169,11 @@ class FrameChunks:
 
     def _wait(self, time: float, row: tuple[float, ...]) -> None:
         """A row outside of any stretch: its inputs may still act on the first rows of the next one."""
-        times, rows = self._times, self._rows
-        self._end_stretch()
         if not self._late or not all(math.isfinite(row[place]) for place in self._inputs):
+            self._end_stretch()
             return
-        begin = bisect_right(times, time + self.period - REACH)
-        self._times = [*times[begin:], time]
-        self._rows = [*rows[begin:], row]
-        self._first = len(self._times)
-        self._wanted = max(SHORTEST, self._first + self._length + 1)
+        begin = bisect_right(self._times, time + self.period - REACH)
+        self._end_stretch([*self._times[begin:], time], [*self._rows[begin:], row])
 
     def _with_usual(self, row: tuple[float, ...]) -> tuple[float, ...]:
         """The row with the usual value of what no device told."""
@@ -199,12 +195,13 @@ class FrameChunks:
                 self._chunk = max(SHORTEST, round(self._window / self.period))
             self._end_stretch()
 
-    def _end_stretch(self) -> None:
-        self._times: list[float] = []
-        self._rows: list[tuple[float, ...]] = []
+    def _end_stretch(self, times: list[float] | None = None, rows: list[tuple[float, ...]] | None = None) -> None:
+        """The next stretch comes after rows that are only known for their inputs."""
+        self._times: list[float] = times or []
+        self._rows: list[tuple[float, ...]] = rows or []
         self._known = -math.inf
-        # What an input that acts late was before the first row is not known: that row tells it, and no more.
-        self._first = 1 if self._late else 0
+        # What an input that acts late was before the first row of all is not known: that row tells it, and no more.
+        self._first = max(len(self._times), int(self._late))
         self._begins = True
         self._length: int = self._chunk - 1 if self._window else self._chunk
         self._wanted: int = max(SHORTEST, self._first + self._length + 1)

@@ -152,8 +152,8 @@ def test_without_a_recording_the_numbers_of_the_vehicle_file_have_to_hold_the_ro
 
 @pytest.fixture(scope="module")
 def first() -> Recording:
-    """1.7 s of settling and of a small doublet, which leave the two frictions tied. Not all records of 1.4 to 1.7 s do: of
-    two seeds and four lengths three of eight."""
+    """1.7 s of settling and of a small doublet, which leave the two frictions tied, as not all so short ones do: of 1.4
+    to 1.7 s and two seeds three of eight."""
     vehicle = only("doublet", duration=4.0, amplitude=2.0)
     return record(vehicle, "doublet", hide=[HIDDEN], seed=4).between(6.8, 8.5)
 
@@ -197,8 +197,9 @@ def test_what_is_suggested_for_a_tied_pair_tells_it_apart(first: Recording, riva
 
 
 def test_what_is_the_same_to_the_controller_no_run_tells_apart() -> None:
-    """An IMU at a slant and a centre of mass beside the axle. The record tells the motors' resistance; one that leaves it
-    open, as 8 s of the doublet, ends with 1.5 ohm for the one and 3.8 ohm for the other, and 30 nats are expected of these."""
+    """An IMU at a slant and a centre of mass beside the axle. The record tells the motors' resistance; one that leaves
+    it open, as 8 s of the doublet, ends with 1.5 ohm for the one and 3.8 ohm for the other, and 30 nats are expected of
+    these."""
     standing = record("twsbr", "square", hide=["static_torque"], seed=3, duration=8.0).between(6.8, float("inf"))
     same = fitted_rivals(vehicle_model(), [standing], VEHICLE.support, ("static_torque", "sensor_offset"))
     assert len(same) == 2
