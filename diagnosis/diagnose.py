@@ -26,7 +26,7 @@ from diagnosis.timed import untimed
 from diagnosis.workspace import Workspace
 from estimators.contract import Status
 from estimators.methods.prediction_error import result
-from estimators.segments import DataError
+from estimators.segments import DataError, after_settling
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording
@@ -47,6 +47,7 @@ def diagnose(
 ) -> Diagnosis:
     """What `model` lacks to explain `recordings`.
 
+    A recording that begins on a support is looked at from where the model has settled (`Model.settling`).
     `support` rad: the vehicle is free where its roll is less. `candidates`: effects to look for, the whole catalogue by
     default. `most`: effects that are added at most, one after the other. `masked`: effects that parameters of
     the model can take the place of, so that the screen alone does not decide about them (diagnosis.masked). `unasked`:
@@ -58,6 +59,7 @@ def diagnose(
     tell("reading the data", 0.0)
     known, model = model, ready(model, recordings)
     try:
+        recordings = after_settling(model, recordings, support)
         check(model, recordings, support)
         workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))
     except DataError as error:

@@ -146,6 +146,8 @@ class LiveDiagnosis:
                 self._waiting.clear()
                 self._waits = 0
                 self._memory = self._gathered = None
+            if not seen.chunk.settled:
+                return
             self._waiting.append(seen)
             self._waits += len(seen.residual)
             if seen.count or self._is_due():

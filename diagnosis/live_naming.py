@@ -266,21 +266,24 @@ class Gathered:
         }
         sizes |= {name: told for name, told in shapes.items() if name.startswith(f"{best.effect.name}.")}
         since = 0.0 if best.second == BEGINNING else self._began[best.second]
-        effect = find(self._called(best)) if self._called(best) in CATALOGUE else entry.effect
+        called = self._called(best)
+        kind = called.partition("@")[0]
+        effect = find(kind) if kind in CATALOGUE else entry.effect
         return LiveFinding(
-            effect=self._called(best),
+            effect=called,
             family=effect.family.value,
             sizes=sizes,
             since=since,
             probability=math.exp(named.log_odds - highest) / (sum(likely) + none),
             p_value=min(1.0, looks * math.exp(-named.log_odds)),
             tied_with=tied,
-            explanation=_explain(effect, sizes, since, tied),
+            explanation=_explain(called, effect, sizes, since, tied),
         )
 
     def _called(self, onset: Onset) -> str:
-        name = self._entries[onset.effect.name].effect.name
-        return name if onset.second == BEGINNING else SUDDEN.get(name, name)
+        """The name in a model, EFFECT or EFFECT@PLACE."""
+        effect, at, place = onset.effect.name.partition("@")
+        return onset.effect.name if onset.second == BEGINNING else SUDDEN.get(effect, effect) + at + place
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,14 +311,16 @@ def simplest(found: Sequence[Weighed]) -> Weighed:
     return min(near, key=lambda each: len(each.onset.effect.columns))
 
 
-def _explain(effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]) -> str:
+def _explain(
+    called: str, effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]
+) -> str:
     told = ", ".join(
         f"{name.split('.')[-1]} = {value:.{significant(std)}f} +-{std:.{significant(std)}f}"
         + ("" if unit == "1" else f" {unit}")
         for name, (value, std, unit) in sizes.items()
     )
     when = f", since {since:.0f} s" if since else ""
-    text = f"{effect.name}: {effect.title} ({effect.equation}); {told}{when}."
+    text = f"{called}: {effect.title} ({effect.equation}); {told}{when}."
     if tied:
         text += f" Tied with {', '.join(tied)}. {effect.separated_by}"
     return text + " A first answer, in one linear step: upright diagnose RECORDING refits it."

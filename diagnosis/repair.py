@@ -34,7 +34,7 @@ from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
-from estimators.segments import channels_of, optional_channels
+from estimators.segments import after_settling, channels_of, optional_channels
 from models.effect import Effect
 from models.effects import find
 from models.expressions import names_in
@@ -108,6 +108,7 @@ def _repair(
     support: float | None,
     told: Progress,
 ) -> Repair:
+    recordings, held_out = (after_settling(model, each, support) for each in (recordings, held_out))
     candidate = candidate_of(model, model.add(effect, at).effects[-1])
     neighbours = _neighbours(model, candidate, recordings)
     training, tried = split(model, recordings, held_out, support)

@@ -16,6 +16,7 @@ from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
+from estimators.segments import after_settling
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -103,7 +104,8 @@ def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, g
 
 def fitted(model: Model, recordings: Sequence[Recording], support: float | None) -> Rival:
     """`model` as it is, fitted to `recordings`. Raises DataError where they cannot be used."""
-    return Rival.of(NOTHING_MORE, full(model, Workspace.of(model, recordings, support, ())))
+    workspace = Workspace.of(model, after_settling(model, recordings, support), support, ())
+    return Rival.of(NOTHING_MORE, full(model, workspace))
 
 
 def fitted_rivals(
@@ -116,6 +118,7 @@ def fitted_rivals(
     Raises DataError where the recordings cannot be used.
     """
     asked = [with_named(model, name).effects[-1].name for name in effects]
+    recordings = after_settling(model, recordings, support)
     workspace = Workspace.of(model, recordings, support, tuple(dict.fromkeys(name.split("@")[0] for name in asked)))
     workspace = replace(workspace, candidates=tuple(each for each in workspace.candidates if each.name in asked))
     base = full(model, workspace)

@@ -39,12 +39,15 @@ FARTHEST = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows `first` to `last` of `segment`. Where it does not begin a stretch, row `first` was another chunk's last."""
+    """Rows `first` to `last` of `segment`. Where it does not begin a stretch, row `first` was another chunk's last.
+
+    `settled`: the model's settling time is over."""
 
     segment: Segment
     first: int
     last: int
     begins: bool
+    settled: bool = True
 
     @property
     def rows(self) -> slice:
@@ -77,7 +80,8 @@ def _joined(chunks: Sequence[Chunk]) -> Chunk:
         for name in ("time", "knots", "inputs", "measured")
     )
     last = len(time) - len(tail.segment) + tail.last
-    return Chunk(Segment(time, knots, inputs, measured, head.segment.source), head.first, last, head.begins)
+    segment = Segment(time, knots, inputs, measured, head.segment.source)
+    return Chunk(segment, head.first, last, head.begins, head.settled)
 
 
 class FrameChunks:
@@ -113,6 +117,7 @@ class FrameChunks:
         self._ages = sorted({place for place in places if place != zero})
         self._reach = _reach(model)
         self._late = any(each.delays for each in model.inputs)
+        self._settling = model.settling
         self._chunk = rows
         self._window = window
         self.reset()
@@ -125,6 +130,9 @@ class FrameChunks:
         """s between two cycles; 0 until that is known."""
         self._early: list[int] = []
         self._start = self._last = 0
+        self.settled = not self._settling
+        """Whether the model's settling time is over."""
+        self._settled_at = math.nan  # s; not known before the first free row
         self._known = -math.inf  # s until which the inputs are known, a sample beyond included
         self._end_stretch()
 
@@ -159,6 +167,8 @@ class FrameChunks:
         if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle:  # NaN, infinite or on a support
             self._wait(time, row)
             return None
+        if not self.settled:
+            self._settle(time)
         self._times.append(time)
         self._rows.append(row)
         known = self._known
@@ -172,8 +182,21 @@ class FrameChunks:
         if not self._late or not all(math.isfinite(row[place]) for place in self._inputs):
             self._end_stretch()
             return
-        begin = bisect_right(self._times, time + self.period - REACH)
-        self._end_stretch([*self._times[begin:], time], [*self._rows[begin:], row])
+        times, rows = self._latest(time + self.period)
+        self._end_stretch([*times, time], [*rows, row])
+
+    def _settle(self, time: float) -> None:
+        """A free row while the model's settling time is not over: with the first one after it a stretch begins."""
+        if math.isnan(self._settled_at):
+            self._settled_at = time + self._settling
+        elif time >= self._settled_at:
+            self.settled = True
+            self._end_stretch(*self._latest(time))
+
+    def _latest(self, time: float) -> tuple[list[float], list[tuple[float, ...]]]:
+        """The rows whose inputs may still act at `time`, s, and when they were."""
+        begin = bisect_right(self._times, time - REACH) if self._late else len(self._times)
+        return self._times[begin:], self._rows[begin:]
 
     def _with_usual(self, row: tuple[float, ...]) -> tuple[float, ...]:
         """The row with the usual value of what no device told."""
@@ -219,7 +242,7 @@ class FrameChunks:
         # Lines with the integral of the curve that was sampled, see estimators.segments.
         inputs[1:-1] -= np.diff(inputs, 2, axis=0) * (self._lines / 12.0)
         segment = Segment(time, knots, inputs, measured, "live")
-        chunk = Chunk(segment, first, last, self._begins)
+        chunk = Chunk(segment, first, last, self._begins, self.settled)
         begin = last + 1 if self._window else last
         # What is still needed before the next chunk begins.
         kept = max(0, int(np.searchsorted(time, time[last] - self._reach)) - 2)

@@ -83,6 +83,23 @@ def segments(
     return found
 
 
+def after_settling(model: Model, recordings: Sequence[Recording], support: float | None = None) -> list[Recording]:
+    """`recordings`, of which each that begins on a support is cut where the model has settled (`Model.settling`).
+
+    One that begins in free motion, or has no free motion for as long, stays as it is.
+    """
+    if not model.settling:
+        return list(recordings)
+    found = []
+    for recording in recordings:
+        _check(model, recording)
+        free = _free(model, recording, support if support is not None else recorded_support(recording))
+        settled_at = float(recording.time[np.argmax(free)] - recording.time[0]) + model.settling
+        whole = free[0] or settled_at >= recording.duration or not free.any()
+        found.append(recording if whole else recording.between(settled_at))
+    return found
+
+
 def recorded_support(recording: Recording) -> float | None:
     """The coordinate's size (rad) at which the vehicle is carried, as its recording says."""
     text = recording.metadata.get("support")

@@ -217,7 +217,11 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A grey-box model. `base_parameters` and `base_states` are its own, `effects` what was added to it."""
+    """A grey-box model. `base_parameters` and `base_states` are its own, `effects` what was added to it.
+
+    `settling` s of free motion at first are left out where effects are looked for: what filters the measurements has
+    not settled yet, in a way that the equations do not have.
+    """
 
     name: str
     title: str
@@ -230,6 +234,7 @@ class Model:
     sensors: tuple[Sensor, ...] = ()
     definitions: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
+    settling: float = 0.0
     effects: tuple[AttachedEffect, ...] = ()
 
     @property

@@ -162,6 +162,7 @@ class ModelSection(Section):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")] | None = None
     title: str | None = None
     source: str | None = None
+    settling: NotNegative | None = None
     base: str | None = None
     states: dict[str, StateSection] = {}
     inputs: dict[str, InputSection] = {}

@@ -33,8 +33,8 @@ def fresh(file: ModelFile) -> str:
     lines = [_INTRODUCTION, f"name = {_toml(model.name)}"]
     lines += [
         f"{key} = {_toml(getattr(model, key))}"
-        for key in ("title", "source")
-        if getattr(model, key) != ("" if base is None else getattr(base, key))
+        for key, usual in (("title", ""), ("source", ""), ("settling", 0.0))
+        if getattr(model, key) != (usual if base is None else getattr(base, key))
     ]
     if base is not None:
         lines += [f"base = {_toml(base.name)}", "", "[parameters]"]
@@ -90,9 +90,14 @@ def edited(text: str, old: ModelFile, new: ModelFile) -> str | None:
 def base_of(model: Model) -> Model | None:
     """The shipped model that `model` is, but for values, effects, name and title; None where there is none."""
     for base in library.MODELS.values():
-        if _bare(replace(model, name="", title="", source="")) == _bare(replace(base, name="", title="", source="")):
+        if _unnamed(model) == _unnamed(base):
             return base
     return None
+
+
+def _unnamed(model: Model) -> Model:
+    """Without what a file may say otherwise than its base."""
+    return _bare(replace(model, name="", title="", source="", settling=0.0))
 
 
 def _bare(model: Model) -> Model:

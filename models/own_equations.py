@@ -45,6 +45,7 @@ def base_model(tables: ModelSection, file: str, name: str) -> Model:
         name=name,
         title=base.title if tables.title is None else tables.title,
         source=base.source if tables.source is None else tables.source,
+        settling=base.settling if tables.settling is None else tables.settling,
         base_parameters=given(base.base_parameters, tables.parameters, f"{file}: parameters"),
     )
 
@@ -112,6 +113,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
         name=name,
         title=tables.title or name,
         source=tables.source or "",
+        settling=tables.settling or 0.0,
         base_states=built(State, tables.states),
         inputs=built(Input, tables.inputs, hold=Hold, delays=tuple),
         outputs=built(Output, tables.outputs),

@@ -52,7 +52,7 @@ def _monocab(parameters: Mapping[str, float], deviations: Mapping[str, float], s
 
 def _twsbr(parameters: Mapping[str, float], deviations: Mapping[str, float], support: float) -> EstimatorBank:
     """The prediction error of its compiled model, whose equations no regression can take apart."""
-    return EstimatorBank((), alone={RECURSION: partial(_recursion, "twsbr", parameters, deviations, support)})
+    return EstimatorBank((), {RECURSION: partial(_live_diagnosis, "twsbr", parameters, deviations, support)})
 
 
 def _live_diagnosis(
@@ -66,36 +66,19 @@ def _live_diagnosis(
     )
 
 
-def _recursion(
-    kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
-) -> Estimator:
-    from estimators.identify import nominal_model
-    from estimators.recursive_prediction_error import RecursivePredictionError
-
-    return RecursivePredictionError(
-        nominal_model(kind), parameters=parameters, deviations=deviations, support=support, channels=TABLES[kind]
-    )
-
-
 class EstimatorBank:
     """Several estimators over the same cycles. One that fails is left out from there on, its failure its result.
 
-    `late` ones, method to what makes it with the diagnosis around it, and those that are made `alone`, without one,
-    take no part until `join`.
+    `late` ones, method to what makes it with the diagnosis around it, take no part until `join`.
     """
 
     def __init__(
         self,
         estimators: Sequence[Estimator],
         late: Mapping[str, Callable[[], LiveDiagnosis]] | None = None,
-        *,
-        alone: Mapping[str, Callable[[], Estimator]] | None = None,
     ) -> None:
         self._estimators = list(estimators)
-        self._late: dict[str, Callable[[], tuple[Estimator, LiveDiagnosis | None]]] = {
-            **{method: partial(_alone, make) for method, make in (alone or {}).items()},
-            **{method: partial(_diagnosed, make) for method, make in (late or {}).items()},
-        }
+        self._late = dict(late or {})
         self._diagnoses = bool(late)
         self._live: LiveDiagnosis | None = None
         self._waiting: list[Frame] = []
@@ -112,13 +95,13 @@ class EstimatorBank:
         waiting, self._waiting = self._waiting, []
         for method, make in late.items():
             try:
-                estimator, live = make()
+                live = make()
             except Exception as error:  # Whatever it is, the recording and the others go on without it.
                 self._fail(method, error)
             else:
-                self._live = live or self._live
-                self._estimators.append(estimator)
-                self._feed(estimator, waiting)
+                self._live = live
+                self._estimators.append(live.estimator)
+                self._feed(live.estimator, waiting)
 
     def update(self, frames: Iterable[Frame]) -> None:
         """Take control cycles."""
@@ -168,19 +151,9 @@ class EstimatorBank:
         }
 
 
-def _alone(make: Callable[[], Estimator]) -> tuple[Estimator, None]:
-    return make(), None
-
-
-def _diagnosed(make: Callable[[], LiveDiagnosis]) -> tuple[Estimator, LiveDiagnosis]:
-    live = make()
-    return live.estimator, live
-
-
 BANKS: dict[str, Callable[[Mapping[str, float], Mapping[str, float], float], EstimatorBank]] = {
     "monocab": _monocab,
     "twsbr": _twsbr,
 }
-"""What makes the estimators of a kind of vehicle. The balancing robot has the recursion alone: each of its equations
-holds several unknowns in products, which a regression cannot take apart (`models.library.twsbr`), and a live diagnosis
-of it named an effect in two of six runs that lacked none (`docs/how-to/estimate-the-robot.md`)."""
+"""What makes the estimators of a kind of vehicle. The balancing robot has no regression: each of its equations holds
+several unknowns in products, which none can take apart (`models.library.twsbr`)."""

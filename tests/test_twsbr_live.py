@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimators.contract import Estimate, EstimationError, Estimator, Status
+from estimators.contract import Estimate, Status
 from estimators.identify import identify, nominal_model
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive_prediction_error import RecursivePredictionError
 from models.expressions import number
 from models.library.twsbr import COUNT, TOLD_NEAR_UPRIGHT
 from service.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
-from service.replay import live_diagnosis, replay
+from service.replay import replay
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.twsbr.truth import TwsbrTruth
@@ -209,23 +209,3 @@ def test_identified_by_the_same_method_it_gives_the_same_numbers() -> None:
     for name, each in course(1)[-1].parameters.items():
         told = entry["parameters"][name]
         assert (told["value"], told["std"]) == pytest.approx((each.value, each.std), rel=1e-6), name
-
-
-def test_nothing_diagnoses_it_live() -> None:
-    waiting = bank()
-    assert waiting.diagnosis() is None
-    waiting.join()
-    assert waiting.diagnosis() is None
-    assert live_diagnosis(run(), VEHICLE) is None
-
-
-def test_one_that_cannot_be_made_is_its_own_result() -> None:
-    def broken() -> Estimator:
-        raise EstimationError("model twsbr", "no compiler", remedy="install one.")
-
-    alone = EstimatorBank((), alone={RECURSION: broken})
-    alone.update(list(run().frames(TWSBR))[:100])
-    alone.join()
-    assert alone.results()[RECURSION]["status"] == "failed"
-    assert "no compiler" in alone.results()[RECURSION]["reason"]
-    assert alone.diagnosis() is None

@@ -179,6 +179,7 @@ TWSBR = Model(
     name="twsbr",
     title="two-wheeled balancing robot: body, two wheels, two geared DC motors",
     source="Hassan, Moustafa, Moness, equations (1) to (22); corrections in models.twsbr_derivation",
+    settling=3.0,
     base_states=(
         State(
             "tilt", "rad", "tilt_rate", initial="tilt", initial_std=5e-3, meaning="of the body, 0 upright, forward +"
@@ -190,7 +191,7 @@ TWSBR = Model(
             "tilt_error",
             "rad",
             "rate_error - filter_proportional * (tilt_error - level)",
-            initial_std=1e-3,
+            initial_std=5e-3,
             process_noise=1e-4,
             noise_known=True,
             noise_of="tilt_rate",
@@ -201,7 +202,7 @@ TWSBR = Model(
             "rad",
             f"-level / {_SMOOTHING}",
             initial=f"{0.0325 / (GRAVITY * _SMOOTHING)} * (0.5 * (left_wheel_rate + right_wheel_rate) + tilt_rate)",
-            initial_std=1e-3,
+            initial_std=2e-2,
             process_noise=_LEVEL_NOISE,
             noise_known=True,
             meaning="error of the accelerometer's direction, and the speed that made it",

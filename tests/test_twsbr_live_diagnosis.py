@@ -1,0 +1,201 @@
+"""What the balancing robot lacks, named while it runs; replayed, which gives the same bit for bit.
+
+Nothing was decided on these seeds. By its level a name where nothing is missing is due once in a hundred minutes; a few
+more are seen (docs/how-to/estimate-the-robot.md), so that the seeds of clean runs are fixed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diagnosis.live import LiveDiagnosis
+from diagnosis.live_naming import LiveResult
+from estimators.contract import EstimationError
+from estimators.frame_chunks import Chunk, FrameChunks
+from estimators.identify import nominal_model
+from estimators.segments import after_settling
+from models import library
+from models.model import Model
+from models.model_file import ModelFile, read, write
+from service.cli import app
+from service.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from service.replay import live_diagnosis
+from service.vehicle_file import load
+from service.virtual_run import record
+from telemetry.channels import TWSBR
+from telemetry.recording import Recording
+
+VEHICLE = load("twsbr")
+MODEL = nominal_model("twsbr")
+GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}
+SEED = 97
+HIDDEN = {
+    "static_torque": "static_torque",
+    "slope": "static_torque@travel",
+    "coulomb_friction": "coulomb_friction@wheels",
+    "asymmetric_friction": "asymmetric_friction@wheels",
+    "input_deadband": "input_deadband",
+    "input_asymmetry": "input_asymmetry",
+    "sensor_offset": "sensor_offset",
+}
+"""What is hidden, and its name in the model."""
+
+
+@cache
+def run(hide: str = "", seed: int = SEED) -> Recording:
+    return record("twsbr", "square", hide=[hide] if hide else [], seed=seed)
+
+
+@cache
+def made(settling: float = MODEL.settling) -> LiveDiagnosis:
+    return LiveDiagnosis(replace(MODEL, settling=settling), **GIVEN, support=VEHICLE.support, channels=TWSBR)
+
+
+def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[LiveResult]:
+    """What it says every second, the end included."""
+    diagnosis.reset()
+    frames = list(recording.frames(TWSBR))
+    for place, frame in enumerate(frames, 1):
+        diagnosis.update(frame)
+        if place % 200 == 0 or place == len(frames):
+            yield diagnosis.result()
+
+
+@pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
+def test_where_nothing_is_missing_nothing_is_named_at_any_time(seed: int) -> None:
+    told = list(course(run(seed=seed), made()))
+    assert [each.findings for each in told] == [()] * len(told)
+    assert told[0].verdict == "insufficient_data"
+    assert told[-1].verdict == "adequate"
+
+
+@pytest.mark.parametrize("hidden", list(HIDDEN))
+def test_what_is_hidden_is_named_in_the_end_or_tied_with_the_name(hidden: str) -> None:
+    *_, last = course(run(hidden), made())
+    assert last.verdict == "missing_effect"
+    first = last.findings[0]
+    assert HIDDEN[hidden] in (first.effect, *first.tied_with)
+    assert first.p_value < 1e-9
+
+
+def test_a_name_is_that_of_an_effect_at_its_place() -> None:
+    *_, last = course(run("coulomb_friction"), made())
+    first = last.findings[0]
+    assert first.effect.endswith("@wheels")
+    assert all(name.startswith(f"{first.effect}.") for name in first.sizes)
+    assert first.explanation.startswith(f"{first.effect}: ")
+    # Both can be read as a model has them.
+    for name in (first.effect, *first.tied_with):
+        kind, _, at = name.partition("@")
+        MODEL.add(kind, at)
+
+
+def test_a_load_that_is_put_on_during_the_run_is_named_with_its_time() -> None:
+    recording = run("torque_step=1@14")
+    *_, last = course(recording, made())
+    first = last.findings[0]
+    assert "torque_step" in (first.effect, *first.tied_with)
+    assert abs(first.since - 14.0) < 2.5  # a ramp of 0.3 s, told in whole seconds
+
+
+@pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
+def test_a_stretch_that_begins_in_the_midst_of_motion_has_no_name_either(seed: int) -> None:
+    """The tilt filter's low pass holds what the wheels did before: up to 0.03 rad that no reading tells. With a prior
+    of 0.001 rad for it effects of the first seconds' size were named in 5 of 11 runs."""
+    *_, last = course(run(seed=seed), made(5.0))
+    assert last.findings == ()
+
+
+def test_the_observer_has_it_and_tells_the_same() -> None:
+    bank = online_estimators("twsbr", GIVEN["parameters"], GIVEN["deviations"], VEHICLE.support)
+    waiting = bank.diagnosis()
+    assert waiting is not None
+    assert waiting["reason"] == STARTING["reason"]
+    *_, last = course(run("input_deadband"), made())
+    assert live_diagnosis(run("input_deadband"), VEHICLE) == last.to_json()
+
+
+def test_one_that_cannot_be_made_is_its_own_result() -> None:
+    def broken() -> LiveDiagnosis:
+        raise EstimationError("model twsbr", "no compiler", remedy="install one.")
+
+    bank = EstimatorBank((), {RECURSION: broken})
+    bank.update(list(run().frames(TWSBR))[:100])
+    bank.join()
+    assert bank.results()[RECURSION]["status"] == "failed"
+    assert "no compiler" in bank.results()[RECURSION]["reason"]
+    told = bank.diagnosis()
+    assert told is not None
+    assert told["verdict"] == "insufficient_data"
+    assert "no compiler" in told["reason"]
+
+
+# --- until it has settled
+
+
+def chunks(model: Model, recording: Recording) -> list[Chunk]:
+    cutter = FrameChunks(model, TWSBR, support=VEHICLE.support, rows=25)
+    return [chunk for frame in recording.frames(TWSBR) if (chunk := cutter.update(frame))]
+
+
+def test_a_stretch_begins_where_the_model_has_settled_and_knows_the_voltages_before() -> None:
+    found = chunks(MODEL, run())
+    begins = [place for place, chunk in enumerate(found) if chunk.begins]
+    settled = [place for place, chunk in enumerate(found) if chunk.settled]
+    assert begins == [0, settled[0]]
+    assert settled == list(range(settled[0], len(found)))
+    first = found[settled[0]]
+    got_up = found[0].segment.time[found[0].first]
+    begin = first.segment.time[first.first]
+    assert begin == pytest.approx(got_up + MODEL.settling, abs=0.011)
+    assert first.segment.time[0] == pytest.approx(begin - 0.1, abs=0.006)
+    without = chunks(replace(MODEL, settling=0.0), run())
+    assert [chunk.begins for chunk in without] == [True] + [False] * (len(without) - 1)
+    assert all(chunk.settled for chunk in without)
+
+
+def test_a_recording_is_looked_at_from_where_the_model_has_settled() -> None:
+    (cut,) = after_settling(MODEL, [run()], VEHICLE.support)
+    whole = run()
+    got_up = whole.time[np.argmax(np.abs(whole["tilt"]) < VEHICLE.support - np.radians(1.0))]
+    assert cut.timestamp_ns[-1] == whole.timestamp_ns[-1]
+    began = (cut.timestamp_ns[0] - whole.timestamp_ns[0]) * 1e-9
+    assert began == pytest.approx(got_up - whole.time[0] + MODEL.settling, abs=0.1)
+    # One that somebody has cut is looked at as it is, and so is what a model takes that needs no settling.
+    assert after_settling(MODEL, [cut], VEHICLE.support) == [cut]
+    assert after_settling(replace(MODEL, settling=0.0), [whole], VEHICLE.support) == [whole]
+    early = whole.between(0.0, began - 1.0)
+    assert after_settling(MODEL, [early], VEHICLE.support) == [early]
+
+
+def test_a_model_file_keeps_and_says_how_long_it_takes(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    write(ModelFile(replace(library.get("twsbr"), name="mine")), path)
+    assert "settling" not in path.read_text()
+    assert read(path).model.settling == library.get("twsbr").settling > 0.0
+    slow = replace(library.get("twsbr"), name="mine", settling=7.5)
+    write(ModelFile(slow), path)
+    assert "settling = 7.5" in path.read_text()
+    assert read(path).model == slow
+    path.write_text(path.read_text().replace("7.5", "-1"))
+    told: Any = CliRunner().invoke(app, ["model", "show", str(path)])
+    assert told.exit_code != 0
+    assert "settling" in str(told.exception or told.output)
+
+
+def test_nobody_has_to_say_from_where(tmp_path: Path) -> None:
+    """A clean run, diagnosed from its first row on: the seconds of settling have no name."""
+    path = tmp_path / "square.arrow"
+    run().save(path)
+    words = ["diagnose", str(path), "--vehicle", "twsbr", "--effect", "static_torque", "--effect", "viscous_friction"]
+    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
+    assert json.loads(done.stdout)["verdict"] == "adequate", done.output
