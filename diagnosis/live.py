@@ -51,6 +51,9 @@ LINE = "periodic_disturbance"
 """The effect whose frequency is followed."""
 NEAR = 0.25
 """Of a turn, by which a line may get ahead in what was gathered of it, or its frequency be off in what told it."""
+COUNTS = 1
+"""Counts by which a counted output moves in a chunk, from which on it is gathered: its error is then as good as noise.
+Of what hardly moves it stays for seconds, like a torque or friction."""
 UNSEEN = ("backlash", "sensor_lag")
 """Effects whose own motion is too fast to be followed along with all others."""
 
@@ -116,6 +119,7 @@ class LiveDiagnosis:
         self._seen_from: Array = np.zeros(0)
         self._far: Array = np.zeros(0)
         self._going_on = False
+        self._began = math.inf
         self._waiting: list[Seen] = []
         self._waits = 0
         self._substeps = self._usual
@@ -182,7 +186,11 @@ class LiveDiagnosis:
             return
         outputs = len(self._base.kernel.outputs)
         if self._gathered is None:
-            self._gathered, self._seen_from = Gathered.of(self._base, self._candidates, last), last.z
+            began = float(chunk.segment.time[chunk.first])
+            self._began = min(self._began, began)
+            whole = began <= self._began
+            self._gathered = Gathered.of(self._base, self._candidates, last, whole=whole)
+            self._seen_from = last.z
             self._far = np.repeat(FAR, (len(self._base.free), len(last.z) - len(self._base.free)))
             self._line = LineFinder(float(np.median(np.diff(chunk.segment.time))))
             self._line_since = 0
@@ -198,10 +206,29 @@ class LiveDiagnosis:
             columns[rows, -1] = each.residual + each.columns[:, : len(about)] @ (each.z - about)
             first = rows.stop
         columns[:, len(order) : -1] = effects
-        whole = gathered.add(columns, parts(chunk, outputs)) and last.place + 1 >= last.count
+        whole = gathered.add(*self._moving(columns, chunk)) and last.place + 1 >= last.count
         if whole and (last.count or gathered.is_due()):
             self._result = gathered.look(self._shapes, {LINE: self._line.bins})
             self._follow_line()
+
+    def _moving(self, columns: Array, chunk: Chunk) -> tuple[Array, list[tuple[slice, float, float]]]:
+        """The `columns` of a chunk and its parts, without those parts in which a counted output hardly moves."""
+        outputs = self._base.model.outputs
+        found = list(parts(chunk, len(outputs)))
+        # Within a count any place is as likely, which is a noise of it over the root of 12.
+        counts = {i: each.noise * 12**0.5 for i, each in enumerate(outputs) if each.counted and not each.noise_known}
+        if not counts:
+            return columns, found
+        measured = chunk.segment.measured[chunk.rows]
+        kept, moving, first = [], [], 0
+        for numbers, begin, span in found:
+            rows = measured[numbers.start // len(outputs) : numbers.stop // len(outputs)]
+            if all(np.ptp(rows[:, place]) >= COUNTS * count for place, count in counts.items()):
+                size = numbers.stop - numbers.start
+                kept.append(columns[numbers])
+                moving.append((slice(first, first + size), begin, span))
+                first += size
+        return (columns if len(kept) == len(found) else np.concatenate([columns[:0], *kept])), moving
 
     def _follow_line(self) -> None:
         """The disturbance of one frequency is looked for where innovations have a line, in what comes from now on.

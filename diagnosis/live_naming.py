@@ -135,7 +135,10 @@ TOO_LITTLE = LiveResult((), {}, 0, "too little free motion yet to tell")
 class Gathered:
     """What has come in so far, and what it tells, renewed every second or two."""
 
-    def __init__(self, entries: Sequence[Entry], order: NDArray[np.int64], products: Products, about: Array) -> None:
+    def __init__(
+        self, entries: Sequence[Entry], order: NDArray[np.int64], products: Products, about: Array, *, whole: bool
+    ) -> None:
+        self._whole = whole
         self._entries = {each.amplitudes.name: each for each in entries}
         self.about = about
         """What the unknowns of the recursion count from."""
@@ -148,8 +151,9 @@ class Gathered:
         self._near = True
 
     @classmethod
-    def of(cls, base: Problem, candidates: Sequence[Candidate], seen: Seen) -> Gathered:
-        """Columns in the order that `Products` wants: nuisances, effects that the model has, candidates."""
+    def of(cls, base: Problem, candidates: Sequence[Candidate], seen: Seen, *, whole: bool) -> Gathered:
+        """Columns in the order that `Products` wants: nuisances, effects that the model has, candidates. `whole`: it
+        begins where the run does."""
         free = [base.model.parameters[place].name for place in base.free]
         there = [each for each in base.model.effects if set(each.amplitudes) <= set(free)]
         theirs = [free.index(name) for each in there for name in each.amplitudes]
@@ -167,7 +171,7 @@ class Gathered:
         about[: len(seen.z)] = seen.z
         about[theirs] = 0.0
         products = Products(seen.prior[nuisances], -about[nuisances], place + 1, KEPT)
-        return cls(entries, order, products, about[: len(seen.z)])
+        return cls(entries, order, products, about[: len(seen.z)], whole=whole)
 
     def completes(self, further: float, part: float) -> bool:
         """Whether as many `further` s complete a second, where parts last `part` s."""
@@ -265,7 +269,7 @@ class Gathered:
             )
         }
         sizes |= {name: told for name, told in shapes.items() if name.startswith(f"{best.effect.name}.")}
-        since = 0.0 if best.second == BEGINNING else self._began[best.second]
+        since = 0.0 if self._from_the_beginning(best) else self._began[best.second]
         called = self._called(best)
         kind = called.partition("@")[0]
         effect = find(kind) if kind in CATALOGUE else entry.effect
@@ -280,10 +284,15 @@ class Gathered:
             explanation=_explain(called, effect, sizes, since, tied),
         )
 
+    def _from_the_beginning(self, onset: Onset) -> bool:
+        """What an effect did in the second before its onset is free: an onset in the second one says nothing of before,
+        unless something sudden came there, in which the predictor lost the vehicle."""
+        return onset.second == BEGINNING or (self._whole and onset.second == BEGINNING + 1)
+
     def _called(self, onset: Onset) -> str:
         """The name in a model, EFFECT or EFFECT@PLACE."""
         effect, at, place = onset.effect.name.partition("@")
-        return onset.effect.name if onset.second == BEGINNING else SUDDEN.get(effect, effect) + at + place
+        return onset.effect.name if self._from_the_beginning(onset) else SUDDEN.get(effect, effect) + at + place
 
 
 @dataclass(frozen=True, slots=True)
