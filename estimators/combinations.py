@@ -27,17 +27,19 @@ def joint_covariance(fitted: Fit) -> tuple[tuple[int, ...], Array]:
     task, minimum = fitted.problem, fitted.minimum
     size, held, unknown = len(task.free), task.uncertain, len(minimum.common)
     covariance = np.zeros((size + len(held), size + len(held)))
-    alone = inverse(minimum.information)
+    if not held:
+        return task.free, inverse(minimum.information)[:size, :size]
+    likelihood = Likelihood(task, NoiseModel.of(task), minimum.common, fitted.prior)
+    seen = likelihood.of_data(minimum.common, minimum.own, also=held)
+    if seen is None:
+        raise ArithmeticError("the model runs away from its own estimate")
+    # All of one evaluation: what takes the place of a held parameter cancels in a combination only to the last digits.
+    information = common_information(seen.normals, unknown + len(held))
+    alone = inverse(information[:unknown, :unknown] + np.diag(fitted.prior))
+    deviations = np.array([task.model.parameters[place].std for place in held])
+    moves = np.concatenate((-(alone @ information[:unknown, unknown:])[:size], np.eye(len(held)))) * deviations
     covariance[:size, :size] = alone[:size, :size]
-    if held:
-        likelihood = Likelihood(task, NoiseModel.of(task), minimum.common, fitted.prior)
-        seen = likelihood.of_data(minimum.common, minimum.own, also=held)
-        if seen is None:
-            raise ArithmeticError("the model runs away from its own estimate")
-        across = common_information(seen.normals, unknown + len(held))[:unknown, unknown:]
-        deviations = np.array([task.model.parameters[place].std for place in held])
-        moves = np.concatenate((-(alone @ across)[:size], np.eye(len(held)))) * deviations
-        covariance += moves @ moves.T
+    covariance += moves @ moves.T
     return (*task.free, *held), covariance
 
 

@@ -1,7 +1,7 @@
 """What the balancing robot's model lacks, hidden in the virtual robot, found and added from the command line.
 
-`upright diagnose RECORDING -v twsbr --from 8` is told nothing but the recording and a few effects to look for (all of
-them take longer); the first 8 s are those in which the robot gets up and its tilt filter settles.
+`upright diagnose RECORDING -v twsbr` is told nothing but the recording and a few effects to look for (all of them take
+longer).
 `upright model add` with three other experiments held out says by how much the error falls where nothing was fitted.
 """
 
@@ -16,12 +16,9 @@ from typer.testing import CliRunner
 
 from service.cli import app
 from service.virtual_run import record
-from telemetry.recording import load
 
 SEED = 83
 """Decided nothing."""
-UP = 8.0
-"""s from the beginning of a recording to where the robot stands."""
 EXCITED = 16.0
 """s of excitation: with getting up and lying down what is left is a little more than the gate asks for."""
 LOOKED_FOR = ("static_torque", "coulomb_friction", "viscous_friction", "input_deadband")
@@ -54,7 +51,7 @@ def recorded(experiment: str, folder: Path, *hide: str) -> Path:
 
 def diagnosed(recording: Path) -> Any:
     names = [word for name in LOOKED_FOR for word in ("--effect", name)]
-    return upright("diagnose", recording, "--vehicle", "twsbr", "--from", UP, *names)
+    return upright("diagnose", recording, "--vehicle", "twsbr", *names)
 
 
 @pytest.mark.parametrize("hidden", list(HIDDEN))
@@ -74,13 +71,12 @@ def test_where_nothing_is_hidden_nothing_is_found(tmp_path: Path) -> None:
 
 def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_path: Path) -> None:
     name, place, _, _ = HIDDEN["static_torque"]
-    standing, model = tmp_path / "standing.arrow", tmp_path / "repaired.toml"
-    load(recorded("square", tmp_path, name)).between(UP, float("inf")).save(standing)
+    square, model = recorded("square", tmp_path, name), tmp_path / "repaired.toml"
     others = [recorded(experiment, tmp_path, name) for experiment in ("sine", "doublet", "sine_stream")]
     held_out = [each for other in others for each in ("--held-out", other)]
     repair = upright(
         "model", "add", "twsbr", name, "--at", place, "--vehicle", "twsbr", "--output", model,
-        "--recording", standing, *held_out,
+        "--recording", square, *held_out,
     )["repair"]  # fmt: skip
     assert repair["needed"]
     closed, left = repair["budget"]["effect"], repair["budget"]["unexplained"]
@@ -91,11 +87,10 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_pat
 def test_a_torque_is_asked_for_where_there_is_one(hidden: str, needed: bool, tmp_path: Path) -> None:
     """Its size is known to a third only, with the mass of the body; that there is one, beyond doubt. Held out is the
     last third of the recording itself."""
-    standing = tmp_path / "standing.arrow"
-    load(recorded("square", tmp_path, *([hidden] if hidden else []))).between(UP, float("inf")).save(standing)
+    square = recorded("square", tmp_path, *([hidden] if hidden else []))
     repair = upright(
         "model", "add", "twsbr", "static_torque", "--at", "tilt", "--vehicle", "twsbr",
-        "--output", tmp_path / "repaired.toml", "--recording", standing,
+        "--output", tmp_path / "repaired.toml", "--recording", square,
     )["repair"]  # fmt: skip
     assert repair["needed"] is needed
     if needed:
