@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, Group
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 people = Console(stderr=True, highlight=False)
 """Where progress, events and notes go."""
@@ -41,14 +42,15 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def parameter_table(estimates: dict[str, Any], title: str = "") -> Table:
-    """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`."""
+def parameter_table(estimates: dict[str, Any], title: str = "") -> Group:
+    """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`, and
+    below them what there is to say of some."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
-    # Where there is little room, a method's name is folded and a note wrapped: a number is never cut.
+    # Where there is little room, a method's name is folded: a number is never cut.
     table.add_column("method", overflow="fold", min_width=12)
     for heading in ("parameter", "value", "±", "unit", ""):
         table.add_column(heading, no_wrap=True, justify="right" if heading in ("value", "±") else "left")
-    table.add_column("note", overflow="fold", min_width=8)
+    notes: dict[str, list[str]] = {}
     for method, estimate in estimates.items():
         shown = method
         for name, entry in estimate["parameters"].items():
@@ -60,12 +62,15 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Table:
                 "-" if std is None else f"{std:.2g}",
                 entry.get("unit", ""),
                 "" if value is None or not std or not value else f"{100 * std / abs(value):.2g} %",
-                entry.get("reason", "") or "",
             )
             shown = ""
+            if entry.get("reason"):
+                notes.setdefault(entry["reason"], []).append(name if len(estimates) == 1 else f"{name} ({method})")
+        if not estimate["parameters"]:
+            table.add_row(method)
         if estimate.get("reason"):
-            table.add_row(shown, "", "", "", "", "", estimate["reason"])
-    return table
+            notes.setdefault(estimate["reason"], []).append(method)
+    return Group(table, *(Text(f"{', '.join(names)}: {reason}") for reason, names in notes.items()))
 
 
 def missing_effects(diagnosis: Mapping[str, Any] | None) -> str:
