@@ -6,13 +6,14 @@ Read between two samples by a straight line, a rate would lose what is fastest i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from estimators.segments import SUPPORT_MARGIN, channels_of, recorded_support
 from models.model import Model
+from models.place import Place
 from telemetry.recording import Recording
 
 AGE = "drive_age"
@@ -51,6 +52,31 @@ def as_recorded_rows(model: Model, at_rows: Model) -> Model:
         inputs=tuple(replace(each, age=inputs[each.name]) for each in at_rows.inputs),
         outputs=tuple(replace(each, age=outputs[each.name]) for each in at_rows.outputs),
     )
+
+
+def on_time(recordings: Sequence[Recording], model: Model) -> list[Recording]:
+    """`recordings` with the readings of sensors that `model` has as late where they belong.
+
+    What a vehicle does to its actuators would else come too late for them: with a gyro 18 ms late that looked like a
+    wrong gain of their command, by 0.06 %.
+    """
+    late: dict[str, float] = {}
+    for attached in model.effects:
+        for sensor in model.sensors:
+            if sensor.name == attached.at and attached.effect.place is Place.SENSOR and attached.effect.delay:
+                delay = model.values[attached.qualified(attached.effect.delay)]
+                late |= {name: late.get(name, 0.0) + delay for name in (sensor.angle, sensor.rate) if name}
+    return [_earlier(each, late) for each in recordings] if late else list(recordings)
+
+
+def _earlier(recording: Recording, late: Mapping[str, float]) -> Recording:
+    time = recording.time
+    moved = {
+        name: np.interp(time + delay, time, recording[name], right=np.nan)
+        for name, delay in late.items()
+        if name in recording.values
+    }
+    return replace(recording, values={**recording.values, **moved})
 
 
 def _setpoints_later(recording: Recording) -> Recording:

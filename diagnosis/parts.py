@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at
+from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
 from diagnosis.speed_loop_choice import FORMULA, LAG, over_noise, small, speed_loop
 from diagnosis.step import retold, reworded
@@ -65,7 +65,7 @@ def diagnose_parts(
         return own
     other = diagnose_actuators(
         actuators,
-        recordings,
+        recordings if own.repaired is None else on_time(recordings, own.repaired),
         support=support,
         candidates=commanded,
         most=most,
