@@ -1,7 +1,8 @@
 """What the balancing robot lacks, named while it runs; replayed, which gives the same bit for bit.
 
-Nothing was decided on these seeds. By its level a name where nothing is missing is due once in a hundred minutes; a few
-more are seen (docs/how-to/estimate-the-robot.md), so that the seeds of clean runs are fixed.
+How an onset in the first second is called was decided on the slope and the step of these seeds, and nothing else. By
+its level a name where nothing is missing is due once in a hundred minutes; a few more are seen
+(docs/how-to/estimate-the-robot.md), so that the seeds of clean runs are fixed.
 """
 
 from __future__ import annotations
