@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
-from hashlib import sha256
 from pathlib import Path
 
 from diagnosis.diagnose import Diagnosis
@@ -16,22 +15,21 @@ from models.model_file import ModelFile, write
 
 
 def write_trail(
-    target: Path, found: Diagnosis, nominal: Model, recordings: Sequence[Path], own: Mapping[str, Path]
+    target: Path, found: Diagnosis, nominal: Model, hashes: Mapping[str, str], own: Mapping[str, Path]
 ) -> None:
     """The repaired model to `target`, with its history, and every step to `target` with the suffix .trail.json.
 
     What is missing in the vehicle's actuators goes to a model of theirs beside it, NAME-actuators.toml.
 
-    `own`: the files of effects of the user's own, by the effect's name. Raises OSError and ModelError where that cannot
-    be written.
+    `hashes`: SHA-256 of the recordings, by name. `own`: the files of effects of the user's own, by the effect's name.
+    Raises OSError and ModelError where that cannot be written.
     """
     assert found.repaired is not None
     for part in found.parts[1:]:
         if part.findings and part.steps:
-            write_trail(target.with_name(f"{target.stem}-actuators.toml"), part, part.steps[0].model, recordings, own)
+            write_trail(target.with_name(f"{target.stem}-actuators.toml"), part, part.steps[0].model, hashes, own)
     in_it = {each.name for each in found.repaired.effects}
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    hashes = {path.name: sha256(path.read_bytes()).hexdigest() for path in recordings}
     history = tuple(
         {
             "action": "add",
@@ -49,5 +47,5 @@ def write_trail(
     there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}
     files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
     write(ModelFile(model=model, history=history, effect_files=files), target)
-    document = {"date": date, "model": nominal.name, "recordings": hashes, **found.to_json()}
+    document = {"date": date, "model": nominal.name, "recordings": dict(hashes), **found.to_json()}
     target.with_suffix(".trail.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import diagnosis.parts
 from models.model_file import read
 from service.cli import app
 from service.virtual_run import record
@@ -80,6 +82,25 @@ def test_everything_that_is_written(recording: Path, tmp_path: Path) -> None:
     page = report.read_text()
     assert "viscous_friction" in page
     assert trail["recordings"]["multisine.arrow"] in page
+
+
+def test_a_recording_that_is_gone_by_then_is_no_loss(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once it was read: the search takes minutes, in which whoever recorded it may tidy up."""
+    path, model, report = tmp_path / "gone.arrow", tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
+    path.write_bytes(recording.read_bytes())
+    search = diagnosis.parts.diagnose_parts
+
+    def tidied_up(*arguments: Any, **named: Any) -> Any:
+        path.unlink()
+        return search(*arguments, **named)
+
+    monkeypatch.setattr(diagnosis.parts, "diagnose_parts", tidied_up)
+    upright(path, *EFFECTS, "--auto", model, "--report", report)
+    sha256 = hashlib.sha256(recording.read_bytes()).hexdigest()
+    assert json.loads(model.with_suffix(".trail.json").read_text())["recordings"] == {"gone.arrow": sha256}
+    assert sha256 in report.read_text()
 
 
 def test_an_effect_of_ones_own(recording: Path, tmp_path: Path) -> None:

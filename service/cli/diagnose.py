@@ -106,6 +106,7 @@ def diagnose(
         candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen, own)]
     from_files = {chosen(name).name: Path(name) for name in (*(effect or ()), *(own or ())) if name.endswith(SUFFIXES)}
     loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
+    origin = provenance(name_of(nominal, file), recordings)  # of what was read: minutes later a file may be another
     with share_done() as progress:
         way = partial(diagnose_parts, nominal, actuators) if actuators else partial(run, nominal)
         found = way(loaded, support=support, candidates=candidates, most=6 if auto else 3, progress=progress)
@@ -120,7 +121,6 @@ def diagnose(
         if report is not None:
             from diagnosis.report import write_report
 
-            origin = provenance(name_of(nominal, file), recordings)
             for (part, bare, seen), path in zip(parts, report_paths(report, len(parts)), strict=True):
                 text = write_report(
                     replace(part, suggested_experiment=found.suggested_experiment),
@@ -134,7 +134,7 @@ def diagnose(
     if auto is not None and found.repaired is not None:
         from service.trail import write_trail
 
-        write_trail(auto, found, nominal, recordings, from_files)
+        write_trail(auto, found, nominal, origin.hashes, from_files)
     if json:
         print_json(found.to_json())
     else:
