@@ -24,10 +24,12 @@ import pytest
 from paho.mqtt import subscribe
 from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sync_playwright
 from slow_link import SlowLink
+from starlette.exceptions import HTTPException
 from topology import LEASE, Topology, topology, vehicle_text
 
+from service.dashboard.app import Dashboard, Settings
 from service.dashboard.units import AMPLITUDE, LIMITS
-from service.vehicle_file import FILES
+from service.vehicle_file import FILES, load
 from telemetry.recording import Recording
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
@@ -591,3 +593,15 @@ def test_it_says_what_is_stale_and_comes_back(watched: Watched, parts: Topology)
 def test_every_limit_and_amplitude_has_a_unit(kind: str) -> None:
     assert set(FILES[kind].model_fields["limits"].annotation.model_fields) <= LIMITS.keys()  # type: ignore[union-attr]
     assert AMPLITUDE[kind]
+
+
+def test_an_effect_is_added_where_it_was_found(tmp_path: Path) -> None:
+    """A slope is a torque at the robot's wheels, not at its body; what the model does not have is no place."""
+    (tmp_path / "square.arrow").touch()
+    dashboard = Dashboard(Settings(load("twsbr"), tmp_path, "ws://127.0.0.1:9001"))
+    asked = {"effect": "static_torque@travel", "recordings": ["square.arrow"]}
+    words = dashboard._words("add", asked)
+    assert words[:6] == ["model", "add", "twsbr", "static_torque", "--at", "travel"]
+    for strange in ("static_torque@moon", "static_torque@motors", "static_torque@../travel", "slope@travel"):
+        with pytest.raises(HTTPException):
+            dashboard._words("add", {**asked, "effect": strange})

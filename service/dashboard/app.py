@@ -26,6 +26,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from estimators.method_table import METHODS
+from models import library
+from models.effect import places_of
 from models.effects import CATALOGUE
 from service import assembly
 from service.dashboard.charts import CHARTS
@@ -192,14 +194,18 @@ class Dashboard:
                 self._reports.mkdir(parents=True, exist_ok=True)
                 return [*words, "--report", str(self._reports / f"{Path(paths[0]).stem}.html")]
             case "add":
-                effect = asked.get("effect")
+                effect, _, place = str(asked.get("effect")).partition("@")
                 if effect not in CATALOGUE:
                     raise HTTPException(400, "no effect of the catalogue")
+                there = places_of(library.get(base), CATALOGUE[effect].place)
+                if place and place not in {each.name for each in there}:
+                    raise HTTPException(400, "the model has no such place")
                 self._models.mkdir(parents=True, exist_ok=True)
                 start = [str(own)] if own.is_file() else [base]
                 output = [] if own.is_file() else ["--output", str(own)]
                 recordings = [word for path in paths for word in ("--recording", path)]
-                return ["model", "add", *start, str(effect), *recordings, *vehicle, *output]
+                at = ["--at", place] if place else []
+                return ["model", "add", *start, effect, *at, *recordings, *vehicle, *output]
             case "undo" if own.is_file():
                 return ["model", "undo", str(own)]
         raise HTTPException(400, "no such job")

@@ -5,7 +5,7 @@ import { Chart } from "./charts.js";
 import { ask, picker, run } from "./jobs.js";
 
 const percent = (value) => (typeof value === "number" ? `${number(value, 3)} %` : "–");
-const EFFECT = /^[a-z][a-z0-9_]{0,60}$/;
+const EFFECT = /^[a-z][a-z0-9_]{0,60}(@[a-z][a-z0-9_]{0,60})?$/;
 
 export class Gap {
   constructor(place, app) {
