@@ -138,6 +138,14 @@ def unidentified(base: FullFit, unasked: Collection[str] = ()) -> str:
     return f"{silent[0]}: {own[silent[0]].reason}" if 2 * len(silent) > len(own) else ""
 
 
+def _left(rest: Adequacy) -> str:
+    """How much of what was missing is left, in words; empty where noise of the model's own stood in for it."""
+    if rest.before <= 1.0:
+        return ""
+    share = 100.0 * max(0.0, rest.after - 1.0) / (rest.before - 1.0)
+    return f" What is left is {share:.2g} % of the energy that exceeded the noise."
+
+
 def _verdict(
     steps: list[FullFit],
     findings: list[Finding],
@@ -149,10 +157,12 @@ def _verdict(
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
         reason = f"something is missing that no known effect explains. {rest.reason}"
+        names = " and ".join(finding.effect for finding in findings)
         if findings and not rest.named:
-            names = " and ".join(finding.effect for finding in findings)
             reason += f" Nearest comes {names}; most of it is left."
             findings, steps, after = [], steps[:1], rest.before
+        elif findings:
+            reason = f"{names} is missing, and {reason}{_left(rest)}"
     elif findings:
         verdict = Verdict.MISSING_EFFECT
         reason = "; ".join(finding.explanation for finding in findings)

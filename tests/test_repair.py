@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +131,16 @@ def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Repair) 
     assert "proves little" in text
     assert "What would separate viscous_friction" in text
     assert "score directions correlate 0." in text
+
+
+def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(right: Repair) -> None:
+    """As with play in the gear of a robot: each blow that comes late is another robot half a second later."""
+    rising = Budget.of(right.budget.before, 1.2 * right.budget.before)
+    text = " ".join(in_words(replace(right, budget=rising)))
+    assert "0.05 s ahead it falls: roll by" in text
+    assert "and no others" not in text
+    worse = replace(right.after, held_out=right.before.held_out)
+    assert "and no others" in " ".join(in_words(replace(right, budget=rising, after=worse)))
 
 
 def test_the_right_one_is_told_from_the_wrong(right: Repair) -> None:

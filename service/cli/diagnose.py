@@ -115,7 +115,7 @@ def diagnose(
         if parts[0][1] is nominal and is_of(nominal, file):
             progress("choosing the next experiment", 1.0)
             found = replace(found, suggested_experiment=suggest_for(file, parts[0][0], nominal, loaded))
-        if found.verdict is Verdict.UNKNOWN and model is None:
+        if found.verdict is Verdict.UNKNOWN and not found.findings and model is None:
             progress("looking for what sets in during the run", 1.0)
             found = replace(found, reason=f"{found.reason}{sets_in(loaded, recordings, file, begin)}")
         if report is not None:

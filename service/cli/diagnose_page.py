@@ -23,6 +23,8 @@ BAR = 20
 def print_diagnosis(found: Diagnosis) -> None:
     """Verdict, findings, and the smallest effects that would have shown."""
     colour, verdict, meaning = HEADLINES[found.verdict]
+    if found.verdict is Verdict.UNKNOWN and found.findings:
+        meaning = "What has a name is not all that the model lacks."
     page.print(f"[bold {colour}]{verdict}[/]: {meaning}")
     if not found.findings or found.verdict is Verdict.UNKNOWN:
         page.print(Padding(escape(found.reason), (0, 2)))
