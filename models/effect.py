@@ -4,7 +4,8 @@ An effect knows no machine. Its expressions use the names of the place it is att
 
 * at a joint: `coordinate`, `rate`, `inertia`, `load` (the force there without the effect, so that load / inertia is the
   acceleration), `time`, `smooth_rate` (a number); where the joint has an actuator also `actuator_rate`,
-  `actuator_angle` and `gain` (force a unit of actuator rate). `force` is added to the joint's load.
+  `actuator_angle`, `gain` (force a unit of actuator rate) and `actuator_inertia` (the actuator's own, a part of
+  `inertia`). `force` is added to the joint's load.
 * on an actuator: `command`, `time`, and `actuator_rate` and `actuator_angle` where the model knows them. `command` (the
   attribute) replaces the command; `delay` and `lag` name the parameters (s) by which it acts later or goes through a
   first-order lag.
@@ -104,7 +105,8 @@ class Effect:
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
     experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that do a part
     of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `in_radians`:
-    names that are an angle in rad, or the effect makes no sense. `source` is where the equation is from.
+    names that are an angle in rad, or the effect makes no sense. `source` is where the equation is from. `instead`: the
+    formula of the same effect at places that offer what that one asks for.
     """
 
     name: str
@@ -129,6 +131,7 @@ class Effect:
     dissipative: bool = False
     in_radians: tuple[str, ...] = ()
     source: str = ""
+    instead: Effect | None = None
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
@@ -185,6 +188,7 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
         remedy = "change its parameters instead."
         raise ModelError(f"effect {name}", f"model {model.name} has it already", remedy=remedy)
     offered = offer(model, place)
+    effect = _formula(model, effect, place)
     bare = AttachedEffect(effect, name, place.name, (), ())
     parameters = []
     for parameter in effect.parameters:
@@ -282,7 +286,10 @@ def _places(
     model: Model, effect: Effect
 ) -> tuple[Mapping[str, tuple[Joint | Actuator | Sensor, str]], tuple[str, ...]]:
     """The places of the effect's kind with what each lacks, in words, and the names of those that lack nothing."""
-    places = {place.name: (place, ", ".join(_lacks(model, effect, place))) for place in places_of(model, effect.place)}
+    places = {
+        place.name: (place, ", ".join(_lacks(model, _formula(model, effect, place), place)))
+        for place in places_of(model, effect.place)
+    }
     return places, tuple(name for name, (_, lack) in places.items() if not lack)
 
 
@@ -308,6 +315,11 @@ def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Se
         what = f"needs {lack}, which {effect.place.value} {asked} does not have"
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
     return place, able[0]
+
+
+def _formula(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Effect:
+    """`effect` as it is at `place`."""
+    return effect.instead if effect.instead and not any(_lacks(model, effect.instead, place)) else effect
 
 
 def _lacks(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Iterator[str]:

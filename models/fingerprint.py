@@ -19,7 +19,7 @@ def fingerprint(model: Model) -> str:
     parts += [parameter.name for parameter in model.base_parameters]
     parts += [sorted(model.definitions.items())]
     parts += [(j.name, j.coordinate, j.rate, j.inertia, j.load, j.smooth_rate) for j in model.joints]
-    parts += [(a.name, a.commands, a.joint, a.rate, a.angle, a.gain) for a in model.actuators]
+    parts += [(a.name, a.commands, a.joint, a.rate, a.angle, a.gain, a.inertia) for a in model.actuators]
     parts += [(s.name, s.angle, s.rate, s.filter) for s in model.sensors]
     for attached in model.effects:
         effect = attached.effect

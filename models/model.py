@@ -154,7 +154,8 @@ class Joint:
 @dataclass(frozen=True, slots=True)
 class Actuator:
     """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions of what
-    it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives.
+    it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives; `inertia` is
+    that of the actuator itself, which is a part of the joint's.
     `also`: further inputs that are commands of its kind, as of two wheels: an effect acts on all of them alike.
     Where it is not `commanded`, `command` is the motion as it was measured, which no effect of a command can change.
     """
@@ -165,6 +166,7 @@ class Actuator:
     rate: str = ""
     angle: str = ""
     gain: str = ""
+    inertia: str = ""
     rate_unit: str = "rad/s"
     angle_unit: str = "rad"
     command_scale: float = 1.0

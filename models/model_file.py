@@ -156,7 +156,7 @@ def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None
         known = find(attached.effect.name)
     except ModelError:
         known = None
-    if known != attached.effect:
+    if known is None or attached.effect not in (known, known.instead):
         remedy = "write it into a file of its own and name that in `effect_files`."
         raise ModelError(where, "is not in the catalogue, and no file is known for it", remedy=remedy)
 

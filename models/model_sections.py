@@ -95,6 +95,7 @@ class ActuatorSection(Section):
     rate: str = ""
     angle: str = ""
     gain: str = ""
+    inertia: str = ""
     rate_unit: str = "rad/s"
     angle_unit: str = "rad"
     command_scale: Positive = 1.0

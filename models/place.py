@@ -18,12 +18,13 @@ class Place(StrEnum):
 
 
 _ANYWHERE = ("time",)
-_JOINT = ("coordinate", "rate", "inertia", "load", "smooth_rate")
+EVERY_JOINT = ("coordinate", "rate", "inertia", "load", "smooth_rate")
+"""What there is at joints of all models."""
 _MOVED = ("actuator_rate", "actuator_angle")
 _READINGS = {each: (each, f"{each}_1", f"{each}_2") for each in ("angle", "rate")}
 
 VOCABULARY: Mapping[Place, frozenset[str]] = {
-    Place.JOINT: frozenset((*_ANYWHERE, *_JOINT, *_MOVED, "gain")),
+    Place.JOINT: frozenset((*_ANYWHERE, *EVERY_JOINT, *_MOVED, "gain", "actuator_inertia")),
     Place.ACTUATOR: frozenset((*_ANYWHERE, "command", *_MOVED)),
     Place.SENSOR: frozenset((*_ANYWHERE, *_READINGS["angle"], *_READINGS["rate"])),
 }
@@ -78,7 +79,7 @@ def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
     else:
         joint = place
         actuator = next((each for each in model.actuators if each.joint == joint.name), None)
-        names = {*_ANYWHERE, *_JOINT}
+        names = {*_ANYWHERE, *EVERY_JOINT}
     scales: dict[str, float] = {}
     units: dict[str, str] = {}
     measured_in: dict[str, str] = {}
@@ -89,7 +90,7 @@ def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
     if actuator is not None:
         moved = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle}
         if isinstance(place, Joint):
-            moved["gain"] = actuator.gain
+            moved |= {"gain": actuator.gain, "actuator_inertia": actuator.inertia}
         names |= {name for name, text in moved.items() if text}
         scales |= {"command_scale": actuator.command_scale, "angle_scale": actuator.angle_scale}
         units |= {"command": actuator.rate_unit, "angle": actuator.angle_unit}

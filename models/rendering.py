@@ -252,7 +252,12 @@ def _own(attached: AttachedEffect) -> dict[str, str]:
 
 
 def _moved(actuator: Actuator) -> dict[str, str]:
-    known = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle, "gain": actuator.gain}
+    known = {
+        "actuator_rate": actuator.rate,
+        "actuator_angle": actuator.angle,
+        "actuator_inertia": actuator.inertia,
+        "gain": actuator.gain,
+    }
     return {name: text for name, text in known.items() if text}
 
 

@@ -45,6 +45,8 @@ from models.model import ModelError
 
 _OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by"))
 """Attributes without a default that a file may leave out; the equation is then the expressions themselves."""
+_NO_KEYS = frozenset(("instead",))
+"""Attributes that no file has: one file describes one formula."""
 
 Table = Mapping[str, object]
 
@@ -129,7 +131,7 @@ def _part(kind: type[EffectParameter] | type[EffectState], entry: Table, where: 
 
 def _check_keys(entry: Table, kind: type[Any], where: str, optional: Collection[str]) -> None:
     """All keys are attributes of `kind`, and those without a default are there."""
-    fields = {field.name: field for field in dataclasses.fields(kind)}
+    fields = {field.name: field for field in dataclasses.fields(kind) if field.name not in _NO_KEYS}
     for key in entry:
         if key not in fields:
             close = difflib.get_close_matches(key, fields, n=1)

@@ -10,6 +10,11 @@ of the joint, which is gain x rate, since no power is lost (a gyroscope's, or th
 the load is late by the play, and on either flank it is late by the elastic twist. Both are motions that the motor does
 not make. The crossing itself takes milliseconds and is drawn as a lag. That the flank is the torque's sets this apart
 from the play of a kinematic chain that only friction drags along: there the motor's reversal decides.
+
+Where the motor is one of the moving masses, with a rotor heavier than all that is behind its gear, play is another
+sight: the rotor hardly feels it, and what is behind falls through the gap and is struck by the flank. There the place
+within the play has equations of motion of its own: the relative acceleration of two masses that exchange no torque,
+until a flank stops it, by Hunt and Crossley, so damped that nothing rebounds.
 """
 
 from __future__ import annotations
@@ -60,6 +65,69 @@ _PUSH = f"(gain * rate + load_inertia * (actuator_rate - follower) / {_QUICK})"
 # What the motor did before the first row is not known: that the follower is behind there is no acceleration.
 _TWIST = f"(begun ** 2 * {_PUSH} / torque - elastic) / {_QUICK}"
 _CROSSING = f"(begun ** 2 * tanh({_PUSH} / (gain * smooth_rate)) - flank) / closing_time"
+
+# On which flank it lies at the first row is not known: nothing is struck on the way there, and no row corrects it.
+_AFTER = "2 * max(0, begun - 0.5)"
+# The torque that a gear without play would pass on, over the inertias that it would then not keep together.
+_FALL = f"{_AFTER} * (gain * actuator_rate * inertia / actuator_inertia - load) / (inertia - actuator_inertia)"
+_GIVE = "5e5"
+"""1/s^2, of a flank: a blow takes 4 ms, less than the rows of most records are apart."""
+_FORWARD = "max(0, place + 0.01) * max(0, 1 + 0.1 * speed)"
+_BACKWARD = "max(0, -2 - place) * max(0, 1 - 0.1 * speed)"
+# At rest it lies on a flank, so that a fit sees at once how short the steps have to be.
+_ACROSS = f"({_FALL} / half_width - {_GIVE} * ({_FORWARD} - {_BACKWARD}))"
+
+_BACKLASH_OF_A_GEAR = Effect(
+    name="backlash",
+    family=Family.MEMORY,
+    title="play between a motor and what it moves",
+    place=Place.JOINT,
+    equation='F = -actuator_inertia (width / 2) z",  half_width z" = (gain actuator_rate inertia / actuator_inertia'
+    " - load) / (inertia - actuator_inertia) between the flanks, -1 < z < 1",
+    parameters=(
+        EffectParameter(
+            "width",
+            "{coordinate}",
+            "whole play, by how hard the flanks strike",
+            amplitude=True,
+            scale="coordinate_scale / 3000",
+            lower="0",
+            upper="coordinate_scale / 10",
+        ),
+        EffectParameter(
+            "half_width",
+            "{coordinate}",
+            "half of it, by how long it takes to cross: the same where the formula is right",
+            value="coordinate_scale / 6000",
+            scale="coordinate_scale / 6000",
+            lower="coordinate_scale / 300000",
+            upper="coordinate_scale / 20",
+            # A blow that is expected a row early or late explains nothing: each is a third larger than the one before.
+            starts=tuple(f"coordinate_scale * {1.35**step / 6000.0:.3g}" for step in (*range(-5, 0), *range(1, 6))),
+        ),
+    ),
+    states=(
+        EffectState("place", "1", "speed", "within the play, over half of it: 0 at one flank, -2 at the other"),
+        EffectState("speed", "1/s", _ACROSS, "of the crossing"),
+        EffectState("begun", "1", "(1 - begun) / 0.05", "how much of the first moments is over"),
+    ),
+    force=f"-0.5 * width * actuator_inertia * {_AFTER} * {_ACROSS}",
+    signature="Whenever the torque in the gear changes its sign, what is behind it falls through the gap, and a blow "
+    "ends that: the rate of the body makes a step from one row to the next. The motor's encoder does not show it.",
+    confused_with=(
+        "hysteresis",
+        "coulomb_friction",
+        "stribeck_friction",
+        "flexible_mode",
+        "input_deadband",
+        "input_delay",
+        "actuator_lag",
+    ),
+    separated_by="The same excitation at two amplitudes: the blows come as often, while those of a lag or of a delay "
+    "grow. An encoder behind the gear shows the play itself.",
+    source="Nordin, Gutman, Automatica 38 (2002) 1633, two masses with play; the flanks by Hunt, Crossley, J. Appl. "
+    "Mech. 42 (1975) 440",
+)
 
 BACKLASH = Effect(
     name="backlash",
@@ -131,4 +199,5 @@ BACKLASH = Effect(
     "delay grow.",
     source="Nordin, Gutman, Automatica 38 (2002) 1633, the physical model of a shaft with play: the flank is that of "
     "the torque that the shaft carries, and its elastic twist is added",
+    instead=_BACKLASH_OF_A_GEAR,
 )

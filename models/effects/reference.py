@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from models.effect import Effect, EffectParameter, Family, Place
 from models.effects import CATALOGUE, custom, families
-from models.place import SCALES, UNITS, VOCABULARY
+from models.expressions import names_in
+from models.place import EVERY_JOINT, SCALES, UNITS, VOCABULARY
 
 _INTRODUCTION = """\
 # Effects
@@ -36,7 +37,8 @@ its own parameters and states, and the names of its place:
 """
 
 _RULES = """\
-`load` is the force at the joint without the effect, so that `load / inertia` is its acceleration; the derivative of a
+`load` is the force at the joint without the effect, so that `load / inertia` is its acceleration; `actuator_inertia` is
+the part of `inertia` that is the actuator's own, as of a rotor before its gear; the derivative of a
 state may use `force`, too. `angle_1` and `angle_2` are time derivatives. A place that does not know a name that is
 used, as an actuator whose angle is not measured, cannot have the effect.
 
@@ -84,7 +86,16 @@ def _overview() -> str:
 
 
 def _section(effect: Effect) -> str:
-    lines = [f"### `{effect.name}`", "", f"{_sentence(effect.title)}", "", "```", effect.equation, "```", ""]
+    lines = [f"### `{effect.name}`", "", f"{_sentence(effect.title)}", "", *_formula(effect)]
+    if effect.instead:
+        names = set().union(*map(names_in, effect.instead.expressions.values())) & VOCABULARY[effect.place]
+        names -= set().union(EVERY_JOINT, *map(names_in, effect.expressions.values()))
+        lines += [f"Instead, at a {effect.place} that offers {_code(names)}:", "", *_formula(effect.instead)]
+    return "\n".join([*lines, ""])
+
+
+def _formula(effect: Effect) -> list[str]:
+    lines = ["```", effect.equation, "```", ""]
     lines += ["| parameter | unit | meaning | value | bounds |", "|---|---|---|---|---|"]
     lines += map(_row, effect.parameters)
     lines += ["", f"**In a record:** {effect.signature}", ""]
@@ -96,7 +107,7 @@ def _section(effect: Effect) -> str:
         more += f"It is detectable by what it does beyond {beyond} at its usual shape. "
     if effect.in_radians:
         more += f"It needs {' and '.join(f'`{name}`' for name in effect.in_radians)} in rad. "
-    return "\n".join([*lines, f"{more}Source: {effect.source}.", "", ""])
+    return [*lines, f"{more}Source: {effect.source}.", ""]
 
 
 def _row(parameter: EffectParameter) -> str:

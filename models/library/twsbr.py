@@ -151,6 +151,7 @@ _MOTORS = Actuator(
     # How far the rotors are behind their speed without load: times the gain, the torque of both motors.
     rate=f"0.5 * (left_voltage + right_voltage) / (motor_constant * gear_ratio) - {_MEAN_RATE}",
     gain="2 * (motor_constant * gear_ratio) ** 2 / armature_resistance",
+    inertia="2 * gear_ratio ** 2 * rotor_inertia",
     rate_unit="V",
     command_scale=5.0,
     angle_scale=1.0,

@@ -32,7 +32,7 @@ TWSBR_HIDDEN: dict[str, HiddenEffect] = {
         ),
         HiddenEffect("torque_step", "N m", 0.01, "a load is put on after 10 s, a ramp of 0.3 s", signed=True),
         HiddenEffect("torque_drift", "N m", 0.01, "tilt torque that creeps up, time constant 45 s", signed=True),
-        HiddenEffect("backlash", "rad", 0.01, "play of each gear, as an angle of the wheel"),
+        HiddenEffect("backlash", "rad", 1.0e-3, "play of each gear, as an angle of the wheel"),
         HiddenEffect("input_deadband", "V", 0.6, "voltages smaller than this do nothing: the bridge's own drop"),
         HiddenEffect("input_delay", "s", 0.005, "the voltage acts this much later"),
         HiddenEffect("actuator_lag", "s", 0.005, "a first-order lag between target and voltage"),
