@@ -71,7 +71,9 @@ def diagnose(
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
     findings, fits, screens, last = _search(base, workspace, most, masked, partial(_part, tell, 0.1, 0.85))
     tell("looking for what has no name", 0.95)
-    rest = adequacy(base.fit, last.fit, last.log_likelihood - base.log_likelihood)
+    named = fits[-1] if fits else base
+    one = {each.name for each in named.model.effects} == {each.name for each in last.model.effects}
+    rest = adequacy(base.fit, last.fit if one else named.fit, last.fit, last.log_likelihood - base.log_likelihood)
     found = _verdict([base, *fits], findings, screens, rest, workspace)
     return found if found.repaired is None else replace(found, repaired=untimed(known, found.repaired))
 
@@ -142,7 +144,7 @@ def _left(rest: Adequacy) -> str:
     """How much of what was missing is left, in words; empty where noise of the model's own stood in for it."""
     if rest.before <= 1.0:
         return ""
-    share = 100.0 * max(0.0, rest.after - 1.0) / (rest.before - 1.0)
+    share = 100.0 * max(0.0, rest.named_after - 1.0) / (rest.before - 1.0)
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
@@ -153,7 +155,7 @@ def _verdict(
     rest: Adequacy,
     workspace: Workspace,
 ) -> Diagnosis:
-    after = rest.after
+    after = rest.named_after
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
         reason = f"something is missing that no known effect explains. {rest.reason}"

@@ -30,7 +30,10 @@ def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
     freedom."""
     differences = np.concatenate([np.diff(part, 4, axis=0) for part in parts])
     blocks = np.array_split(differences, max(1, len(differences) // ROWS))
-    powers = np.array([np.nanmean(block**2, axis=0) for block in blocks])
+    known = [np.isfinite(block) for block in blocks]
+    sums = np.array([np.sum(block**2, axis=0, where=there) for block, there in zip(blocks, known, strict=True)])
+    counts = np.array([np.sum(there, axis=0) for there in known])
+    powers = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)  # a block may be unknown as a whole
     rows = len(differences) / len(blocks)
     median = float(chi2.ppf(0.5, rows / SKEWNESS) / (rows / SKEWNESS))
     variance = np.nanmedian(powers, axis=0) / GAIN_OF_DIFFERENCES / median
