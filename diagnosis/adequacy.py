@@ -39,8 +39,7 @@ MOST = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """`before`, `after`: innovation energy over the floor, without and with all that explains any of it, which may be
-    an effect more than have a name; `named_after`, with these alone; `left`: the views;
+    """`before`, `after`: innovation energy over the floor, without and with the effects found; `left`: the views;
     `shape`: what would still gain most by any shape, None where nothing can be said; `gained`: by the effects found."""
 
     before: float
@@ -48,7 +47,6 @@ class Adequacy:
     left: Views | None
     shape: Shape | None = None
     gained: float = 0.0
-    named_after: float = float("nan")
 
     @property
     def adequate(self) -> bool:
@@ -89,23 +87,22 @@ class Adequacy:
         )
 
 
-def adequacy(first: Fit, named: Fit, last: Fit, gained: float) -> Adequacy:
-    """Of the model as it was, with what has a name, and with all that was found; `gained` in log likelihood."""
-    before = _ratio(first)
+def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
+    """Of the model as it was and as it became; `gained` in log likelihood."""
+    before = over_floor(first)
     try:
         task, values = last.problem, last.values
         least = floor(task, values)
         left = innovations(task, values, least)
     except EstimationError:
-        return Adequacy(before, float("inf"), None, named_after=float("inf"))
+        return Adequacy(before, float("inf"), None)
     found = Innovations(last, least, tuple(last.innovations()))
     shaped = shapes(found, probe(found))
     sure = [each for each in shaped if each.p_value < CHANCE] or shaped
-    told = left.ratio if named is last else _ratio(named)
-    return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained, told)
+    return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained)
 
 
-def _ratio(fitted: Fit) -> float:
+def over_floor(fitted: Fit) -> float:
     """Innovation energy over the floor; without end where no predictor is stable."""
     try:
         return innovations(fitted.problem, fitted.values, floor(fitted.problem, fitted.values)).ratio

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
-from diagnosis.adequacy import Adequacy, adequacy
+from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
@@ -71,10 +71,10 @@ def diagnose(
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
     findings, fits, screens, last = _search(base, workspace, most, masked, partial(_part, tell, 0.1, 0.85))
     tell("looking for what has no name", 0.95)
-    named = fits[-1] if fits else base
-    one = {each.name for each in named.model.effects} == {each.name for each in last.model.effects}
-    rest = adequacy(base.fit, last.fit if one else named.fit, last.fit, last.log_likelihood - base.log_likelihood)
-    found = _verdict([base, *fits], findings, screens, rest, workspace)
+    rest = adequacy(base.fit, last.fit, last.log_likelihood - base.log_likelihood)
+    steps = [base, *fits]
+    after = rest.after if steps[-1] is last else over_floor(steps[-1].fit)  # `last` may have one without a name
+    found = _verdict(steps, findings, screens, rest, after, workspace)
     return found if found.repaired is None else replace(found, repaired=untimed(known, found.repaired))
 
 
@@ -140,11 +140,11 @@ def unidentified(base: FullFit, unasked: Collection[str] = ()) -> str:
     return f"{silent[0]}: {own[silent[0]].reason}" if 2 * len(silent) > len(own) else ""
 
 
-def _left(rest: Adequacy) -> str:
+def _left(before: float, after: float) -> str:
     """How much of what was missing is left, in words; empty where noise of the model's own stood in for it."""
-    if rest.before <= 1.0:
+    if before <= 1.0:
         return ""
-    share = 100.0 * max(0.0, rest.named_after - 1.0) / (rest.before - 1.0)
+    share = 100.0 * max(0.0, after - 1.0) / (before - 1.0)
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
@@ -153,9 +153,9 @@ def _verdict(
     findings: list[Finding],
     screens: list[Screen],
     rest: Adequacy,
+    after: float,
     workspace: Workspace,
 ) -> Diagnosis:
-    after = rest.named_after
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
         reason = f"something is missing that no known effect explains. {rest.reason}"
@@ -164,7 +164,8 @@ def _verdict(
             reason += f" Nearest comes {names}; most of it is left."
             findings, steps, after = [], steps[:1], rest.before
         elif findings:
-            reason = f"{names} is missing, and {reason}{_left(rest)}"
+            verb = "is" if len(findings) == 1 else "are"
+            reason = f"{names} {verb} missing, and {reason}{_left(rest.before, after)}"
     elif findings:
         verdict = Verdict.MISSING_EFFECT
         reason = "; ".join(finding.explanation for finding in findings)

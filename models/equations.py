@@ -154,14 +154,8 @@ def _local(attached: AttachedEffect, symbols: Symbols, names: Mapping[str, sympy
 
 def _mover(actuator: Actuator, symbols: Symbols) -> dict[str, sympy.Expr]:
     """Names of what an actuator moves, as far as the model knows it."""
-    known = {
-        "actuator_rate": actuator.rate,
-        "actuator_angle": actuator.angle,
-        "actuator_inertia": actuator.inertia,
-        "gain": actuator.gain,
-    }
     where = f"actuator {actuator.name}"
-    return {name: _real(parse(text, symbols, where)) for name, text in known.items() if text}
+    return {name: _real(parse(text, symbols, where)) for name, text in actuator.moved.items()}
 
 
 def _command(model: Model, actuator: Actuator, name: str, symbols: Symbols) -> sympy.Expr:

@@ -179,6 +179,17 @@ class Actuator:
         """All inputs that an effect on it acts on."""
         return (self.command, *self.also)
 
+    @property
+    def moved(self) -> dict[str, str]:
+        """What the model knows of it, by the name that effects use."""
+        known = {
+            "actuator_rate": self.rate,
+            "actuator_angle": self.angle,
+            "actuator_inertia": self.inertia,
+            "gain": self.gain,
+        }
+        return {name: text for name, text in known.items() if text}
+
 
 @dataclass(frozen=True, slots=True)
 class Filter:

@@ -88,10 +88,8 @@ def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
         units |= {"force": joint.force_unit, "coordinate": joint.coordinate_unit}
         measured_in["coordinate"] = joint.coordinate_unit
     if actuator is not None:
-        moved = {"actuator_rate": actuator.rate, "actuator_angle": actuator.angle}
-        if isinstance(place, Joint):
-            moved |= {"gain": actuator.gain, "actuator_inertia": actuator.inertia}
-        names |= {name for name, text in moved.items() if text}
+        kind = Place.JOINT if isinstance(place, Joint) else Place.ACTUATOR
+        names |= actuator.moved.keys() & VOCABULARY[kind]
         scales |= {"command_scale": actuator.command_scale, "angle_scale": actuator.angle_scale}
         units |= {"command": actuator.rate_unit, "angle": actuator.angle_unit}
         measured_in["actuator_angle"] = actuator.angle_unit

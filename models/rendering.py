@@ -168,7 +168,7 @@ def _commands(model: Model) -> Iterator[Line]:
     for attached in _acting(model, Place.ACTUATOR):
         actuator = _actuator(model, attached)
         for name in actuator.commands if attached.effect.command else ():
-            names = {**_moved(actuator), "command": name, **_own(attached)}
+            names = {**actuator.moved, "command": name, **_own(attached)}
             yield Line(Kind.COMMAND, name, renamed(attached.effect.command, names), attached.name)
 
 
@@ -251,21 +251,11 @@ def _own(attached: AttachedEffect) -> dict[str, str]:
     return {name: attached.qualified(name) for name in attached.effect.own_names}
 
 
-def _moved(actuator: Actuator) -> dict[str, str]:
-    known = {
-        "actuator_rate": actuator.rate,
-        "actuator_angle": actuator.angle,
-        "actuator_inertia": actuator.inertia,
-        "gain": actuator.gain,
-    }
-    return {name: text for name, text in known.items() if text}
-
-
 def _at_joint(model: Model, joint: Joint) -> dict[str, str]:
     """What an effect's names mean at `joint`."""
     actuator = next((each for each in model.actuators if each.joint == joint.name), None)
     here = {"coordinate": joint.coordinate, "rate": joint.rate, "inertia": joint.inertia}
-    return {**here, "smooth_rate": repr(joint.smooth_rate), **(_moved(actuator) if actuator is not None else {})}
+    return {**here, "smooth_rate": repr(joint.smooth_rate), **(actuator.moved if actuator is not None else {})}
 
 
 def _asks_for_load(attached: AttachedEffect) -> bool:

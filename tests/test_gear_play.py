@@ -69,7 +69,7 @@ def test_play_of_the_gears_is_found_with_its_size(vehicle: Path) -> None:
     assert [each["effect"] for each in found["findings"]] == ["backlash"], found["reason"]
     width = found["findings"][0]["parameters"]["backlash.width"]
     assert abs(width["value"] - TWSBR_HIDDEN["backlash"].size) < WITHIN * width["std"]
-    # Seeds 61 to 64: 16 to 17 before, 1.7 to 2.1 after. A blow that comes a row late is as large as one that is not expected.
+    # Seeds 61 to 64: 16 to 17 before, 1.7 to 2.1 after. A blow that comes a row late is as large as one not expected.
     before, after = (found[f"innovation_ratio_{when}"] - 1.0 for when in ("before", "after"))
     assert after < 0.15 * before
 

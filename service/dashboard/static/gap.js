@@ -47,7 +47,7 @@ export class Gap {
     if (place.dataset.key === key) return; // a button must not vanish under the finger
     place.dataset.key = key;
     const verdict = { adequate: "The model is adequate.", missing_effect: "An effect is missing.",
-      unknown: "Something is missing that has no name here.", insufficient_data: "This record cannot tell yet." }[diagnosis.verdict] ?? "";
+      unknown: diagnosis.findings.length ? "What has a name is not all that is missing." : "Something is missing that has no name here.", insufficient_data: "This record cannot tell yet." }[diagnosis.verdict] ?? "";
     const rows = diagnosis.findings.map((each, place) => {
       const sizes = Object.entries(each.parameters ?? {}).map(([name, entry]) =>
         `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : unit(entry.unit)}`).join(", ");
