@@ -23,6 +23,8 @@ LONGEST_STEP = 2.0
 """Typical sizes by which a parameter moves at most in the first step; twice as far after each that went as foreseen."""
 LEAST_DAMPING, FIRST_DAMPING, STIFFER = 1e-7, 1e-3, 10.0
 """Share of the diagonal that is added to it: at least, after a step too far, and the factor from step to step."""
+SHORTENED = 2
+"""Refusals in a row after which a step is no more than shorter: damping would turn it out of a narrow bent valley."""
 PATIENCE = 12
 """Steps, taken or refused, over which the cost has to fall by what is enough for each: at a kink, where a delay meets a
 sample, none does what is foreseen."""
@@ -151,7 +153,7 @@ def descend(
     costs = [here.cost]
     damping, reach = LEAST_DAMPING, LONGEST_STEP
     done = False
-    taken = 0
+    taken = refused = 0
     information, gradient, _, _ = _reduce(here, scale, 0.0)
     while taken < iterations and not done:
         taken += 1
@@ -181,17 +183,20 @@ def descend(
         # Where none of the common ones may move, the fall alone tells when the others are there.
         done = bool(free.any()) and float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
         if there is None or there.cost > here.cost:
-            damping = max(STIFFER * damping, FIRST_DAMPING)
+            refused += 1
+            if refused > SHORTENED:
+                damping = max(STIFFER * damping, FIRST_DAMPING)
             reach = 0.5 * float(np.max(np.abs(step), initial=0.0))
             if damping > 1e14:
                 break
             costs.append(here.cost)
             continue
+        refused = 0
         ratio = (here.cost - there.cost) / max(foreseen, 1e-300)
         if ratio > 0.75:
             damping, reach = max(damping / STIFFER, LEAST_DAMPING), 2.0 * reach
         elif ratio < 0.25:
-            damping = max(STIFFER * damping, FIRST_DAMPING)
+            reach = 0.5 * float(np.max(np.abs(step), initial=0.0))
         here, common, own = there, trial, trial_own
         costs.append(here.cost)
         before = gradient
