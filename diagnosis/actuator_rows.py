@@ -17,7 +17,8 @@ from models.place import Place
 from telemetry.recording import Recording
 
 AGE = "drive_age"
-"""Channel, s."""
+SETPOINT_AGE = "setpoint_age"
+"""Channels, s."""
 AWAY = 2.0
 """s after the vehicle has left its support from which on its actuators are no longer at their limits."""
 ENOUGH = 20.0
@@ -39,7 +40,7 @@ def looked_at(model: Model, recordings: Sequence[Recording], support: float | No
 
 def at_samples(model: Model) -> Model:
     """`model` with a row where the drives are sampled, and its setpoints as much later as the samples are older."""
-    inputs = tuple(replace(each, age=AGE) for each in model.inputs)
+    inputs = tuple(replace(each, age=SETPOINT_AGE) for each in model.inputs)
     return replace(model, inputs=inputs, outputs=tuple(replace(each, age="") for each in model.outputs))
 
 
@@ -83,7 +84,8 @@ def _setpoints_later(recording: Recording) -> Recording:
     """`recording` with ages that are those of the setpoints, as seen from the drives' samples: negative."""
     if AGE not in recording.values:
         return recording
-    return replace(recording, values={**recording.values, AGE: -recording[AGE]})
+    sent = recording[SETPOINT_AGE] if SETPOINT_AGE in recording.values else 0.0
+    return replace(recording, values={**recording.values, SETPOINT_AGE: sent - recording[AGE]})
 
 
 def away_from_support(recording: Recording, model: Model, support: float | None) -> Recording:

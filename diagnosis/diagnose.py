@@ -17,6 +17,7 @@ from diagnosis.exchange import asked, exchange, one_by_one, put_together, taken_
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
+from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.ready import ready
 from diagnosis.refit import FullFit, settled
@@ -66,6 +67,8 @@ def diagnose(
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
     tell("fitting the model as it is", 0.05)
     base = settled(model, workspace)
+    if (with_more := freed(model, base.fit)) is not model:
+        base = settled(with_more, workspace)
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)

@@ -25,6 +25,7 @@ from diagnosis.drop_tests import DropTest as DropTest
 from diagnosis.drop_tests import drop_tests as drop_tests
 from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
 from diagnosis.floor import Floor, floor, innovation_ratio
+from diagnosis.freed import freed
 from diagnosis.held_out import split
 from diagnosis.ready import ready
 from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
@@ -115,6 +116,8 @@ def _repair(
     count = 3.0 + len(neighbours)
     told(f"fitting without {candidate.name}", 0.0)
     without = fit_model(model, training, support=support)
+    if (with_more := freed(model, without.fit)) is not model:
+        model, without = with_more, fit_model(with_more, training, support=support)
     told("screening", 1.0 / count)
     looked_at = _screen(without.fit, model, [candidate, *neighbours])
     told(f"fitting with {candidate.name}", 1.2 / count)

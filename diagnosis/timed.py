@@ -48,11 +48,13 @@ def timed(model: Model, recordings: Sequence[Recording]) -> Model:
 
 
 def untimed(model: Model, fitted: Model) -> Model:
-    """`fitted`, which came of what `timed` made of `model`, without the offset: it is the recordings', not the
-    machine's."""
-    own = {each.name for each in model.base_parameters}
+    """`fitted`, which came of what `timed` made of `model`, without the offset, which is the recordings' and not
+    the machine's, and with the parameters estimated that `model` says."""
+    own = {each.name: each for each in model.base_parameters}
     return replace(
         fitted,
-        base_parameters=tuple(each for each in fitted.base_parameters if each.name in own),
+        base_parameters=tuple(
+            replace(each, estimated=own[each.name].estimated) for each in fitted.base_parameters if each.name in own
+        ),
         inputs=model.inputs,
     )

@@ -111,6 +111,7 @@ class FrameChunks:
         self._inputs = [names.index(each.name) for each in model.inputs]
         self._lines = np.array([each.hold is Hold.FIRST_ORDER for each in model.inputs])
         self._usual = [(names.index(each.name), each.usual) for each in model.inputs if each.usual is not None]
+        self._usual += [(names.index(age), 0.0) for age in {*ages} if age and channels[channels.index_of(age)].newer]
         self._outputs = [names.index(each.name) for each in model.outputs]
         places = [names.index(age) if age else zero for age in ages]
         self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]

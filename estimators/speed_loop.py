@@ -90,9 +90,10 @@ def windows_of(recording: Recording, channels: Sequence[str], moves: float, firs
     """The rows that follow a change of the setpoint by `moves` or more, a gapless RUN_IN behind them.
 
     `channels`: setpoint, rate, age of the rate (s) and, where something pushes at the axis, the roll rate. `first` is
-    the number of the recording's first row.
+    the number of the recording's first row. A setpoint is sent where `setpoint_age` says, or with the row.
     """
     time, columns = recording.time, [recording[name] for name in channels]
+    sent = time - recording["setpoint_age"] if "setpoint_age" in recording.values else time
     known: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack(columns)), axis=1)
     period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     broken = np.flatnonzero((np.diff(time) > 1.5 * period) | ~known[1:]) + 1
@@ -111,11 +112,13 @@ def windows_of(recording: Recording, channels: Sequence[str], moves: float, firs
         for part in np.array_split(run, max(1, int(np.ceil(len(run) * period / WINDOW)))):
             if len(part):
                 past = int(np.searchsorted(time, time[part[0]] - RUN_IN))
-                windows.append(_window(slice(past, part[-1] + 1), part, time, columns, first))
+                windows.append(_window(slice(past, part[-1] + 1), part, time, sent, columns, first))
     return windows
 
 
-def _window(past: slice, rows: NDArray[np.intp], time: Array, columns: Sequence[Array], first: int) -> Window:
+def _window(
+    past: slice, rows: NDArray[np.intp], time: Array, sent: Array, columns: Sequence[Array], first: int
+) -> Window:
     setpoint, rate, age = columns[:3]
     instants = time[past] - time[past.start]
     acceleration = np.zeros(len(instants) - 1)
@@ -126,7 +129,7 @@ def _window(past: slice, rows: NDArray[np.intp], time: Array, columns: Sequence[
         time=time[rows] - age[rows] - time[past.start],
         rate=rate[rows],
         begins=float(setpoint[past.start]),
-        setpoint_time=instants[1:],
+        setpoint_time=sent[past][1:] - time[past.start],
         setpoint_jump=np.diff(setpoint[past]),
         load_time=instants[:-1],
         load_jump=np.diff(acceleration, prepend=0.0),

@@ -70,6 +70,7 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         acceleration_sign=imu.acceleration_sign,
         angular_rate_unit=imu.angular_rate_unit,
         position=imu.position,
+        latency=imu.latency,
     )
     hidden, onsets = parse_hidden(hide, twin.truth.registry)
     return SimulationConfig(

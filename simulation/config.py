@@ -153,6 +153,8 @@ class ImuNode:
     """rad/s/sqrt(s)."""
     acceleration_std: float = 0.015
     """m/s^2 a sample."""
+    latency: float = 0.0
+    """s, from what is measured to the frame that tells it."""
     send_jitter: float = 50e-6
     """s, standard deviation of how late a set leaves the device; in real time only."""
 

@@ -24,10 +24,11 @@ KINDS = ("acceleration", "angular_rate")
 
 
 class SensorPath:
-    """Hidden lag and delay of everything the IMU reports, on samples `period` apart."""
+    """Lag and delay of everything the IMU reports, on samples `period` apart."""
 
     def __init__(self, lag: float, delay: float, period: float) -> None:
         self._gain = -math.expm1(-period / lag) if lag > 0.0 else 1.0
+        self._period = period
         self._whole, self._part = divmod(max(0.0, delay) / period, 1.0)
         self._past: deque[Motion] = deque(maxlen=int(self._whole) + 2)
         self._state: Motion | None = None
@@ -37,10 +38,25 @@ class SensorPath:
         if self._state is None:
             self._state = motion
             self._past.extend([motion] * (self._past.maxlen or 0))
-        gain, late = self._gain, self._part
+        gain = self._gain
         self._state = tuple([a + gain * (x - a) for a, x in zip(self._state, motion, strict=True)])
         self._past.append(self._state)
-        return tuple([x + late * (a - x) for a, x in zip(self._past[0], self._past[1], strict=True)])
+        return _between(self._past[0], self._past[1], 1.0 - self._part, self._period)
+
+
+def _between(one: Motion, other: Motion, share: float, period: float) -> Motion:
+    """The motion at `share` of the `period` (s) from `one` to `other`: angle and rate by Hermite's cubics, which also
+    have their slopes. A straight line would take a share of whatever is fast."""
+    if share >= 1.0:
+        return other
+    rest = 1.0 - share
+    smooth = share * share * (3.0 - 2.0 * share)
+    begin, end = period * share * rest * rest, -period * share * share * rest
+    values = [x + smooth * (y - x) for x, y in zip(one[:2], other[:2], strict=True)]
+    angle, rate = (
+        value + begin * before + end * after for value, before, after in zip(values, one[1:], other[1:], strict=True)
+    )
+    return angle, rate, one[2] + share * (other[2] - one[2])
 
 
 class VirtualImu:
@@ -65,7 +81,8 @@ class VirtualImu:
         self._offset = sizes.get("sensor_offset", 0.0)
         self._scale = 1.0 + sizes.get("sensor_scale", 0.0)
         self._further_bias = sizes.get("gyro_bias", 0.0)
-        self._path = SensorPath(sizes.get("sensor_lag", 0.0), sizes.get("sensor_delay", 0.0), 1.0 / rate)
+        late = config.latency + sizes.get("sensor_delay", 0.0)
+        self._path = SensorPath(sizes.get("sensor_lag", 0.0), late, 1.0 / rate)
         self._rate_std = config.angular_rate_density * math.sqrt(rate / 2.0)
         self._walk = config.bias_random_walk / math.sqrt(rate)
         self._mounting = tuple((axis[0] == "-", "xyz".index(axis[1])) for axis in config.axes)

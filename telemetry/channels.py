@@ -38,6 +38,12 @@ class ChannelTable(tuple[Channel, ...]):
         return tuple(channel.name for channel in self)
 
 
+_SETPOINT_AGE = Channel(
+    "setpoint_age",
+    "s",
+    "how much older than the IMU sample the setpoints of this row are: negative, for they follow when it has arrived",
+    newer=True,
+)
 _DRIVE_AGE = Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are")
 _EXCITATION = Channel(
     "excitation",
@@ -70,6 +76,7 @@ MONOCAB = ChannelTable(
         ),
         Channel("trim_rate", "m/s", "trim mass rate as the drive measures it"),
         Channel("trim_rate_setpoint", "m/s", "rate sent to the trim drive in this cycle, as quantised in the PDO"),
+        _SETPOINT_AGE,
         _DRIVE_AGE,
         Channel(
             "roll_reference", "rad", "reference of the roll controller, with the excitation where it is injected there"
@@ -101,6 +108,7 @@ TWSBR = ChannelTable(
             " forward",
         ),
         Channel("right_voltage", "V", "voltage sent to the right motor's drive in this cycle, likewise"),
+        _SETPOINT_AGE,
         _DRIVE_AGE,
         Channel(
             "tilt_reference", "rad", "reference of the tilt controller, with the excitation where it is injected there"

@@ -189,7 +189,7 @@ MONOCAB_REDUCED = Model(
         _RATE_ERROR,
     ),
     inputs=(
-        Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
+        Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, age="setpoint_age", delays=("setpoint_offset",)),
         Input("precession", "rad", age="drive_age"),
         Input("trim_position", "m", age="drive_age"),
         Input("trim_rate", "m/s", age="drive_age"),
@@ -231,8 +231,8 @@ MONOCAB_FULL = Model(
         _RATE_ERROR,
     ),
     inputs=(
-        Input("trim_rate_setpoint", "m/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
-        Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
+        Input("trim_rate_setpoint", "m/s", Hold.ZERO_ORDER, age="setpoint_age", delays=("setpoint_offset",)),
+        Input("precession_rate_setpoint", "rad/s", Hold.ZERO_ORDER, age="setpoint_age", delays=("setpoint_offset",)),
         _BIAS_STD,
     ),
     outputs=(

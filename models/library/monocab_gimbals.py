@@ -105,11 +105,12 @@ def _model(name: str, title: str, servo: tuple[State, ...], *more: Parameter) ->
         source="the speed loops of the servo inverters",
         base_states=(*servo, *_ROLL),
         inputs=(
-            Input(COMMAND, "rad/s", Hold.ZERO_ORDER, delays=("setpoint_offset",)),
+            Input(COMMAND, "rad/s", Hold.ZERO_ORDER, age="setpoint_age", delays=("setpoint_offset",)),
             Input(
                 "setpoint_shortfall",
                 "rad/s",
                 Hold.ZERO_ORDER,
+                age="setpoint_age",
                 delays=("setpoint_offset",),
                 ramp_of=COMMAND,
                 ramp=30.0,

@@ -219,7 +219,10 @@ TWSBR = Model(
         ),
     ),
     inputs=(
-        *(Input(f"{side}_voltage", "V", Hold.ZERO_ORDER, delays=("voltage_offset",)) for side in ("left", "right")),
+        *(
+            Input(f"{side}_voltage", "V", Hold.ZERO_ORDER, age="setpoint_age", delays=("voltage_offset",))
+            for side in ("left", "right")
+        ),
         Input("tilt_std", "rad", usual=1.3e-3, meaning="of the tilt, as the tilt filter sees it"),
     ),
     outputs=(

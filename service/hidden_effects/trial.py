@@ -17,14 +17,15 @@ from service.hidden_effects.cases import Case, Kind
 from service.hidden_effects.repair import Yardstick, closed, fitted
 from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
+from service.hidden_effects.vehicles import Vehicle, drawn
 from service.vehicle_file import load
 from simulation.config import SimulationConfig
 from simulation.roll_effects import EVENT_TIME
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
-Record = Callable[[str, Mapping[str, float], float, float, int], Recording]
-"""Of excitation, levels of the hidden effects, noise, duration in s and seed."""
+Record = Callable[[str, Mapping[str, float], float, float, int, Vehicle], Recording]
+"""Of excitation, levels of the hidden effects, noise, duration in s, seed and vehicle."""
 Line = dict[str, Any]
 """What the results file keeps of a case."""
 
@@ -35,22 +36,24 @@ WITHIN_95 = 1.959964
 """Standard deviations to either side that hold 95 %."""
 
 
-def virtual(excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int) -> Recording:
+def virtual(
+    excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int, vehicle: Vehicle
+) -> Recording:
     """A record of the virtual MONOCAB, its IMU `noise` times as noisy as the data sheet says."""
     from service.virtual_run import record
 
-    def noisy(configuration: SimulationConfig) -> SimulationConfig:
+    def configured(configuration: SimulationConfig) -> SimulationConfig:
         imu = configuration.imu
         louder = replace(
             imu,
             angular_rate_density=noise * imu.angular_rate_density,
             acceleration_std=noise * imu.acceleration_std,
         )
-        return replace(configuration, imu=louder)
+        return vehicle.configured(replace(configuration, imu=louder))
 
     # Levels are told to six digits, as the plant gets them.
     hide = [f"{name}={level:.6g}" for name, level in hidden.items()]
-    return record("monocab", excitation, hide=hide, seed=seed, duration=duration, configure=noisy)
+    return record(vehicle.file, excitation, hide=hide, seed=seed, duration=duration, configure=configured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,7 @@ class Bench:
     @property
     def conditions(self) -> str:
         """What must be the same for all lines of a file."""
-        return f"{self.model}, {self.duration:g} s"
+        return f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
 
     @property
     def nominal(self) -> Model:
@@ -110,11 +113,12 @@ def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
         return {**line, "status": "not_detectable", "reason": str(error), "methods": {}}
     line |= {"levels": hidden, "sizes": plant_sizes(hidden)}
     try:
-        recording = bench.record(case.excitation, hidden, case.noise, bench.duration, case.seed())
+        vehicle = drawn(case.seed("vehicle"))
+        recording = bench.record(case.excitation, hidden, case.noise, bench.duration, case.seed(), vehicle)
         other = None
         if case.kind is not Kind.NOTHING:
             seed = case.seed("held out")
-            other = bench.record(held_out(case.excitation), hidden, case.noise, bench.duration, seed)
+            other = bench.record(held_out(case.excitation), hidden, case.noise, bench.duration, seed, vehicle)
     except UprightError as error:
         return {**line, "status": "not_recorded", "reason": str(error), "methods": {}}
     return {**line, "status": "ok", "reason": "", **_asked(case, bench, hidden, recording, other)}

@@ -108,6 +108,7 @@ class Monocab:
     def __init__(self, vehicle: MonocabFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
         self._vehicle = vehicle
+        self._setpoint_age = -vehicle.imu.latency
         self._gimbals = Gimbals(io)
         self.measure = self._gimbals.measure
 
@@ -130,6 +131,7 @@ class Monocab:
             drives.trim_position,
             drives.trim_rate,
             gimbals.trim_rate_setpoint,
+            self._setpoint_age,
             (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
             command.reference,
             command.excitation,

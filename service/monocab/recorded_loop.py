@@ -11,6 +11,7 @@ drive: it is left out here, for the model to have it.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -47,6 +48,8 @@ class _Recorded:
 
     values: Mapping[str, list[float]]
     time: list[float]
+    latency: float
+    """s from the row to its setpoints."""
     rate: list[float]
     precession: list[float]
     period: float
@@ -75,6 +78,7 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     told = _Recorded(
         values={name: recording[name].tolist() for name in CHANNELS},
         time=time.tolist(),
+        latency=-float(np.median(recording["setpoint_age"])) if "setpoint_age" in recording.values else 0.0,
         rate=np.interp(time, time - age, recording["precession_rate"]).tolist(),
         precession=np.interp(time, time - age, recording["precession"]).tolist(),
         period=float(np.median(np.diff(time))),
@@ -94,11 +98,12 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     if unknown is not None:
         return f"the speed loop of the gimbals' drives does not show: {unknown}"
     lag, offset, reaction = (float(each.value or 0.0) for each in drives.values())
-    drive = partial(SpeedLoopSteps, lag, min(max(offset, 0.0), told.period), reaction, told.period)
+    whole, offset = divmod(told.latency + min(max(offset, 0.0), told.period), told.period)
+    drive = partial(SpeedLoopSteps, lag, offset, reaction, told.period)
     return Loop(
         begins=told.time[told.first],
         ends=told.time[told.last],
-        controller=partial(_loop, vehicle, gains, told, at, drive),
+        controller=partial(_loop, vehicle, gains, told, at, drive, int(whole)),
         needs=frozenset({"roll", "roll_rate"}),
         gives=frozenset({"precession_rate_setpoint", "precession_rate", "precession"}),
         channels=COMPARED,
@@ -150,14 +155,17 @@ def _loop(
     told: _Recorded,
     at: InjectionPoint,
     make_drive: partial[SpeedLoopSteps],
+    late: int,
 ) -> Controller:
-    """The controller and the drives as they were at the first excited row."""
+    """The controller and the drives as they were at the first excited row. Setpoints are `late` rows on their way."""
     controller, _ = _replayed(vehicle, gains, told, at, told.first)
     sent, rolled = told.values["precession_rate_setpoint"], told.values["roll_rate"]
     begin = max(0, told.first - round(RUN_IN / told.period))
     drive = make_drive(setpoint=sent[begin])
+    under_way = deque([sent[begin]] * late)
     for row in range(begin, told.first):
-        drive.step(sent[row], rolled[row])
+        under_way.append(sent[row])
+        drive.step(under_way.popleft(), rolled[row])
     rates, angles = told.rate[: told.first + 1], told.precession[: told.first + 1]
     row = told.first - 1
 
@@ -178,7 +186,8 @@ def _loop(
             rates[back] + part * (rates[back - 1] - rates[back]),
             angles[back] + part * (angles[back - 1] - angles[back]),
         )
-        following = drive.step(setpoint, seen["roll_rate"])
+        under_way.append(setpoint)
+        following = drive.step(under_way.popleft(), seen["roll_rate"])
         # A model with drives of its own shows its rate; until the next row it goes on as before.
         rates.append(2.0 * rates[row] - rates[row - 1] if "precession_rate" in seen else following)
         angles.append(angles[row] + 0.5 * told.period * (rates[row] + rates[row + 1]))

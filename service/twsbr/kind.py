@@ -82,6 +82,7 @@ class Twsbr:
     def __init__(self, vehicle: TwsbrFile, io: VehicleIo) -> None:
         self.bounds = bounds(vehicle)
         self._vehicle = vehicle
+        self._setpoint_age = -vehicle.imu.latency
         self._wheels = Wheels(io, vehicle.parameters.wheel_radius.value)
         self.measure = self._wheels.measure
 
@@ -101,6 +102,7 @@ class Twsbr:
             drives.right_rate,
             self._wheels.left_voltage,
             self._wheels.right_voltage,
+            self._setpoint_age,
             (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
             command.reference,
             command.excitation,
