@@ -6,10 +6,11 @@
 A row holds the filtered left side and the filtered regressors of the right side. roll'' is the filtered derivative of
 the roll rate; the constant is the filter's step response.
 
-Alignment. The drives are sampled before the IMU; `drive_age` says by how much, and the drive signals are brought to the
-IMU's instant. What is left of a misalignment, a fraction of a sample, is for the user of a row to fit along as a
-nuisance: shifting the drive signals by `drive_time_offset` adds angular_momentum * precession'' * offset, linear in it.
-It takes up whatever else goes with precession'', so it is no property of the vehicle and no measure of its drives.
+Alignment. The drives are sampled before the IMU, or after one that is late; `drive_age` says by how much, and the drive
+signals are brought to the IMU's instant. What is left of a misalignment, a fraction of a sample, is for the user of a
+row to fit along as a nuisance: shifting the drive signals by `drive_time_offset` adds
+angular_momentum * precession'' * offset, linear in it. It takes up whatever else goes with precession'', so it is no
+property of the vehicle and no measure of its drives.
 
 Validity. Only a free vehicle obeys the balance: |roll| must be less than the support angle by a margin. The filter
 restarts whenever the vehicle gets free and after every gap, and is exact from that moment on. Rows without instruments
@@ -164,12 +165,14 @@ class BalanceRows:
         self._drive = StateVariableFilter(3, config.bandwidth, config.order)
         self._bank = InstrumentBank() if instruments else None
         self._recent: deque[tuple[int, float, float]] = deque(maxlen=8)
+        self._coming: deque[tuple[int, tuple[float, ...]]] = deque()
         self.reset()
 
     def reset(self) -> None:
         """Back to before the first cycle."""
         self._reset_bank()
         self._recent.clear()
+        self._coming.clear()
         self._running = self._begins = False
         self._imu_time = self._drive_time = 0
         self._next = 0.0
@@ -194,9 +197,10 @@ class BalanceRows:
         if injected and not isfinite(injected[0]):
             self.unknown_excitation += 1
         longest = self.config.longest_gap
-        if known - known != 0.0 or spacing > longest or not 0.0 <= age <= longest:
+        if known - known != 0.0 or spacing > longest or not -longest <= age <= longest:
             self._running = False
             recent.clear()
+            self._coming.clear()
             self._reset_bank()
             if known - known != 0.0:  # NaN or infinite
                 return None
@@ -204,19 +208,23 @@ class BalanceRows:
         if self._bank:
             self._bank.update(spacing, *injected)
         recent.append((now, roll, rate))
+        coming = self._coming
         if abs(roll) >= self._free_angle:
             self._running = False
+            coming.clear()
             return None
-        drive = (speed, trim, trim_rate)
-        drive_time = now - round(age * 1e9)
+        coming.append((now - round(age * 1e9), (speed, trim, trim_rate)))
         if not self._running:
-            self._begin(drive_time, drive)
+            if coming[0][0] <= now:
+                self._begin(*coming.popleft())
             return None
         self._imu.update((now - self._imu_time) * 1e-9, (roll, rate))
         self._imu_time = now
-        if drive_time > self._drive_time:
-            self._drive.update((drive_time - self._drive_time) * 1e-9, drive)
-            self._drive_time = drive_time
+        while coming and coming[0][0] <= now:
+            drive_time, drive = coming.popleft()
+            if drive_time > self._drive_time:
+                self._drive.update((drive_time - self._drive_time) * 1e-9, drive)
+                self._drive_time = drive_time
         self.free_time += spacing
         self._next -= spacing
         if self._next > 0.0:

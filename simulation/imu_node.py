@@ -45,18 +45,18 @@ class SensorPath:
 
 
 def _between(one: Motion, other: Motion, share: float, period: float) -> Motion:
-    """The motion at `share` of the `period` (s) from `one` to `other`: angle and rate by Hermite's cubics, which also
-    have their slopes. A straight line would take a share of whatever is fast."""
+    """The motion at `share` of the `period` (s) from `one` to `other`: angle and rate, of which the next value is the
+    slope, by Hermite's cubics, for a straight line would take away from whatever is fast; the rest by such lines."""
     if share >= 1.0:
         return other
     rest = 1.0 - share
     smooth = share * share * (3.0 - 2.0 * share)
     begin, end = period * share * rest * rest, -period * share * share * rest
-    values = [x + smooth * (y - x) for x, y in zip(one[:2], other[:2], strict=True)]
-    angle, rate = (
-        value + begin * before + end * after for value, before, after in zip(values, one[1:], other[1:], strict=True)
-    )
-    return angle, rate, one[2] + share * (other[2] - one[2])
+    curves = [
+        one[place] + smooth * (other[place] - one[place]) + begin * one[place + 1] + end * other[place + 1]
+        for place in range(2)
+    ]
+    return (*curves, *[x + share * (y - x) for x, y in zip(one[2:], other[2:], strict=True)])
 
 
 class VirtualImu:

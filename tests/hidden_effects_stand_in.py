@@ -19,6 +19,7 @@ from models.model import Model
 from service.hidden_effects.answers import ADEQUATE, UNKNOWN, Answer
 from service.hidden_effects.cases import Grid
 from service.hidden_effects.trial import SUBJECT, Bench
+from service.hidden_effects.vehicles import Vehicle
 from simulation.hidden import HIDDEN, UNLISTED
 from telemetry.channels import TABLES
 from telemetry.recording import Recording
@@ -35,10 +36,12 @@ SMALL = Grid(
 """Five cases: nothing, one of each, and the two listed effects together."""
 
 
-def labelled(excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int) -> Recording:
+def labelled(
+    excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int, vehicle: Vehicle
+) -> Recording:
     """No record at all, only what is in it."""
     channels = TABLES["monocab"]
-    metadata = {"hidden": json.dumps(dict(hidden)), "seed": str(seed)}
+    metadata = {"hidden": json.dumps(dict(hidden)), "seed": str(seed), "latency": repr(vehicle.latency)}
     return Recording(
         channels=channels,
         timestamp_ns=np.arange(2, dtype=np.int64),

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.freed import freed
 from estimators.gauss_newton import minimise
 from estimators.methods.prediction_error import fit
 from estimators.problem import problem
@@ -56,6 +57,8 @@ class Yardstick:
 def fitted(model: Model, recordings: Sequence[Recording], support: float) -> tuple[Model, Yardstick]:
     """`model` with the values of a prediction-error fit, and its filter. Raises EstimationError and ArithmeticError."""
     found = fit(problem(model, recordings, support=support))
+    if (with_more := freed(model, found)) is not model:
+        found = fit(problem(with_more, recordings, support=support))
     values = dict(zip(found.problem.kernel.parameters, found.values.tolist(), strict=True))
     gain = dict(zip(found.problem.kernel.states, found.gain, strict=True))
     return model.change(values), Yardstick(gain, np.linalg.inv(np.linalg.cholesky(found.covariance)))

@@ -174,8 +174,10 @@ def _loop(
         row += 1
         rates[row] = seen.get("precession_rate", rates[row])
         angles[row] = seen.get("precession", angles[row])
-        whole, part = divmod(told.values["drive_age"][row] / told.period, 1.0)
-        back = row - int(whole)
+        age = told.values["drive_age"][row] / told.period
+        # Drives that are sampled after the IMU went on from this row as before.
+        whole = max(0, int(age))
+        back, part = row - whole, age - whole
         setpoint = _step(
             controller,
             told,

@@ -160,8 +160,10 @@ def _loop(vehicle: TwsbrFile, told: _Recorded, at: InjectionPoint) -> Controller
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal row
         row += 1
-        whole, part = divmod(told.values["drive_age"][row] / told.period, 1.0)
-        back = row - int(whole)
+        age = told.values["drive_age"][row] / told.period
+        # Drives that are sampled after the IMU went on from this row as before.
+        whole = max(0, int(age))
+        back, part = row - whole, age - whole
         shown = []
         for name, column in wheels.items():
             if row < len(column):

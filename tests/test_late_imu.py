@@ -1,0 +1,186 @@
+"""An IMU whose values are milliseconds old when they arrive, as the vehicle file says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from diagnosis.compare import compare
+from diagnosis.findings import Verdict
+from diagnosis.freed import freed
+from diagnosis.parts import diagnose_parts
+from diagnosis.ready import ready
+from estimators.identify import with_values
+from estimators.methods.drive_lag import drive_lag
+from estimators.methods.prediction_error import fit, prediction_error
+from estimators.problem import problem
+from models.library import ACTUATORS, get
+from models.model import Model
+from service import replay
+from service.recorded_loop import recorded_loop
+from service.vehicle_file import VehicleFile, load
+from service.virtual_run import record
+from simulation.config import ImuNode, PlantTruth, SimulationConfig
+from simulation.imu_node import SensorPath
+from telemetry.recording import Recording
+
+LATENCY = 0.0075
+"""s: not a whole number of rows, and the drives are sampled after the IMU."""
+
+
+@cache
+def vehicle(kind: str, latency: float) -> VehicleFile:
+    file = load(kind)
+    return file.model_copy(update={"imu": file.imu.model_copy(update={"latency": latency})})
+
+
+@cache
+def recorded(kind: str, experiment: str, latency: float, seed: int = 41) -> Recording:
+    return record(vehicle(kind, latency), experiment, seed=seed, duration=20.0)
+
+
+def known(model: Model, kind: str = "monocab") -> Model:
+    parameters = load(kind).parameters
+    return with_values(model, parameters.values, parameters.deviations)
+
+
+def without_age(recording: Recording) -> Recording:
+    """As recordings were before they had the channel."""
+    values = {name: column for name, column in recording.values.items() if name != "setpoint_age"}
+    channels = type(recording.channels)(each for each in recording.channels if each.name != "setpoint_age")
+    return replace(recording, channels=channels, values=values)
+
+
+# --- the virtual one
+
+
+def test_the_virtual_imu_is_as_late_as_its_file_says() -> None:
+    """Of a swing of 5 Hz; a straight line between samples would lose 2e-3 of it, Hermite's cubics lose 1e-5."""
+    period, omega = 0.004, 2.0 * math.pi * 5.0
+
+    def motion(time: float) -> tuple[float, ...]:
+        sine, cosine = math.sin(omega * time), math.cos(omega * time)
+        return sine, omega * cosine, -(omega**2) * sine
+
+    path = SensorPath(0.0, LATENCY, period)
+    seen = [path.pass_on(motion(row * period)) for row in range(200)]
+    true = [motion(row * period - LATENCY) for row in range(200)]
+    angle, rate, _ = np.abs(np.array(seen) - np.array(true))[5:].max(axis=0)
+    assert angle < 2e-5
+    assert rate < 2e-5 * omega
+
+
+def test_without_latency_nothing_is_changed() -> None:
+    path = SensorPath(0.0, 0.0, 0.004)
+    for row in range(5):
+        assert path.pass_on((float(row), 2.0, 3.0)) == (float(row), 2.0, 3.0)
+    assert ImuNode().latency == 0.0
+
+
+# --- recordings
+
+
+@pytest.mark.parametrize(("kind", "experiment"), [("monocab", "multisine"), ("twsbr", "square")])
+def test_rows_say_when_their_setpoints_left(kind: str, experiment: str) -> None:
+    assert set(recorded(kind, experiment, LATENCY)["setpoint_age"]) == {-LATENCY}
+    assert set(recorded(kind, experiment, 0.0)["setpoint_age"]) == {0.0}
+
+
+def test_setpoints_begin_to_act_when_they_are_sent() -> None:
+    """What is left is the way over the bus, as with an IMU that is not late. Before, it was 7.5 ms more."""
+    prompt, late = recorded("monocab", "multisine", 0.0), recorded("monocab", "multisine", LATENCY)
+
+    def offset(recording: Recording) -> float:
+        return float(drive_lag([recording]).parameters["setpoint_offset"].value or 0.0)
+
+    assert offset(late) == pytest.approx(offset(prompt), abs=1e-3)
+    assert offset(without_age(late)) == pytest.approx(offset(late) + LATENCY, abs=2e-4)
+
+
+def test_the_robot_s_voltages_begin_to_act_when_they_are_sent() -> None:
+    def offset(recording: Recording) -> float:
+        found = prediction_error(known(get("twsbr"), "twsbr"), [recording], estimate=["voltage_offset"])
+        return float(found.parameters["voltage_offset"].value or 0.0)
+
+    prompt, late = recorded("twsbr", "square", 0.0), recorded("twsbr", "square", LATENCY)
+    assert offset(late) == pytest.approx(offset(prompt), abs=5e-4)
+
+
+def test_the_loop_is_closed_with_the_delay_it_had() -> None:
+    """The right model goes with the record to the noise, as with an IMU that is not late; with setpoints 7.5 ms too
+    early it does not."""
+    late = recorded("monocab", "multisine", LATENCY)
+    right = get("monocab_roll").change({"inertia": PlantTruth().inertia, "gravity_stiffness": 14500.0})
+    file = vehicle("monocab", LATENCY)
+
+    def over_floor(recording: Recording) -> float:
+        (found,) = compare({"right": right}, [recording], support=file.support, loops=[recorded_loop(file, recording)])
+        assert found.closed_loop.reason == ""
+        return found.closed_loop.over_floor("precession_rate")
+
+    assert 0.75 < over_floor(late) < 1.25
+    assert over_floor(without_age(late)) > 2.0
+
+
+def inertia(recording: Recording, method: str) -> float:
+    return float(replay.replay(recording, load("monocab"))[method]["parameters"]["inertia"]["value"] or 0.0)
+
+
+@pytest.mark.parametrize("method", ["recursive_least_squares", "recursive_prediction_error"])
+def test_the_live_estimators_bear_drives_that_are_sampled_after_the_imu(method: str) -> None:
+    """Least squares had no row then, and said that the vehicle had hardly left its supports."""
+    assert (recorded("monocab", "multisine", LATENCY)["drive_age"] < 0.0).all()
+    late, prompt = (inertia(recorded("monocab", "multisine", latency), method) for latency in (LATENCY, 0.0))
+    assert late == pytest.approx(prompt, rel=0.02)
+
+
+def test_the_live_estimators_take_recordings_without_it() -> None:
+    old = without_age(recorded("monocab", "multisine", LATENCY))
+    assert inertia(old, "recursive_prediction_error") > 1000.0
+
+
+# --- the diagnosis
+
+
+def verdict(recording: Recording) -> tuple[Verdict, list[str]]:
+    found = diagnose_parts(
+        known(get("monocab_roll")),
+        [known(each) for each in ACTUATORS["monocab"]],
+        [recording],
+        support=load("monocab").support,
+    )
+    return found.verdict, [each.effect for each in found.findings]
+
+
+def test_a_late_imu_is_no_late_command() -> None:
+    """Where the setpoints do not say when they left, they look 7.5 ms late: that is what the channel is for."""
+    recording = recorded("monocab", "multisine", LATENCY)
+    assert verdict(recording) == (Verdict.ADEQUATE, [])
+    assert verdict(without_age(recording)) == (Verdict.MISSING_EFFECT, ["input_delay"])
+
+
+# --- CAD values that the recordings tell better
+
+
+def higher(configuration: SimulationConfig) -> SimulationConfig:
+    """A trim mass a standard deviation and a half higher than the vehicle file says."""
+    return replace(configuration, plant=PlantTruth(trim_height=0.475))
+
+
+def test_a_cad_value_that_the_record_tells_better_is_estimated() -> None:
+    recording = record("monocab", "multisine", seed=42, duration=20.0, configure=higher)
+    model, support = ready(known(get("monocab_roll")), [recording]), load("monocab").support
+    alone = fit(problem(model, [recording], support=support))
+    more = freed(model, alone)
+    before = {each.name for each in model.base_parameters if each.estimated}
+    assert {each.name for each in more.base_parameters if each.estimated} - before == {"trim_height"}
+    fitted = fit(problem(more, [recording], support=support))
+    assert freed(more, fitted) is more, "what else is held, the record does not tell"
+    found = dict(zip(fitted.problem.kernel.parameters, fitted.values.tolist(), strict=True))
+    # To half of what was known before, or better: that is what it is asked for.
+    assert found["trim_height"] == pytest.approx(0.475, abs=3.0 * 0.025)
+    assert verdict(recording) == (Verdict.ADEQUATE, [])
