@@ -1,10 +1,10 @@
 """How often is an effect found where nothing is missing? `python benchmarks/false_alarms.py --runs 60`
 
-Clean recordings of virtual vehicles, each with other sensor noise and as far off its vehicle file as that says of itself,
-are screened for the whole catalogue. The smallest p-value of a recording knows that all effects were looked at: where nothing is missing it is uniform, below
-0.01 once in a hundred recordings. Told is how often it is below some levels, with the 95 % interval (Wilson). With
-`--named` each is diagnosed as a whole, and told is how many get a name: what the screen lets through has to hold on
-held-out data as well. That takes ten times as long.
+Clean recordings of virtual vehicles, each with other sensor noise and as far off its vehicle file as that says of
+itself, are screened for the whole catalogue. The smallest p-value of a recording knows that all effects were looked at:
+where nothing is missing it is uniform, below 0.01 once in a hundred recordings. Told is how often it is below some
+levels, with the 95 % interval (Wilson). With `--named` each is diagnosed as a whole, and told is how many get a name:
+what the screen lets through has to hold on held-out data as well. That takes ten times as long.
 """
 
 from __future__ import annotations
