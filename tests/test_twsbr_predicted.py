@@ -153,9 +153,9 @@ def test_without_a_recording_the_numbers_of_the_vehicle_file_have_to_hold_the_ro
 @pytest.fixture(scope="module")
 def first() -> Recording:
     """1.6 s of settling and of a small doublet, which leave the two frictions tied, as not all so short ones do: of 1.4
-    to 1.7 s and four seeds six of 16."""
+    to 1.7 s and the seeds 4 to 7 six of 16."""
     vehicle = only("doublet", duration=4.0, amplitude=2.0)
-    return record(vehicle, "doublet", hide=[HIDDEN], seed=4).between(6.8, 8.4)
+    return record(vehicle, "doublet", hide=[HIDDEN], seed=7).between(6.8, 8.4)
 
 
 @pytest.fixture(scope="module")
