@@ -1,7 +1,7 @@
 """What a model holds at its CAD value and the recordings tell better: it is estimated then, with that value as prior.
 
-A model holds what most recordings do not tell. A trim mass that moves tells how high it is: held a standard deviation
-off, it was something missing that has no name, in 5 of 20 clean records.
+A model holds what most recordings do not tell. A trim mass that moves tells how high it is: held as far off as its file
+says, it was something missing that has no name, in 5 of 20 clean records.
 """
 
 from __future__ import annotations
