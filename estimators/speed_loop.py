@@ -94,7 +94,7 @@ def windows_of(recording: Recording, channels: Sequence[str], moves: float, firs
     """
     time, columns = recording.time, [recording[name] for name in channels]
     sent = time - recording["setpoint_age"] if "setpoint_age" in recording.values else time
-    known: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack(columns)), axis=1)
+    known: NDArray[np.bool_] = np.all(np.isfinite(np.column_stack([*columns, sent])), axis=1)
     period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     broken = np.flatnonzero((np.diff(time) > 1.5 * period) | ~known[1:]) + 1
     begins = np.zeros(len(time), dtype=np.int64)

@@ -126,6 +126,24 @@ def test_the_loop_is_closed_with_the_delay_it_had() -> None:
     assert over_floor(without_age(late)) > 2.0
 
 
+@pytest.mark.parametrize("age", [math.nan, 0.02])
+def test_rows_that_do_not_say_when_their_setpoints_left_make_no_loop(age: float) -> None:
+    late = recorded("monocab", "multisine", LATENCY)
+    ages = late["setpoint_age"].copy()
+    ages[len(ages) // 2] = age
+    found = recorded_loop(vehicle("monocab", LATENCY), replace(late, values={**late.values, "setpoint_age": ages}))
+    assert isinstance(found, str)
+    assert "setpoint_age" in found
+
+
+def test_a_row_that_does_not_say_when_its_setpoint_left_is_passed_over() -> None:
+    late = recorded("monocab", "multisine", LATENCY)
+    ages = late["setpoint_age"].copy()
+    ages[len(ages) // 2] = math.nan
+    lag = drive_lag([replace(late, values={**late.values, "setpoint_age": ages})]).parameters["speed_loop_lag"]
+    assert lag.value == pytest.approx(drive_lag([late]).parameters["speed_loop_lag"].value, rel=0.01)
+
+
 def inertia(recording: Recording, method: str) -> float:
     return float(replay.replay(recording, load("monocab"))[method]["parameters"]["inertia"]["value"] or 0.0)
 

@@ -15,7 +15,7 @@ from service.vehicle_file import VehicleFile, load
 from simulation.config import PlantTruth, SimulationConfig
 
 LATENCY = 0.006
-"""s of the IMU, as the vehicle file has it: so much that a real one that is shorter is none that foretells."""
+"""s of the IMU, as the vehicle file has it: more than the real one may be shorter by, for no IMU tells the future."""
 FARTHEST = 2.5
 """Standard deviations: a vehicle that is further off is none of these."""
 

@@ -75,10 +75,13 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
     if not all(np.isfinite(recording[name][held]).all() for name in CHANNELS):
         return "the recording has unknown values while the controller holds the vehicle up"
     time, age = recording.time, recording["drive_age"]
+    sent = recording.values.get("setpoint_age", np.zeros(len(recording)))[held]
+    if not (sent <= 0.0).all():
+        return "the recording does not say when its setpoints left, or before they were computed: setpoint_age"
     told = _Recorded(
         values={name: recording[name].tolist() for name in CHANNELS},
         time=time.tolist(),
-        latency=-float(np.median(recording["setpoint_age"])) if "setpoint_age" in recording.values else 0.0,
+        latency=-float(np.median(sent)),
         rate=np.interp(time, time - age, recording["precession_rate"]).tolist(),
         precession=np.interp(time, time - age, recording["precession"]).tolist(),
         period=float(np.median(np.diff(time))),
