@@ -114,20 +114,30 @@ def steps(
     move = kernel.ready(
         rows, values, memory, None, (), rows.measured, np.empty((*rows.measured.shape, 0)), substeps=task.substeps
     )
-    places = [(number, name) for number, name in enumerate(kernel.inputs)]
-    later = {each.name: int(each.hold is Hold.FIRST_ORDER) for each in task.model.inputs}
+    holds = {each.name: each.hold for each in task.model.inputs}
+    before: Memory | None = None
     if first == 0:
         move(0, 0, False)
     for row in range(first, len(rows) - 1):
-        if shocks is not None:
-            rows.measured[row] += shocks[0][row - first]
-            memory.x += shocks[1][row - first]
-        seen = dict(zip(kernel.outputs, rows.measured[row].tolist(), strict=True))
+        noise, kick = (0.0, 0.0) if shocks is None else (each[row - first] for each in shocks)
+        seen = dict(zip(kernel.outputs, (rows.measured[row] + noise).tolist(), strict=True))
         given = controller(float(rows.time[row]), seen)
         yield row, seen, given
-        for number, name in places:
-            if name in given:
-                rows.row_inputs[row + later[name], number] = given[name]
+        curved = False
+        for number, name in enumerate(kernel.inputs):
+            if name in given and holds[name] is Hold.CUBIC:
+                curved = True
+                # The curve to the next row depends on the one after, which nobody knows yet: straight on.
+                chord = given[name] - rows.row_inputs[row, number]
+                rows.row_inputs[row + 1 : row + 3, number] = given[name] + chord * np.arange(len(rows) - row - 1)[:2]
+            elif name in given:
+                rows.row_inputs[row, number] = given[name]
+        if curved and before is not None:  # only now the curve to this row is known
+            memory.go_back(before)
+            move(row - 1, row, True)
+        rows.measured[row] += noise
+        memory.x += kick
+        before = memory.copy() if curved else None
         move(row, row + 1, True)
 
 

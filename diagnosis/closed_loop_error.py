@@ -238,7 +238,7 @@ def _run(
     for place, name in enumerate(inputs):
         if name in loop.gives:
             rows.row_knots[first + 1 :, place] = rows.time[first + 1 :]
-    memory = Memory(begin.x.copy(), begin.S.copy(), begin.lag.copy(), begin.lag_S.copy(), begin.pointer.copy())
+    memory = begin.copy()
     shocks = None
     if random is not None:
         memory.x += _root(_start_covariance(found)) @ random.standard_normal(len(memory.x))

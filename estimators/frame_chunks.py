@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Status
-from estimators.segments import LONGEST_GAP, REACH, SHORTEST, SUPPORT_MARGIN, DataError
-from models.model import Hold, Model
+from estimators.segments import LONGEST_GAP, REACH, SHORTEST, SUPPORT_MARGIN, DataError, reading
+from models.model import Model
 from models.segment import Segment
 from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
@@ -109,9 +109,9 @@ class FrameChunks:
         self._coordinate = names.index(coordinate) if coordinate else zero
         self._free_angle = support - SUPPORT_MARGIN if coordinate and support is not None else math.inf
         self._inputs = [names.index(each.name) for each in model.inputs]
-        self._lines = np.array([each.hold is Hold.FIRST_ORDER for each in model.inputs])
         self._usual = [(names.index(each.name), each.usual) for each in model.inputs if each.usual is not None]
         self._usual += [(names.index(age), 0.0) for age in {*ages} if age and channels[channels.index_of(age)].newer]
+        self._readings = [reading(each) for each in model.outputs]
         self._outputs = [names.index(each.name) for each in model.outputs]
         places = [names.index(age) if age else zero for age in ages]
         self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]
@@ -237,16 +237,15 @@ class FrameChunks:
         measured = np.take(table, self._outputs, axis=1)
         for column, age in enumerate(self._output_ages):
             if age in self._ages:
-                measured[:, column] = np.interp(time, time - table[:, age], measured[:, column])
+                measured[:, column] = self._readings[column](time, time - table[:, age], measured[:, column])
         knots = time[:, None] - np.take(table, self._input_ages, axis=1)
         inputs = np.take(table, self._inputs, axis=1)
-        # Lines with the integral of the curve that was sampled, see estimators.segments.
-        inputs[1:-1] -= np.diff(inputs, 2, axis=0) * (self._lines / 12.0)
         segment = Segment(time, knots, inputs, measured, "live")
         chunk = Chunk(segment, first, last, self._begins, self.settled)
         begin = last + 1 if self._window else last
-        # What is still needed before the next chunk begins.
-        kept = max(0, int(np.searchsorted(time, time[last] - self._reach)) - 2)
+        # What is still needed before the next chunk begins: a curve between two samples needs their neighbours.
+        newest = max(0.0, -float(np.min(table[:, self._ages], initial=0.0)))
+        kept = max(0, int(np.searchsorted(time, time[last] - self._reach - newest)) - 2)
         del self._times[:kept], self._rows[:kept]
         self._first = begin - kept
         self._begins = bool(self._window)

@@ -242,7 +242,7 @@ def _solved(matrix: Array, vector: Array) -> Array:
     product with `vector` is a fall, never a rise."""
     if not len(vector):
         return vector
-    size = np.sqrt(np.diag(matrix))
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     size = np.where(size > SILENT * np.max(size), size, np.inf)
     squares, turned = np.linalg.eigh(matrix / np.outer(size, size))
     told = squares > ROUNDING * squares[-1]

@@ -2,8 +2,8 @@
 
 A row is used where every input and the outputs are known and, where the model has a support angle to keep clear of, the
 vehicle is free. Inputs keep the instants at which they were sampled; outputs of a device that is sampled at other
-instants than the row (`age`) are read by straight lines. An input that acts late acts on the first row by what it was
-before: where a recording begins with a stretch, its first row tells that and no more.
+instants than the row (`age`) are read from the curve through them. An input that acts late acts on the first row by
+what it was before: where a recording begins with a stretch, its first row tells that and no more.
 
 What makes a fit look good and be wrong is refused here, with the channel and the reason: a channel that is missing, one
 that never moves, that is clipped, and an angle and a rate that do not belong together (degrees for radians, a swapped
@@ -12,7 +12,7 @@ sign or channel).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from math import copysign, isfinite
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError, Status
+from models.curves import read
 from models.expressions import names_in
 from models.model import Hold, Input, Model, Output
 from models.segment import Segment
@@ -284,7 +285,7 @@ def _segment(model: Model, recording: Recording, part: slice, late: NDArray[np.b
         acting = slice(_before(recording, part, late), part.stop)
         part = slice(max(part.start, acting.start + 1), part.stop)
 
-    inputs = [_input(recording, each, acting) if each.channel in used else zeros for each in model.inputs]
+    inputs = [_input(recording, each) if each.channel in used else zeros for each in model.inputs]
     knots = [_sampled(recording, each.age if each.channel in used else "") for each in model.inputs]
     measured = [_reading(recording, each) for each in model.outputs]
     return Segment(
@@ -304,26 +305,22 @@ def _sampled(recording: Recording, age: str) -> Array:
 def _reading(recording: Recording, each: Output) -> Array:
     """The samples of an output, (n,), read at the rows' instants."""
     values = recording[each.name]
-    return np.interp(recording.time, _sampled(recording, each.age), values) if each.age in recording.values else values
+    if each.age not in recording.values:
+        return values
+    return reading(each)(recording.time, _sampled(recording, each.age), values)
 
 
-def _input(recording: Recording, each: Input, part: slice) -> Array:
-    """The samples of an input as the model reads them.
+def reading(each: Output) -> Callable[[Array, Array, Array], Array]:
+    """How an output is read between its samples: (time, knots, values). Of steps a curve would make bumps."""
+    return np.interp if each.counted else read
 
-    Straight lines from sample to sample cut the corners of a smooth curve: a sine of the angular frequency w sampled
-    every h comes out smaller by (w h)^2 / 12. Raised by a twelfth of their second difference, the samples give lines
-    with the curve's integral.
-    """
+
+def _input(recording: Recording, each: Input) -> Array:
+    """The samples of an input."""
     if each.usual is not None and each.channel not in recording.values:
         return np.full(len(recording.time), each.usual)
     values = recording[each.channel]
-    if each.ramp_of:
-        return ramp_shortfall(values, recording.time, each.ramp)
-    if each.hold is Hold.ZERO_ORDER or part.stop - part.start < 3:
-        return values
-    raised = values.copy()
-    raised[part.start + 1 : part.stop - 1] -= np.diff(values[part], 2) / 12.0
-    return raised
+    return ramp_shortfall(values, recording.time, each.ramp) if each.ramp_of else values
 
 
 def ramp_shortfall(values: Array, time: Array, ramp: float) -> Array:

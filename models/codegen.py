@@ -5,7 +5,8 @@ which takes a hundredth of the time that numba's front end does. These functions
 models.kernel_loops, and those of models.column_code:
 
     prepare    what depends on parameters alone, once a pass
-    slopes     the states' derivatives; where asked, how these depend on states, parameters, inputs and time
+    slopes     the states' derivatives; where asked, how these depend on states, parameters, inputs, then the inputs'
+               slopes, and time
     observe    the outputs, likewise; not by time, since the instants of rows do not move
 
 A derivative by a parameter is worked out only where that parameter has a column, and what nothing else needs with it.
@@ -71,7 +72,7 @@ def generate(model: Model, neutral: Collection[str] = ()) -> Code:
     _derive(targets, "slopes", equations.derivatives, equations, zero)
     _derive(targets, "observe", equations.outputs, equations, zero)
     rows = _seen(targets, len(model.states)) if neutral else list(range(len(model.states)))
-    sizes = {"by_state": len(model.states), "by_input": len(model.inputs), "by_time": 1, "by_parameter": 1}
+    sizes = {"by_state": len(model.states), "by_input": 2 * len(model.inputs), "by_time": 1, "by_parameter": 1}
     targets = {
         target: expression
         for target, expression in targets.items()
@@ -85,10 +86,10 @@ def generate(model: Model, neutral: Collection[str] = ()) -> Code:
     names = [parameter.name for parameter in model.parameters]
     shifts = [(place, names.index(name)) for place, delays in enumerate(equations.delays) for name in delays]
     places = [target.place for target in targets if (target.function, target.array) == ("slopes", "by_input")]
-    driven = sorted({place // len(model.inputs) for place in places})
+    driven = sorted({place // sizes["by_input"] for place in places})
     structure = (
         *(len(model.states), len(model.inputs), len(model.outputs), len(names), len(shifts), len(constants)),
-        *(int(each.hold is Hold.FIRST_ORDER) for each in model.inputs),
+        *(int(each.hold is Hold.CUBIC) for each in model.inputs),
         *(names.index(lag) if lag else -1 for lag in equations.lags),
         *(place for place, _ in shifts),
         *(parameter for _, parameter in shifts),
@@ -121,7 +122,7 @@ def _derive(
     zero: Mapping[sympy.Symbol, sympy.Expr],
 ) -> None:
     """Add `expressions` and their derivatives that are not zero to `targets`, all where `zero` is put in."""
-    arrays = {"by_state": equations.states, "by_input": equations.inputs}
+    arrays = {"by_state": equations.states, "by_input": (*equations.inputs, *equations.slopes)}
     if function == "slopes":
         arrays["by_time"] = (equations.time,)
     derivatives = Derivatives()

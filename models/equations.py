@@ -104,7 +104,7 @@ def compose(model: Model) -> Equations:
         derivatives.append(memories.get(state.name, sympy.Integer(0)))
         nominal.append(derivatives[-1])
     outputs = {each.name: _real(parse(each.expression, symbols, f"output {each.name}")) for each in model.outputs}
-    moving = _Flow(states, inputs, slopes, [each.hold is Hold.FIRST_ORDER for each in model.inputs], time)
+    moving = _Flow(states, inputs, slopes, [each.hold is Hold.CUBIC for each in model.inputs], time)
     for sensor in model.sensors:
         _read(model, sensor, outputs, symbols, moving, derivatives, nominal, memories)
     derivatives = [memories.get(state.name, each) for state, each in zip(model.states, derivatives, strict=True)]

@@ -67,6 +67,19 @@ class Memory:
     lag_S: Array
     pointer: NDArray[np.int64]
 
+    def copy(self) -> Memory:
+        """The same place, to come back to."""
+        return Memory(*(each.copy() for each in self._arrays))
+
+    def go_back(self, to: Memory) -> None:
+        """Be where `to` is, in the same arrays."""
+        for mine, other in zip(self._arrays, to._arrays, strict=True):
+            mine[...] = other
+
+    @property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self.x, self.S, self.lag, self.lag_S, self.pointer
+
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
@@ -194,7 +207,8 @@ class Kernel:
         structure, functions = self.code.facts["structure"], self.code.facts["functions"]
         delays, constants = int(structure[4]), int(structure[5])
         width = -(-columns // machine_code.LANES) * machine_code.LANES
-        space = constants + states * (states + inputs + outputs + 4) + outputs * (states + inputs + 1) + inputs * 9
+        space = constants + states * (states + 2 * inputs + outputs + 4) + outputs * (states + 2 * inputs + 1)
+        space += inputs * 13
         space += width * (4 * states + 2 * inputs + outputs * (2 + states) + 4)
         work, places = _aligned(space), np.empty(parameters + 3 * delays + inputs, dtype=np.int64)
         used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, asked, gain, by_gain)

@@ -2,8 +2,10 @@
 
 Classical Runge-Kutta of order four on states and variational equations: discretise, then differentiate, so the
 sensitivities are those of the numbers that are returned. A step is cut where a held input changes; moving that instant
-by a delay moves the ends of two pieces, which is how a delay gets its derivative. An input behind a first-order lag is
-the exact response to a straight line, in the mean over each piece, and is exactly neutral at lag 0.
+by a delay moves the ends of two pieces, which is how a delay gets its derivative. A measured input is read as a curve
+through its samples: at three instants a step straight lines would lose a corner in its midst, where an input is sampled
+a part of a row before. Behind a first-order lag it is the exact response to a straight line over each piece, in the
+mean, and is exactly neutral at lag 0.
 
 numba translates this file once on a computer, not once a model: sizes are arguments and a model's equations
 (models.codegen) are called by address. Arrays are bare pointers, row by row; nothing is allocated and nothing can
@@ -74,13 +76,15 @@ def _at(typing, pointer, offset):
 
 
 @njit(**INLINE)
-def _line(i, when, left, samples, NU, knots, u, pointer, line, slope):
-    """Input i at an instant, on the straight line between two samples; `left`: where two meet, the one before.
+def _curve(i, when, left, samples, NU, knots, u, pointer, curve, slope):
+    """Input i at an instant, on the cubic through two samples; `left`: where two cubics meet, the one before.
 
-    `line` (NU, 4) is the line found last: where it begins and ends, a knot on it and its value there.
+    Its slope at a sample is that of the parabola through this one and its neighbours, at either end that to the only
+    one; beyond the ends it stays. slope[i] and slope[NU + i] become its first two derivatives at the instant. `curve`
+    (NU, 7) is the cubic found last: where it begins and ends, and about which instant it has which coefficients.
     """
-    mine = 4 * i
-    if not (line[mine] <= when and (when < line[mine + 1] or (left and when == line[mine + 1]))):
+    mine = 7 * i
+    if not (curve[mine] <= when and (when < curve[mine + 1] or (left and when == curve[mine + 1]))):
         j = pointer[i]
         while j > 0 and knots[j * NU + i] > when:
             j -= 1
@@ -88,16 +92,38 @@ def _line(i, when, left, samples, NU, knots, u, pointer, line, slope):
             j += 1
         pointer[i] = j
         knot = knots[j * NU + i]
-        line[mine + 2], line[mine + 3] = knot, u[j * NU + i]
-        slope[i] = 0.0
+        curve[mine + 2], curve[mine + 3] = knot, u[j * NU + i]
+        curve[mine + 4], curve[mine + 5], curve[mine + 6] = 0.0, 0.0, 0.0
         if when < knot or (left and when == knot and j == 0):  # before the first sample
-            line[mine], line[mine + 1] = -math.inf, knot
+            curve[mine], curve[mine + 1] = -math.inf, knot
         elif j == samples - 1:
-            line[mine], line[mine + 1] = knot, math.inf
+            curve[mine], curve[mine + 1] = knot, math.inf
         else:
-            line[mine], line[mine + 1] = knot, knots[(j + 1) * NU + i]
-            slope[i] = (u[(j + 1) * NU + i] - u[j * NU + i]) / (line[mine + 1] - knot)
-    return line[mine + 3] + (when - line[mine + 2]) * slope[i]
+            h = knots[(j + 1) * NU + i] - knot
+            chord = (u[(j + 1) * NU + i] - u[j * NU + i]) / h
+            begin, end = chord, chord
+            if j > 0 and knots[(j - 1) * NU + i] < knot:
+                before = knot - knots[(j - 1) * NU + i]
+                begin = (h * (u[j * NU + i] - u[(j - 1) * NU + i]) / before + before * chord) / (h + before)
+            if j < samples - 2 and knots[(j + 2) * NU + i] > knot + h:
+                after = knots[(j + 2) * NU + i] - knots[(j + 1) * NU + i]
+                end = (h * (u[(j + 2) * NU + i] - u[(j + 1) * NU + i]) / after + after * chord) / (h + after)
+            curve[mine], curve[mine + 1] = knot, knot + h
+            curve[mine + 4] = begin
+            curve[mine + 5] = (3.0 * chord - 2.0 * begin - end) / h
+            curve[mine + 6] = (begin + end - 2.0 * chord) / (h * h)
+    since = when - curve[mine + 2]
+    first, second, third = curve[mine + 4], curve[mine + 5], curve[mine + 6]
+    slope[i] = first + since * (2.0 * second + 3.0 * third * since)
+    slope[NU + i] = 2.0 * second + 6.0 * third * since
+    return curve[mine + 3] + since * (first + since * (second + since * third))
+
+
+@njit(**INLINE)
+def _climb(row, i, NU, by_input, slope):
+    """How fast what is in this row of `by_input` (rows, 2 NU) moves because input i and its slope do."""
+    mine = 2 * NU * row + i
+    return by_input[mine] * slope[i] + by_input[mine + NU] * slope[NU + i]
 
 
 @njit(**INLINE)
@@ -169,8 +195,8 @@ def run(
     begin_stage, middle_stage, finish_stage = functions[3], functions[4], functions[5]
     show, correct, steer = functions[6], functions[7], functions[8]
     NX, NU, NY, NP, ND, NC = structure[0], structure[1], structure[2], structure[3], structure[4], structure[5]
-    first_order = _at(structure, 6)
-    lag = _at(first_order, NU)
+    drawn = _at(structure, 6)
+    lag = _at(drawn, NU)
     delay_input = _at(lag, NU)
     delay_parameter = _at(delay_input, ND)
     driven = _at(delay_parameter, ND)  # how many states the inputs move, then which
@@ -199,18 +225,18 @@ def run(
     f = _at(delay, NU)
     A = _at(f, NX)
     G = _at(A, NX * NX)
-    T = _at(G, NX * NU)
+    T = _at(G, NX * 2 * NU)
     C = _at(T, NX)
     H = _at(C, NY * NX)
-    error = _at(H, NY * NU)
+    error = _at(H, NY * 2 * NU)
     total = _at(error, NY)
     stage = _at(total, NX)
     value = _at(stage, NX)
     held = _at(value, NU)
     slope = _at(held, NU)
-    shift = _at(slope, NU)
-    line = _at(shift, NU)
-    share = _at(line, 4 * NU)
+    shift = _at(slope, 2 * NU)
+    curve = _at(shift, NU)
+    share = _at(curve, 7 * NU)
 
     _prepare(prepare, p, constants)
     for i in range(NP):
@@ -229,15 +255,15 @@ def run(
     for i in range(NX * NY):
         correcting |= gain[i] != 0.0
     count, several = 0, 0
-    lines, lagging = False, False
+    curves, lagging = False, False
     for d in range(ND):
         delay[delay_input[d]] += p[delay_parameter[d]]
         if column[delay_parameter[d]] >= 0:
             moves[2 * count] = delay_input[d]
             moves[2 * count + 1] = column[delay_parameter[d]]
             count += 1
-            if first_order[delay_input[d]]:
-                lines = True
+            if drawn[delay_input[d]]:
+                curves = True
             else:
                 shifting[several] = column[delay_parameter[d]]
                 several += 1
@@ -249,14 +275,14 @@ def run(
         if lag[i] >= 0 and (p[lag[i]] > 0.0 or column[lag[i]] >= 0):
             lagged[i] = 1
             lagging = True
-        line[4 * i], line[4 * i + 1] = math.inf, -math.inf
-    patched = derive and (lines or several > 0 or lagging)  # B gets more than the equations put into it
+        curve[7 * i], curve[7 * i + 1] = math.inf, -math.inf
+    patched = derive and (curves or several > 0 or lagging)  # B gets more than the equations put into it
 
     if not skip:
         for i in range(NU):
             pointer[i] = 0
-            if first_order[i]:
-                memory[i] = _line(i, time[first] - delay[i], True, samples, NU, knots, u, pointer, line, slope)
+            if drawn[i]:
+                memory[i] = _curve(i, time[first] - delay[i], True, samples, NU, knots, u, pointer, curve, slope)
                 for q in range(count):
                     if moves[2 * q] == i:
                         memory_S[i * width + moves[2 * q + 1]] -= slope[i]
@@ -268,8 +294,8 @@ def run(
     for k in range(first, last + 1):
         if k > first or not skip:
             for i in range(NU):
-                if first_order[i]:
-                    value[i] = _line(i, time[k] - delay[i], True, samples, NU, knots, u, pointer, line, slope)
+                if drawn[i]:
+                    value[i] = _curve(i, time[k] - delay[i], True, samples, NU, knots, u, pointer, curve, slope)
                 else:
                     value[i] = u[pointer[i] * NU + i]
                 if lagged[i]:
@@ -285,12 +311,15 @@ def run(
                         for i in range(NU):
                             if lagged[i]:
                                 for c in range(na):
-                                    shown[j * width + c] += H[j * NU + i] * memory_S[i * width + c]
-                    if lines:
+                                    shown[j * width + c] += H[2 * NU * j + i] * memory_S[i * width + c]
+                    if curves:
                         for q in range(count):
                             i = moves[2 * q]
-                            if not lagged[i]:
-                                shown[j * width + moves[2 * q + 1]] -= H[j * NU + i] * slope[i]
+                            if lagged[i]:  # but its slope is not
+                                climb = H[2 * NU * j + NU + i] * slope[NU + i]
+                            else:
+                                climb = _climb(j, i, NU, H, slope)
+                            shown[j * width + moves[2 * q + 1]] -= climb
                     for c in range(na):
                         sensitivity[(k * NY + j) * na + c] = shown[j * width + c]
             if correcting:
@@ -314,7 +343,7 @@ def run(
             cut = finish
             following = -1
             for i in range(NU):
-                if not first_order[i] and pointer[i] < samples - 1:
+                if not drawn[i] and pointer[i] < samples - 1:
                     candidate = knots[(pointer[i] + 1) * NU + i] + delay[i]
                     if candidate < cut:
                         cut = candidate if candidate > begin else begin
@@ -334,13 +363,13 @@ def run(
                         later[moves[2 * q + 1]] += 1.0
                         moving = True
             for i in range(NU):
-                if not first_order[i]:
+                if not drawn[i]:
                     held[i] = u[pointer[i] * NU + i]
             if moving and h <= 0.0:  # no time goes by, but the state moves with the instant
                 for i in range(NU):
                     value[i] = held[i]
-                    if first_order[i]:
-                        value[i] = _line(i, begin - delay[i], False, samples, NU, knots, u, pointer, line, slope)
+                    if drawn[i]:
+                        value[i] = _curve(i, begin - delay[i], False, samples, NU, knots, u, pointer, curve, slope)
                     if lagged[i] and p[lag[i]] > 0.0:
                         for q in range(several):
                             climb = (value[i] - memory[i]) / p[lag[i]]
@@ -360,15 +389,15 @@ def run(
                         for c in range(na):
                             begin_S[c] = 0.0
                             end_S[c] = 0.0
-                        if first_order[i]:
-                            head = _line(i, start - delay[i], False, samples, NU, knots, u, pointer, line, slope)
+                        if drawn[i]:
+                            head = _curve(i, start - delay[i], False, samples, NU, knots, u, pointer, curve, slope)
                             for q in range(count):
                                 if moves[2 * q] == i:
                                     begin_S[moves[2 * q + 1]] -= slope[i]
                             if moving:
                                 for q in range(several):
                                     begin_S[shifting[q]] += slope[i] * later[shifting[q]]
-                            tail = _line(i, start + h - delay[i], True, samples, NU, knots, u, pointer, line, slope)
+                            tail = _curve(i, start + h - delay[i], True, samples, NU, knots, u, pointer, curve, slope)
                             for q in range(count):
                                 if moves[2 * q] == i:
                                     end_S[moves[2 * q + 1]] -= slope[i]
@@ -381,7 +410,7 @@ def run(
                             i, h, p[lag[i]], head, tail, moving, own,
                             na, width, memory, memory_S, begin_S, end_S, stretch, mean_S,
                         )  # fmt: skip
-                        if not first_order[i]:
+                        if not drawn[i]:
                             value[i] += shift[i]
                 for i in range(NX):
                     stage[i] = x[i]
@@ -391,8 +420,8 @@ def run(
                     t = start + node * h
                     if r != 2:
                         for i in range(NU):
-                            if first_order[i]:
-                                value[i] = _line(i, t - delay[i], r == 3, samples, NU, knots, u, pointer, line, slope)
+                            if drawn[i]:
+                                value[i] = _curve(i, t - delay[i], r == 3, samples, NU, knots, u, pointer, curve, slope)
                                 value[i] += shift[i]
                     if patched:
                         for i in range(NX * width):
@@ -401,20 +430,20 @@ def run(
                     if patched:
                         for place in range(1, driven[0] + 1):
                             i = driven[place]
-                            if lines:
+                            if curves:
                                 for q in range(count):
-                                    B[i * width + moves[2 * q + 1]] -= G[i * NU + moves[2 * q]] * slope[moves[2 * q]]
+                                    B[i * width + moves[2 * q + 1]] -= _climb(i, moves[2 * q], NU, G, slope)
                             if lagging:
                                 for j in range(NU):
                                     if lagged[j]:
                                         for c in range(na):
-                                            B[i * width + c] += G[i * NU + j] * mean_S[j * width + c]
+                                            B[i * width + c] += G[2 * NU * i + j] * mean_S[j * width + c]
                         if moving:  # the instant of this stage moves, and with it what changes steadily
                             for i in range(NX):
                                 drift = T[i]
                                 for j in range(NU):
-                                    if first_order[j]:
-                                        drift += G[i * NU + j] * slope[j]
+                                    if drawn[j]:
+                                        drift += _climb(i, j, NU, G, slope)
                                 for q in range(several):
                                     c = shifting[q]
                                     B[i * width + c] += drift * (later[c] + node * stretch[c])

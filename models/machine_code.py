@@ -85,8 +85,10 @@ def assemble(text: str, facts: Mapping[str, Any], *, optimise: bool = False) -> 
     if optimise:
         options = binding.create_pipeline_tuning_options(speed_level=2)
         options.loop_unrolling = options.loop_vectorization = options.slp_vectorization = False
-        passes = binding.create_pass_builder(machine, options)
-        passes.getModulePassManager().run(module, passes)
+        # Twice: only then all is seen to be idle that numba puts in for errors, which needs numba where it is loaded.
+        for _ in range(2):
+            passes = binding.create_pass_builder(machine, options)
+            passes.getModulePassManager().run(module, passes)
     return Assembled(machine.emit_object(module), facts)
 
 

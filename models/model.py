@@ -6,7 +6,7 @@ Expressions are text (see models.expressions for what they may contain), so that
 from a TOML file, hashed, compared and printed, and it costs nothing to import. `models.kernel` compiles it.
 
 Besides states, inputs, parameters and `time` (s) an expression may use a name from `definitions`, `INPUT_slope` (the
-slope of an input that is read as straight lines) and `JOINT_force`, the whole generalised force at a joint: its own
+slope of an input that is read as a curve) and `JOINT_force`, the whole generalised force at a joint: its own
 `load` and whatever the effects add (models.effect).
 """
 
@@ -37,8 +37,8 @@ class Hold(StrEnum):
 
     ZERO_ORDER = "zero_order"
     """A command: each value acts until the next one comes."""
-    FIRST_ORDER = "first_order"
-    """A measurement: a straight line from value to value."""
+    CUBIC = "cubic"
+    """A measurement: a smooth curve through the values (models.curves)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class Input:
 
     name: str
     unit: str
-    hold: Hold = Hold.FIRST_ORDER
+    hold: Hold = Hold.CUBIC
     age: str = ""
     delays: tuple[str, ...] = ()
     lag: str = ""

@@ -43,7 +43,7 @@ class StateSection(Section):
 
 class InputSection(Section):
     unit: str
-    hold: Literal["zero_order", "first_order"] = "first_order"
+    hold: Literal["zero_order", "cubic"] = "cubic"
     age: str = ""
     delays: list[str] = []
     lag: str = ""

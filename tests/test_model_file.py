@@ -225,7 +225,7 @@ WRONG_OWN = [
     ('pull = "mass', 'pull = "torque * mass', "definitions.pull", "'torque', which is not known here yet"),
     ('pull = "mass', 'pull = "pivot_force + mass', "definitions.pull", "'pivot_force', which is not known here yet"),
     ("pull =", "pull = 3\npulling =", "definitions.pull", "write it in quotes"),
-    ('hold = "zero_order"', 'hold = "zero"', "inputs.voltage.hold", "'zero_order' or 'first_order'"),
+    ('hold = "zero_order"', 'hold = "zero"', "inputs.voltage.hold", "'zero_order' or 'cubic'"),
     ('delays = ["late"]', 'delays = ["lte"]', "inputs.voltage.delays", "did you mean 'late'?"),
     ('delays = ["late"]', 'delays = "late"', "inputs.voltage.delays", "is no list"),
     ('delays = ["late"]', 'lag = "voltage"', "inputs.voltage.lag", "there is no 'voltage' in parameters"),

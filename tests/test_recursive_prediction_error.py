@@ -320,7 +320,7 @@ def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -
         # A batch fit leaves at zero what no equation of its model needs; effects may, which live data are kept for.
         used = [place for place, each in enumerate(model.inputs) if each.name not in ("precession", "gyro_bias_std")]
         np.testing.assert_allclose(chunk.segment.knots[here][:, used], whole.row_knots[there][:, used], atol=1e-9)
-        lines = [place for place in used if model.inputs[place].hold is Hold.FIRST_ORDER]
+        lines = [place for place in used if model.inputs[place].hold is Hold.CUBIC]
         # The inputs before and after the rows are there, too, as far as any delay reaches, on the support as well.
         reach = slice(max(0, here.start - 10), here.stop + 10)
         back = here.start - reach.start

@@ -275,7 +275,7 @@ def channel_signals(balance: Balance, segment: Segment) -> Signals:
         column + sum(model.parameter(name).value for name in names)
         for column, names in zip(segment.knots.T, balance.delays, strict=True)
     ]
-    lines = [k for k, each in zip(knots, model.inputs, strict=True) if each.hold is Hold.FIRST_ORDER]
+    lines = [k for k, each in zip(knots, model.inputs, strict=True) if each.hold is Hold.CUBIC]
     first = max(segment.time[0], *(k[0] for k in knots)) if knots else segment.time[0]
     last = min(segment.time[-1], *(k[-1] for k in lines)) if lines else segment.time[-1]
     time = np.unique(np.concatenate((segment.time, *knots)))
@@ -287,7 +287,7 @@ def channel_signals(balance: Balance, segment: Segment) -> Signals:
         drawn = np.interp(time, segment.time, values)
         signals.add(channel(output.name).name, channel(output.name, 1).name, drawn[:-1], drawn[1:])
     for each, at, values in zip(model.inputs, knots, segment.inputs.T, strict=True):
-        if each.hold is Hold.FIRST_ORDER:
+        if each.hold is Hold.CUBIC:
             drawn = np.interp(time, at, values)
             signals.add(each.name, f"{each.name}_slope", drawn[:-1], drawn[1:])
         else:

@@ -15,7 +15,7 @@ from service.cli.output import page
 
 WIDE = 110
 """Columns that a table of parameters with their meaning takes."""
-_BETWEEN = {Hold.ZERO_ORDER: "held", Hold.FIRST_ORDER: "straight line"}
+_BETWEEN = {Hold.ZERO_ORDER: "held", Hold.CUBIC: "cubic"}
 
 
 def print_model(shown: Model, history: Iterable[Mapping[str, Any]]) -> None:
