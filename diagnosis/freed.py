@@ -11,9 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.fit_result import inverse
-from estimators.gauss_newton import common_information
-from estimators.innovations import NoiseModel
-from estimators.likelihood import Likelihood
 from estimators.methods.prediction_error import Fit
 from models.model import Model
 
@@ -23,17 +20,12 @@ BETTER = 0.5
 
 def freed(model: Model, fitted: Fit) -> Model:
     """`model`, to which `fitted` belongs, with such parameters estimated; `model` itself where there are none."""
-    task, minimum = fitted.problem, fitted.minimum
+    task, count = fitted.problem, len(fitted.minimum.common)
     own = {each.name for each in model.base_parameters}
     held = tuple(place for place in task.uncertain if task.model.parameters[place].name in own)
     if not held or not model.joints:
         return model
-    likelihood = Likelihood(task, NoiseModel.of(task), minimum.common, fitted.prior)
-    seen = likelihood.of_data(minimum.common, minimum.own, also=held)
-    if seen is None:
-        return model
-    count = len(minimum.common)
-    information = common_information(seen.normals, count + len(held))
+    information = fitted.information(held)
     across = information[:count, count:]
     known = inverse(information[:count, :count] + np.diag(fitted.prior))
     told = np.diag(information)[count:] - np.einsum("ih,ij,jh->h", across, known, across)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
-from estimators.fit_result import assemble, inverse, refused, with_known
+from estimators.fit_result import assemble, inverse, refused
 from estimators.gauss_newton import Minimum, common_information, descend
 from estimators.innovations import WIDEST, NoiseModel
 from estimators.likelihood import FLOOR as FLOOR
@@ -97,6 +97,33 @@ class Fit:
             start[list(self.problem.own)] = part
             starts.append(start)
         return starts
+
+    def information(self, held: tuple[int, ...]) -> Array:
+        """What the data tell (k, k) of what was estimated and of the parameters at `held`, without the prior.
+
+        Raises ArithmeticError where the model runs away from its own estimate.
+        """
+        minimum = self.minimum
+        likelihood = Likelihood(self.problem, NoiseModel.of(self.problem), minimum.common, self.prior)
+        seen = likelihood.of_data(minimum.common, minimum.own, also=held)
+        if seen is None:
+            raise ArithmeticError("the model runs away from its own estimate")
+        return common_information(seen.normals, len(minimum.common) + len(held))
+
+    def joint_covariance(self) -> tuple[tuple[int, ...], Array]:
+        """Places of the estimated and of the held parameters that are not exact, and the covariance of both (k, k)."""
+        task, unknown = self.problem, len(self.minimum.common)
+        size, held = len(task.free), task.uncertain
+        if not held:
+            return task.free, inverse(self.minimum.information)[:size, :size]
+        # All of one evaluation: what takes the place of a held parameter cancels in a combination to the last digits.
+        information = self.information(held)
+        alone = inverse(information[:unknown, :unknown] + np.diag(self.prior))
+        deviations = np.array([task.model.parameters[place].std for place in held])
+        moves = np.concatenate((-(alone @ information[:unknown, unknown:])[:size], np.eye(len(held)))) * deviations
+        covariance = moves @ moves.T
+        covariance[:size, :size] += alone[:size, :size]
+        return (*task.free, *held), covariance
 
     def innovations(self) -> list[Array]:
         """By stretch, (n, ny)."""
@@ -216,23 +243,14 @@ def _settled(
 def result(fitted: Fit, began: float) -> Estimate:
     """The Estimate of a fit; the uncertainty of what was held is in its standard deviations."""
     task, minimum = fitted.problem, fitted.minimum
-    size, held, unknown = len(task.free), task.uncertain, len(minimum.common)
-    information = minimum.information
-    covariance = inverse(information)
-    if held:
-        likelihood = Likelihood(task, NoiseModel.of(task), minimum.common, fitted.prior)
-        seen = likelihood.of_data(minimum.common, minimum.own, also=held)
-        assert seen is not None
-        across = common_information(seen.normals, unknown + len(held))[:unknown, unknown:]
-        deviations = np.array([task.model.parameters[place].std for place in held])
-        covariance = with_known(covariance, information, across, deviations)
-    known_before = np.concatenate((fitted.prior[:size], np.zeros(unknown - size)))
+    size = len(task.free)
+    known_before = np.concatenate((fitted.prior[:size], np.zeros(len(minimum.common) - size)))
     return assemble(
         task,
         METHOD,
         minimum,
-        covariance=covariance[:size, :size],
-        data_covariance=inverse(information - np.diag(known_before))[:size, :size],
+        covariance=fitted.joint_covariance()[1][:size, :size],
+        data_covariance=inverse(minimum.information - np.diag(known_before))[:size, :size],
         fit_percent=predicted_percent(fitted, HORIZON),
         seconds=stopwatch() - began,
     )
