@@ -22,7 +22,7 @@ from estimators.contract import Status
 from estimators.segments import LONGEST_GAP, REACH, SHORTEST, SUPPORT_MARGIN, DataError, reading
 from models.model import Model
 from models.segment import Segment
-from telemetry.channels import ChannelTable
+from telemetry.channels import NOTHING_RUNS, ChannelTable
 from telemetry.samples import Frame
 
 Array = NDArray[np.float64]
@@ -116,6 +116,7 @@ class FrameChunks:
         places = [names.index(age) if age else zero for age in ages]
         self._input_ages, self._output_ages = places[: len(model.inputs)], places[len(model.inputs) :]
         self._ages = sorted({place for place in places if place != zero})
+        self._phase = channels.index_of("phase") if "phase" in channels.names else None
         self._reach = _reach(model)
         self._late = any(each.delays for each in model.inputs)
         self._settling = model.settling
@@ -131,6 +132,7 @@ class FrameChunks:
         """s between two cycles; 0 until that is known."""
         self._early: list[int] = []
         self._start = self._last = 0
+        self._ran = False  # an experiment
         self.settled = not self._settling
         """Whether the model's settling time is over."""
         self._settled_at = math.nan  # s; not known before the first free row
@@ -165,7 +167,13 @@ class FrameChunks:
                 return None
             oldest = max(oldest, age)
         time = (stamp - self._start) * 1e-9
-        if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle:  # NaN, infinite or on a support
+        let_go = False
+        if self._phase is not None:
+            phase = frame.values[self._phase]
+            self._ran |= phase > NOTHING_RUNS
+            let_go = self._ran and phase == NOTHING_RUNS
+        # NaN, infinite, on a support, or on the way there
+        if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle or let_go:
             self._wait(time, row)
             return None
         if not self.settled:

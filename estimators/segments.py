@@ -25,6 +25,7 @@ from models.expressions import names_in
 from models.model import Hold, Input, Model, Output
 from models.segment import Segment
 from models.sensing import filter_inputs
+from telemetry.channels import NOTHING_RUNS
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -37,6 +38,8 @@ RESTING = 0.8
 """Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
 REACH = 0.1
 """s before a stretch of which it keeps the inputs."""
+FORETOLD = 0.2
+"""s before a fall in which what made the vehicle fall may have been at work."""
 LONGEST_GAP = 2.5
 """Sampling periods after which a stretch ends."""
 AGREEMENT = (0.5, 2.0)
@@ -149,13 +152,45 @@ def _free(model: Model, recording: Recording, support: float | None) -> NDArray[
     known = np.all([np.isfinite(recording[name]) for name in channels_of(model) if name in recording.values], axis=0)
     # A reading between a known and an unknown sample is not known either.
     known &= np.all([np.isfinite(_reading(recording, each)) for each in model.outputs], axis=0)
-    coordinate = model.joints[0].coordinate if model.joints else ""
+    known &= ~_fallen(model, recording)
+    coordinate = _coordinate(model)
     if support is not None and coordinate in recording.values and known.any():
         size = np.abs(np.where(known, recording[coordinate], np.inf))
         # A sensor that is off reads another angle on the support, where most recordings begin and end.
         ends = [float(each) for each in size[known][[0, -1]] if each > RESTING * support]
         known &= size < min([support, *ends]) - SUPPORT_MARGIN
     return np.asarray(known)
+
+
+def _coordinate(model: Model) -> str:
+    """The one by which the vehicle falls."""
+    return model.joints[0].coordinate if model.joints else ""
+
+
+def _fallen(model: Model, recording: Recording) -> NDArray[np.bool_]:
+    """The rows (n,) after an experiment, in which nothing holds the vehicle, those before in which it fell already, for
+    it went to that side alone, and FORETOLD s more."""
+    fallen = np.zeros(len(recording.time), dtype=bool)
+    coordinate = _coordinate(model)
+    if "phase" not in recording.values or coordinate not in recording.values:
+        return fallen
+    let_go, angle = recording["phase"] == NOTHING_RUNS, recording[coordinate]
+    for row in (np.flatnonzero(let_go[1:] & ~let_go[:-1]) + 1).tolist():
+        back = np.flatnonzero(~(np.sign(angle[row]) * np.diff(angle[: row + 1]) > 0.0))
+        begin = recording.time[back[-1] + 1 if len(back) else 0] - FORETOLD
+        taken_up = np.flatnonzero(~let_go[row:])
+        end = row + taken_up[0] if len(taken_up) else None
+        fallen[np.searchsorted(recording.time, begin) : end] = True
+    return fallen
+
+
+def falls_at(model: Model, recording: Recording, support: float | None = None) -> float | None:
+    """When, s from the first row on, the vehicle began to fall from free motion; None where it did not."""
+    fallen, limit = _fallen(model, recording), support if support is not None else recorded_support(recording)
+    begins = np.flatnonzero(fallen & ~np.insert(fallen[:-1], 0, False))
+    if limit is not None and len(begins):
+        begins = begins[np.abs(recording[_coordinate(model)][begins]) < RESTING * limit]
+    return float(recording.time[begins[0]] - recording.time[0]) if len(begins) else None
 
 
 def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> None:

@@ -19,6 +19,7 @@ from drivers.cia402.states import State
 from service.excitation import Excitation, make_excitation
 from service.kind import HOLD, IDLE, Command, Handling, Lean, Pilot
 from service.vehicle_sections import VehicleFile
+from telemetry.channels import NOTHING_RUNS
 
 AT_REST_ANGLE = 0.0175
 """rad (1 deg): how near to a support's angle counts as resting on it."""
@@ -30,7 +31,7 @@ AT_REST_RATE = 0.01
 class Phase(IntEnum):
     """Where an experiment is; recorded in channel `phase`."""
 
-    NONE = 0
+    NONE = NOTHING_RUNS
     REST = 1
     ENABLE = 2
     CENTRE = 3

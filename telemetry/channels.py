@@ -38,6 +38,9 @@ class ChannelTable(tuple[Channel, ...]):
         return tuple(channel.name for channel in self)
 
 
+NOTHING_RUNS = 0
+"""Value of the channel `phase` while no experiment runs: nothing holds the vehicle then."""
+
 _SETPOINT_AGE = Channel(
     "setpoint_age",
     "s",

@@ -201,13 +201,21 @@ def convert(
 
 
 def load_recording(path: Path, vehicle: str) -> Recording:
-    """A recording of any kind; a file that was cut off is read as far as it goes, and said."""
+    """A recording of any kind; a file that was cut off is read as far as it goes, and said; so is a fall."""
+    from estimators.identify import nominal_model
+    from estimators.segments import falls_at
     from service.replay import load as load_any
     from service.vehicle_file import load
 
-    recording = load_any(path, load(vehicle))
+    file = load(vehicle)
+    recording = load_any(path, file)
     if recording.truncated:
         people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
+    falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)
+    if falls is not None:
+        why = recording.metadata.get("end_reason", "").rstrip(".")
+        what = f"the vehicle falls {falls:.1f} s after the start{f' ({why})' if why else ''}. No fit uses the rest."
+        people.print(f"[yellow]{path}: {what}[/yellow]")
     return recording
 
 

@@ -1,0 +1,85 @@
+"""A vehicle that falls while it is recorded: what the fall is in is found, said, and left out.
+
+The virtual robot, and the virtual MONOCAB, to which more torque is given than they can bear.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from estimators.frame_chunks import FrameChunks
+from estimators.segments import FORETOLD, falls_at, segments
+from models import library
+from service import assembly
+from service.cli import app
+from service.sequence import Phase
+from service.vehicle_file import load
+from service.virtual_run import VirtualRunError, record
+from telemetry.recording import Recording
+
+MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}
+PUSH = {"twsbr": 90.0, "monocab": 60.0}
+"""The torque that sets in, in the virtual vehicle's own steps of it."""
+PUSHED = 18.0
+"""s after the start of the virtual vehicle at which it does."""
+
+
+@functools.cache
+def fallen(name: str) -> Recording:
+    with pytest.raises(VirtualRunError, match="beyond the limit") as caught:
+        record(name, "hold", hide=[f"torque_step={PUSH[name]:g}@{PUSHED:g}"], seed=9)
+    assert caught.value.recording is not None
+    return caught.value.recording
+
+
+@pytest.mark.parametrize("name", list(MODEL))
+def test_a_fall_and_what_led_to_it_are_left_out(name: str) -> None:
+    recording, vehicle, model = fallen(name), load(name), library.get(MODEL[name])
+    begin = falls_at(model, recording, vehicle.support)
+    ended = float(recording.time[recording["phase"] != Phase.NONE][-1])
+    assert begin is not None
+    assert ended - 1.0 < begin < ended
+    coordinate = np.abs(recording[model.joints[0].coordinate])
+    used = segments(model, [recording], support=vehicle.support)
+    assert [each.time[-1] < begin + 0.5 * vehicle.period for each in used] == [True] * len(used)
+    assert np.max(coordinate[(recording.time > 0.5 * begin) & (recording.time < begin)]) < 0.2 * vehicle.support
+    assert used[-1].time[-1] == pytest.approx(begin, abs=2.0 * vehicle.period)
+    assert begin + FORETOLD < float(recording.time[coordinate > 0.5 * vehicle.support][-1])
+
+
+@pytest.mark.parametrize("name", list(MODEL))
+def test_live_nothing_is_used_once_the_vehicle_is_let_go(name: str) -> None:
+    recording, vehicle, model = fallen(name), load(name), library.get(MODEL[name])
+    channels = assembly.channels(vehicle)
+    cutter = FrameChunks(model, channels, support=vehicle.support, rows=25)
+    chunks = [chunk for frame in recording.frames(channels) if (chunk := cutter.update(frame))]
+    last = max(float(chunk.segment.time[chunk.last]) for chunk in chunks)
+    ended = float(recording.time[recording["phase"] != Phase.NONE][-1])
+    assert ended - 1.0 < last < ended
+
+
+@pytest.mark.parametrize("name", list(MODEL))
+def test_a_run_that_ends_in_order_is_no_fall(name: str) -> None:
+    recording, vehicle, model = record(name, "hold", seed=9, duration=8.0), load(name), library.get(MODEL[name])
+    assert falls_at(model, recording, vehicle.support) is None
+    (used,) = segments(model, [recording], support=vehicle.support)
+    unknown = {**recording.values, "phase": np.full(len(recording.time), math.nan)}
+    (blind,) = segments(model, [replace(recording, values=unknown)], support=vehicle.support)
+    assert np.array_equal(used.time, blind.time)
+
+
+def test_the_command_line_says_when_it_falls_and_why(tmp_path: Path) -> None:
+    path = tmp_path / "fallen.arrow"
+    fallen("twsbr").save(path)
+    done = CliRunner().invoke(app, ["identify", str(path), "--vehicle", "twsbr", "--method", "prediction_error"])
+    said = " ".join(done.stderr.split())
+    assert "the vehicle falls 1" in said
+    assert "tilt while balancing" in said
+    assert "No fit uses the rest" in said
