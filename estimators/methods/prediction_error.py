@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
-from estimators.fit_result import assemble, inverse, refused
+from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.gauss_newton import Minimum, common_information, descend
 from estimators.innovations import WIDEST, NoiseModel
 from estimators.likelihood import FLOOR as FLOOR
@@ -243,14 +243,20 @@ def _settled(
 def result(fitted: Fit, began: float) -> Estimate:
     """The Estimate of a fit; the uncertainty of what was held is in its standard deviations."""
     task, minimum = fitted.problem, fitted.minimum
-    size = len(task.free)
-    known_before = np.concatenate((fitted.prior[:size], np.zeros(len(minimum.common) - size)))
+    size, held, unknown = len(task.free), task.uncertain, len(minimum.common)
+    information = minimum.information
+    covariance = inverse(information)
+    if held:
+        across = fitted.information(held)[:unknown, unknown:]
+        deviations = np.array([task.model.parameters[place].std for place in held])
+        covariance = with_known(covariance, information, across, deviations)
+    known_before = np.concatenate((fitted.prior[:size], np.zeros(unknown - size)))
     return assemble(
         task,
         METHOD,
         minimum,
-        covariance=fitted.joint_covariance()[1][:size, :size],
-        data_covariance=inverse(minimum.information - np.diag(known_before))[:size, :size],
+        covariance=covariance[:size, :size],
+        data_covariance=inverse(information - np.diag(known_before))[:size, :size],
         fit_percent=predicted_percent(fitted, HORIZON),
         seconds=stopwatch() - began,
     )
