@@ -50,7 +50,7 @@ ESTIMATE_PERIOD = 0.25
 """s between two sets of estimates."""
 
 LAST_DATA = 0.5
-"""s that the next of the last rows of a recording may take after the order to stop it."""
+"""s that the last rows of a recording may take after the order to stop it."""
 
 LATE_ESTIMATES = 5.0
 """s that the end of a recording waits for estimators that are still being made."""
@@ -150,12 +150,9 @@ class Observer:
 
     def _take(self, frames: list[Frame]) -> None:
         if self._recorder is not None:
-            recorded = self._recorder.add(frames)
-            self._estimators.update(recorded)
+            self._estimators.update(self._recorder.add(frames))
             if self._recorder.complete:
                 self._close_recording()
-            elif recorded and self._end_timer is not None:
-                self._wait_for_the_rest()
         if self._mqtt is not None:
             self._predict(frames)
             for batch in self._telemetry.add(frames):
@@ -226,13 +223,7 @@ class Observer:
         if recorder.complete:
             self._close_recording()
         else:
-            self._wait_for_the_rest()
-
-    def _wait_for_the_rest(self) -> None:
-        """LAST_DATA s from now: an observer that was held up has rows of half a minute still to take."""
-        if self._end_timer is not None:
-            self._end_timer.cancel()
-        self._end_timer = asyncio.get_running_loop().call_later(LAST_DATA, self._close_recording)
+            self._end_timer = asyncio.get_running_loop().call_later(LAST_DATA, self._close_recording)
 
     def _close_recording(self) -> None:
         """No more rows: final results, and the rest of the file."""

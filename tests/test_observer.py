@@ -22,7 +22,7 @@ from diagnosis.live import LiveDiagnosis
 from estimators.identify import nominal_model
 from estimators.torque_balance import make as make_plain
 from service import link, replay
-from service.observer import LAST_DATA, Observer
+from service.observer import Observer
 from service.observer_client import ObserverClient
 from service.observer_pipe import MOST_WAITING
 from service.online_estimators import EstimatorBank, online_estimators
@@ -228,22 +228,6 @@ async def test_cycles_wait_for_an_observer_that_stalls_for_half_a_minute(client:
     os.kill(client.pid, signal.SIGCONT)
     assert (await client.finished_recording())["rows"] == total
     assert client.statistics()["frames_dropped"] == 0
-
-
-async def test_rows_that_come_long_after_the_order_to_stop_are_recorded(client: ObserverClient) -> None:
-    """As after an observer was held up: the order waits for no one, the rows before it come a batch at a time."""
-    frames = cycles()[:1200]
-    client.start_recording("sweep", frames[0].timestamp_ns, {"kind": "monocab"})
-    for frame in frames[:200]:
-        client.offer(frame)
-    client.stop_recording("done", frames[999].timestamp_ns)
-    for begin in range(200, 1200, 200):
-        await asyncio.sleep(0.6 * LAST_DATA)
-        for frame in frames[begin : begin + 200]:
-            client.offer(frame)
-    summary = await client.finished_recording()
-    assert summary["rows"] == 1000
-    assert summary["failure"] == ""
 
 
 async def test_messages_wait_for_a_slow_observer_up_to_a_bound(client: ObserverClient) -> None:
