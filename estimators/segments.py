@@ -39,7 +39,7 @@ RESTING = 0.8
 REACH = 0.1
 """s before a stretch of which it keeps the inputs."""
 FORETOLD = 0.2
-"""s before a fall in which what made the vehicle fall may have been at work."""
+"""s before a fall, within which what made the vehicle fall may have been at work: left out, too."""
 LONGEST_GAP = 2.5
 """Sampling periods after which a stretch ends."""
 AGREEMENT = (0.5, 2.0)
@@ -167,30 +167,36 @@ def _coordinate(model: Model) -> str:
     return model.joints[0].coordinate if model.joints else ""
 
 
-def _fallen(model: Model, recording: Recording) -> NDArray[np.bool_]:
-    """The rows (n,) after an experiment, in which nothing holds the vehicle, those before in which it fell already, for
-    it went to that side alone, and FORETOLD s more."""
-    fallen = np.zeros(len(recording.time), dtype=bool)
+def _falls(model: Model, recording: Recording) -> list[tuple[int, int]]:
+    """The rows in which a vehicle begins to fall, as it goes to one side alone from there on until nothing holds it any
+    more, and those from which on it is held again."""
     coordinate = _coordinate(model)
     if "phase" not in recording.values or coordinate not in recording.values:
-        return fallen
+        return []
     let_go, angle = recording["phase"] == NOTHING_RUNS, recording[coordinate]
+    falls = []
     for row in (np.flatnonzero(let_go[1:] & ~let_go[:-1]) + 1).tolist():
         back = np.flatnonzero(~(np.sign(angle[row]) * np.diff(angle[: row + 1]) > 0.0))
-        begin = recording.time[back[-1] + 1 if len(back) else 0] - FORETOLD
-        taken_up = np.flatnonzero(~let_go[row:])
-        end = row + taken_up[0] if len(taken_up) else None
-        fallen[np.searchsorted(recording.time, begin) : end] = True
+        held_again = np.flatnonzero(~let_go[row:])
+        falls.append((back[-1] + 1 if len(back) else 0, row + held_again[0] if len(held_again) else len(angle)))
+    return falls
+
+
+def _fallen(model: Model, recording: Recording) -> NDArray[np.bool_]:
+    """The rows (n,) of falls, with FORETOLD s before each."""
+    fallen = np.zeros(len(recording.time), dtype=bool)
+    for begin, end in _falls(model, recording):
+        fallen[np.searchsorted(recording.time, recording.time[begin] - FORETOLD) : end] = True
     return fallen
 
 
 def falls_at(model: Model, recording: Recording, support: float | None = None) -> float | None:
     """When, s from the first row on, the vehicle began to fall from free motion; None where it did not."""
-    fallen, limit = _fallen(model, recording), support if support is not None else recorded_support(recording)
-    begins = np.flatnonzero(fallen & ~np.insert(fallen[:-1], 0, False))
-    if limit is not None and len(begins):
-        begins = begins[np.abs(recording[_coordinate(model)][begins]) < RESTING * limit]
-    return float(recording.time[begins[0]] - recording.time[0]) if len(begins) else None
+    limit = support if support is not None else recorded_support(recording)
+    for begin, _ in _falls(model, recording):
+        if limit is None or abs(recording[_coordinate(model)][begin]) < RESTING * limit:
+            return float(recording.time[begin] - recording.time[0])
+    return None
 
 
 def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> None:

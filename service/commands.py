@@ -145,6 +145,9 @@ class Commands:
             yield result(ExitCode.VEHICLE_FAULT, *fault, **summary)
         elif run.failure:
             yield result(ExitCode.FAILED, "experiment", run.failure, **summary)
+        elif summary["failure"]:
+            text = f"{run.end_reason or 'The experiment is over'}, but its recording is not whole: {summary['failure']}."
+            yield result(ExitCode.FAILED, "recording", text, **summary)
         else:
             yield result(ExitCode.DONE, text=run.end_reason, **summary)
 

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from serving import connect, serving, until
 
 from service.api import RENEWAL_PERIOD, call
 from service.control_loop import Mode
-from service.daemon import Daemon, Places
+from service.daemon import Daemon
 from service.lease import LOOK, Lease
-from service.vehicle_file import load
-from service.vehicle_sections import VehicleFile
-from service.virtual_serving import virtual_vehicle_beside
 
 LENGTH = 0.3
 SLACK = 1.0
@@ -99,65 +95,31 @@ def test_it_ends_exactly_when_its_holder_was_silent_for_too_long(course: list[tu
 # --- in the daemon, with a virtual vehicle at the pace of the wall's clock
 
 
-def _vehicle() -> VehicleFile:
-    vehicle = load("monocab")
-    hold = vehicle.experiments["hold"].model_copy(update={"duration": 60.0})
-    return vehicle.model_copy(update={"experiments": {**vehicle.experiments, "hold": hold}})
-
-
-@asynccontextmanager
-async def _serving(folder: Path, bus: str) -> AsyncIterator[Daemon]:
-    vehicle = _vehicle()
-    with virtual_vehicle_beside(vehicle, [], 1, bus):
-        daemon = Daemon(vehicle, Places(bus, bus, folder, folder / "s.sock"), lock_step=True)
-        serving = asyncio.create_task(daemon.run())
-        try:
-            await _until(lambda: daemon.loop.mode is Mode.DISARMED and not daemon.loop.interlocks())
-            yield daemon
-        finally:
-            daemon.stop()
-            await serving
-
-
-async def _until(what: Any, seconds: float = 40.0) -> float:
-    began = time.monotonic()
-    while not what():
-        assert time.monotonic() - began < seconds, "not in time"
-        await asyncio.sleep(0.01)
-    return time.monotonic() - began
-
-
-async def _connect(folder: Path, name: str = "hold") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    reader, writer = await asyncio.open_unix_connection(str(folder / "s.sock"))
-    writer.write(json.dumps({"verb": "experiment", "name": name}).encode() + b"\n")
-    return reader, writer
-
-
 async def _ended(daemon: Daemon) -> str:
     """Why the run ends, once it was told to."""
     run = daemon.loop.run
     assert run is not None
-    await _until(lambda: run.end_reason, LENGTH + SLACK)
-    await _until(lambda: daemon.loop.mode is not Mode.RUNNING, 30.0)
+    await until(lambda: run.end_reason, LENGTH + SLACK)
+    await until(lambda: daemon.loop.mode is not Mode.RUNNING, 30.0)
     assert daemon.loop.mode is Mode.DISARMED, daemon.loop.reason
     assert not any(drive.state and drive.state.value == "Operation enabled" for drive in daemon.loop.io.drives)
-    await _until(lambda: not daemon.loop.interlocks())
+    await until(lambda: not daemon.loop.interlocks())
     return run.end_reason
 
 
 async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
-    async with _serving(tmp_path, "virtual:lease-signs") as daemon:
+    async with serving(tmp_path, "virtual:lease-signs") as daemon:
         # Never a sign, though the connection is open and what comes is read.
-        _, writer = await _connect(tmp_path)
-        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        _, writer = await connect(tmp_path)
+        await until(lambda: daemon.loop.mode is Mode.RUNNING)
         assert "no sign" in await _ended(daemon)
         # A late sign is refused and brings nothing back.
         assert daemon.commands.sign({"verb": "renew", "client": daemon.commands.lease.holder})["code"] == "no_lease"  # type: ignore[union-attr]
         assert daemon.loop.mode is Mode.DISARMED
         writer.close()
         # Signs, each of them twice, hold it past the length of a lease; the farewell ends it.
-        _, writer = await _connect(tmp_path)
-        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        _, writer = await connect(tmp_path)
+        await until(lambda: daemon.loop.mode is Mode.RUNNING)
         for _ in range(12):
             writer.write(b'{"verb": "renew"}\n{"verb": "renew"}\n')
             await asyncio.sleep(RENEWAL_PERIOD)
@@ -167,13 +129,13 @@ async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
         assert "let go" in await _ended(daemon)
         writer.close()
         # The connection is cut.
-        _, writer = await _connect(tmp_path)
-        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        _, writer = await connect(tmp_path)
+        await until(lambda: daemon.loop.mode is Mode.RUNNING)
         writer.transport.abort()
         assert "went away" in await _ended(daemon)
         # Nonsense instead of a sign.
-        _, writer = await _connect(tmp_path)
-        await _until(lambda: daemon.loop.mode is Mode.RUNNING)
+        _, writer = await connect(tmp_path)
+        await until(lambda: daemon.loop.mode is Mode.RUNNING)
         writer.write(b"nonsense\n")
         assert "went away" in await _ended(daemon)
         writer.close()

@@ -34,6 +34,7 @@ def test_it_is_balanced_excited_and_recorded_and_a_silent_imu_stops_it(tmp_path:
         code, answer = made.ask("experiment", name="doublet")
         assert code == 0, answer
         recording = load_recording(Path(answer["recording"]))
+        assert set(UP) <= set(recording["phase"]), (answer, recording.truncated)
         assert recording.rate == pytest.approx(200, rel=0.01)
         assert np.degrees(np.abs(recording["tilt"][np.isin(recording["phase"], UP)]).max()) < 3.0
         assert np.abs(recording["left_wheel_angle"]).max() > 1.0, "or it has not moved"

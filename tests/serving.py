@@ -1,0 +1,55 @@
+"""The daemon in the test's own process, with a virtual vehicle at the pace of the wall's clock."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from service.control_loop import Mode
+from service.daemon import Daemon, Places
+from service.vehicle_file import load
+from service.vehicle_sections import VehicleFile
+from service.virtual_serving import virtual_vehicle_beside
+
+
+def steady() -> VehicleFile:
+    """The shipped MONOCAB, which holds still for a minute where it is not told otherwise."""
+    vehicle = load("monocab")
+    hold = vehicle.experiments["hold"].model_copy(update={"duration": 60.0})
+    return vehicle.model_copy(update={"experiments": {**vehicle.experiments, "hold": hold}})
+
+
+@asynccontextmanager
+async def serving(folder: Path, bus: str) -> AsyncIterator[Daemon]:
+    """The daemon, from when an experiment may start on; its socket is `s.sock` in the folder."""
+    vehicle = steady()
+    with virtual_vehicle_beside(vehicle, [], 1, bus):
+        daemon = Daemon(vehicle, Places(bus, bus, folder, folder / "s.sock"), lock_step=True)
+        running = asyncio.create_task(daemon.run())
+        try:
+            await until(lambda: daemon.loop.mode is Mode.DISARMED and not daemon.loop.interlocks())
+            yield daemon
+        finally:
+            daemon.stop()
+            await running
+
+
+async def until(what: Any, seconds: float = 40.0) -> float:
+    """The s it took until `what()` is true."""
+    began = time.monotonic()
+    while not what():
+        assert time.monotonic() - began < seconds, "not in time"
+        await asyncio.sleep(0.01)
+    return time.monotonic() - began
+
+
+async def connect(folder: Path, name: str = "hold") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A client that asks for an experiment."""
+    reader, writer = await asyncio.open_unix_connection(str(folder / "s.sock"))
+    writer.write(json.dumps({"verb": "experiment", "name": name}).encode() + b"\n")
+    return reader, writer

@@ -1,0 +1,44 @@
+"""An experiment that ends in order and leaves a recording that is not whole is a failure, and its result says so."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from serving import connect, serving, until
+
+from service.api import RENEWAL_PERIOD, ExitCode
+from service.control_loop import Mode
+from telemetry.recording import load
+
+pytestmark = pytest.mark.timeout(120)
+
+
+async def _sign(writer: asyncio.StreamWriter) -> None:
+    while True:
+        writer.write(b'{"verb": "renew"}\n')
+        await asyncio.sleep(RENEWAL_PERIOD)
+
+
+async def test_a_recording_that_is_not_whole_is_no_success(tmp_path: Path) -> None:
+    async with serving(tmp_path, "virtual:unfinished") as daemon:
+        reader, writer = await connect(tmp_path)
+        signing = asyncio.create_task(_sign(writer))
+        await until(lambda: any(path.stat().st_size > 50_000 for path in tmp_path.glob("*.arrow")))
+        assert daemon.observer.pid is not None
+        os.kill(daemon.observer.pid, signal.SIGKILL)
+        signing.cancel()
+        writer.write(b'{"verb": "release"}\n')
+        while (answer := json.loads(await reader.readline()))["type"] != "result":
+            pass
+        writer.close()
+        assert (answer["exit_code"], answer["code"]) == (ExitCode.FAILED, "recording")
+        assert "let go, but its recording is not whole: the observer process ended." in answer["text"]
+        assert daemon.loop.mode is Mode.DISARMED
+        kept = load(Path(answer["recording"]))
+        assert len(kept) > 100
+        assert kept.truncated
