@@ -146,7 +146,8 @@ class Commands:
         elif run.failure:
             yield result(ExitCode.FAILED, "experiment", run.failure, **summary)
         elif summary["failure"]:
-            text = f"{run.end_reason or 'The experiment is over'}, but its recording is not whole: {summary['failure']}."
+            ended = run.end_reason or "The experiment is over"
+            text = f"{ended}, but its recording is not whole: {summary['failure']}."
             yield result(ExitCode.FAILED, "recording", text, **summary)
         else:
             yield result(ExitCode.DONE, text=run.end_reason, **summary)
