@@ -1,91 +1,39 @@
-"""Compiled models: what a pass returns is right, its sensitivities are the derivatives of it, and the cache is safe.
+"""Compiled models: what a pass returns is right, and its sensitivities are the derivatives of it.
 
-One small model has all that a pass can do: held and measured inputs, delays, lags, terms in time, and outputs that
-show inputs. Central differences of a pass in float64 are good to about 1e-9 of the largest slope at the steps used
+Central differences of a pass in float64 are good to about 1e-9 of the largest slope at the steps used
 here; the bound of 1e-6 leaves room for curvature.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
+from small_model import GAIN, INITIAL, PLANT, ROWS, SHIFTED, segment
 
-from models import kernel as kernels
-from models import machine_code
 from models.curves import read
 from models.expressions import number
-from models.kernel import LOOPS, Kernel, compile_model
+from models.kernel import Kernel, compile_model
 from models.model import Hold, Input, Model, ModelError, Output, Parameter, State
 from models.segment import Segment
 
 Array = NDArray[np.float64]
 
-PLANT = Model(
-    name="test-plant",
-    title="a mass on a hardening spring with friction, pushed by a command, a motor and the wind",
-    base_states=(
-        State("x", "m", "v"),
-        State("v", "m/s", "(push + motor + wind - k * x - x**3 - c * v - f * tanh(v / 0.2) + sin(3 * time)) / m"),
-        State("z", "m", "(x - z) / 0.3 + 0.02 * seen_slope"),
-    ),
-    inputs=(
-        Input("push", "N", Hold.ZERO_ORDER, delays=("push_delay", "both_delay")),
-        Input("motor", "N", Hold.ZERO_ORDER, delays=("both_delay",), lag="motor_lag"),
-        Input("wind", "N", Hold.CUBIC, delays=("wind_delay",), lag="wind_lag"),
-        Input("seen", "N", Hold.CUBIC, delays=("seen_delay",)),
-    ),
-    outputs=(
-        Output("position", "m", "x + 0.1 * z + 0.01 * seen_slope", noise=0.01),
-        Output("rate", "m/s", "v * m + 0.3 * wind + 0.2 * seen", noise=0.01),
-    ),
-    base_parameters=(
-        Parameter("m", "kg", 0.7),
-        Parameter("k", "N/m", 20.0),
-        Parameter("c", "N s/m", 0.6),
-        Parameter("f", "N", 0.8),
-        *(Parameter(f"{name}_delay", "s", 0.0) for name in ("push", "both", "wind", "seen")),
-        *(Parameter(f"{name}_lag", "s", 0.0) for name in ("motor", "wind")),
-    ),
-)
 NEUTRAL = replace(
     PLANT,
     inputs=tuple(replace(each, delays=(), lag="") for each in PLANT.inputs),
     base_parameters=PLANT.base_parameters[:4],
 )
-INITIAL = np.array([0.2, -0.4, 0.1])
-GAIN = np.array([[0.2, 0.01], [0.5, 0.3], [0.0, 0.1]])
-ROWS = 150
 
 
 @pytest.fixture(scope="module")
 def plant() -> Kernel:
     return compile_model(PLANT)
-
-
-def segment(*, regular: bool = False, rows: int = ROWS) -> Segment:
-    """Rows 1/128 s apart, whose sums are exact; unless `regular`, with jitter, and inputs sampled in between."""
-    source = np.random.default_rng(2)  # no two instants come within the step of the differences
-    time = np.arange(rows) / 128.0
-    knots = np.repeat(time[:, None], len(PLANT.inputs), axis=1)
-    knots[:, 1] -= 0.003  # no two inputs change at once: which comes first would decide
-    if not regular:
-        time = time + source.uniform(-2e-3, 2e-3, rows)
-        knots = knots - source.uniform(0.0, 4e-3, knots.shape)
-    held = np.repeat(source.uniform(-5.0, 5.0, (rows // 3 + 1, 2)), 3, axis=0)[:rows]
-    smooth = 3.0 * np.sin(np.outer(time, (11.0, 7.0)) + np.array([0.0, 1.0]))
-    measured = 0.3 * np.sin(np.outer(time, (5.0, 5.0))) + source.normal(0.0, 0.05, (rows, 2))
-    return Segment(time, knots, np.column_stack((held, smooth)), measured)
 
 
 def predicted(kernel: Kernel, data: Segment, unknowns: Array, substeps: int = 1) -> Array:
@@ -121,7 +69,6 @@ def assert_exact(kernel: Kernel, data: Segment, sided: Sequence[str] = (), subst
 # --- derivatives
 
 
-SHIFTED = {"push_delay": 0.0034, "both_delay": 0.0021, "wind_delay": 0.0057, "seen_delay": 0.0042}
 SHIFTED |= {"motor_lag": 0.013, "wind_lag": 0.021}
 
 
@@ -407,116 +354,3 @@ def test_arrays_that_do_not_fit_are_refused(plant: Kernel) -> None:
 def test_an_unknown_parameter_is_named(plant: Kernel) -> None:
     with pytest.raises(ModelError, match=r"parameter mass.*use one of: m, k"):
         plant.vector({"mass": 1.0})
-
-
-# --- the cache
-
-
-@pytest.fixture
-def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Kernel) -> Path:
-    """A cache directory with nothing in it but the loops, and a process that knows nothing but these."""
-    loops = _files(machine_code.cache_directory(), "loops-")[-1]
-    folder = tmp_path / "kernels"
-    folder.mkdir()
-    (folder / loops.name).write_bytes(loops.read_bytes())
-    monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
-    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
-    return folder
-
-
-def _files(folder: Path, start: str) -> list[Path]:
-    found = [path for path in folder.iterdir() if path.name.startswith(start)]
-    return sorted(found, key=lambda path: path.stat().st_mtime)
-
-
-def _final(kernel: Kernel) -> list[float]:
-    return kernel.run(segment(), kernel.vector(SHIFTED), INITIAL, gain=GAIN).final.tolist()
-
-
-def test_what_was_compiled_is_found_again(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    assert _final(compile_model(PLANT, progress=told.append)) == _final(plant)
-    assert told == ["model test-plant: compiling"]
-    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
-    other = PLANT.change({"m": 5.0})  # values are no part of it
-    again = compile_model(other, progress=told.append)
-    assert len(told) == 1
-    assert again.vector()[0] == 5.0
-    assert _final(compile_model(PLANT)) == _final(plant)
-
-
-@pytest.mark.parametrize("damage", ["cut", "empty", "changed", "foreign"])
-def test_a_damaged_file_is_made_again(plant: Kernel, empty: Path, damage: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    compile_model(PLANT)
-    (path,) = _files(empty, "test-plant")
-    good = path.read_bytes()
-    middle = len(good) // 2
-    bad = {
-        "cut": good[:middle],
-        "empty": b"",
-        "changed": good[:middle] + bytes([good[middle] ^ 1]) + good[middle + 1 :],
-        "foreign": b"# what an earlier version kept under this name" * 9,
-    }
-    path.write_bytes(bad[damage])
-    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
-    assert _final(compile_model(PLANT)) == _final(plant)
-    assert machine_code.recall(path.name) is not None
-
-
-def test_without_a_cache_that_can_be_written_all_works(
-    plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (empty / "file").touch()
-    monkeypatch.setenv("UPRIGHT_CACHE", str(empty / "file"))  # no folder can be made in a file, whoever one is
-    assert _final(compile_model(PLANT)) == _final(plant)
-
-
-def test_code_for_another_processor_is_not_taken(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    name = kernels.fingerprint(PLANT)
-    monkeypatch.setattr(machine_code, "processor", lambda: "another")
-    assert kernels.fingerprint(PLANT) != name
-
-
-def test_a_change_of_structure_is_another_model(plant: Kernel) -> None:
-    first, *rest = PLANT.inputs
-    for other in (
-        replace(PLANT, inputs=(replace(first, hold=Hold.CUBIC), *rest)),
-        replace(PLANT, inputs=(replace(first, delays=("push_delay",)), *rest)),
-        replace(PLANT, inputs=(replace(first, lag="wind_lag"), *rest)),
-        replace(PLANT, outputs=PLANT.outputs[:1]),
-        replace(PLANT, base_states=(*PLANT.base_states[:2], replace(PLANT.base_states[2], derivative="-z"))),
-    ):
-        assert kernels.fingerprint(other) != kernels.fingerprint(PLANT)
-    assert kernels.fingerprint(PLANT.change({"m": 2.0})) == kernels.fingerprint(PLANT)
-
-
-START = """
-import json, sys
-import numpy as np
-from models import library
-from models.kernel import compile_model
-from models.segment import Segment
-told = []
-kernel = compile_model(library.get("monocab_roll"), progress=told.append)
-time, inputs = 0.01 * np.arange(9.0), len(kernel.inputs)
-data = Segment(time, np.repeat(time[:, None], inputs, axis=1), np.ones((9, inputs)), np.zeros((9, len(kernel.outputs))))
-assert kernel.run(data, kernel.vector(), np.zeros(len(kernel.states))).predicted[-1].any()
-print(json.dumps([told, sorted({"sympy", "numba"} & set(sys.modules)), len(kernel.code.addresses)]))
-"""
-
-
-def _start() -> subprocess.Popen[str]:
-    root = Path(__file__).resolve().parents[1]
-    return subprocess.Popen([sys.executable, "-c", START], cwd=root, stdout=subprocess.PIPE, text=True, env=os.environ)
-
-
-def test_processes_share_the_cache(empty: Path) -> None:
-    """Two at once both compile, undisturbed; a third finds all, and works without SymPy and numba."""
-    for process in [_start(), _start()]:
-        output, _ = process.communicate(timeout=60)
-        assert process.returncode == 0
-        assert json.loads(output)[2] == len(kernels.FUNCTIONS)
-    assert len(_files(empty, "monocab_roll")) == 1
-    assert not [path for path in empty.iterdir() if path.suffix == ".tmp"]
-    output, _ = _start().communicate(timeout=60)
-    assert json.loads(output) == [[], [], len(kernels.FUNCTIONS)]
