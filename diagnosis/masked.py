@@ -8,6 +8,7 @@ their gain is, is told by blocks of half a second: innovations of a model withou
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ from models.model import Model
 
 Array = NDArray[np.float64]
 
+LAG = "speed_loop_lag"
+"""Parameter of an actuator's model."""
 START = 2
 """Of the starts of an effect: between the smallest and the largest that are usual."""
 
@@ -35,10 +38,31 @@ def fits(model: Model, workspace: Workspace, names: Collection[str]) -> list[Ful
         own = candidate.attached
         values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
         try:
-            found.append(full(_with(model, candidate, values), workspace, candidate, longer=FURTHER_FITS))
+            one = full(_with(model, candidate, values), workspace, candidate, longer=FURTHER_FITS)
+            found.append(_other_way_round(one, workspace))
         except ArithmeticError:
             continue
     return found
+
+
+def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:
+    """`one`, or the fit with the two lags that it has in a row changed about, where that is nearer to what is known of
+    the first from before: a record hardly tells which of them comes first."""
+    candidate = one.candidate
+    if candidate is None or not candidate.effect.lag or LAG not in one.model.values:
+        return one
+    own, values = candidate.attached.qualified(candidate.effect.lag), one.fitted.values
+    about = {name: float(np.clip(values[other], *_bounds(one.model, name))) for name, other in ((LAG, own), (own, LAG))}
+    end = one.fit.end
+    try:
+        other = full(one.model, workspace, candidate, replace(end, values={**end.values, **about}))
+    except ArithmeticError:
+        return one
+    return max(one, other, key=lambda each: each.log_likelihood)
+
+
+def _bounds(model: Model, name: str) -> tuple[float, float]:
+    return model.parameter(name).lower, model.parameter(name).upper
 
 
 def together(model: Model, workspace: Workspace, names: Collection[str]) -> list[FullFit]:

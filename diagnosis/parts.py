@@ -16,7 +16,8 @@ from dataclasses import replace
 
 from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
-from diagnosis.speed_loop_choice import FORMULA, LAG, over_noise, small, speed_loop
+from diagnosis.masked import LAG
+from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
 from diagnosis.step import retold, reworded
 from estimators.segments import DataError
 from models.effect import Effect, Place

@@ -17,6 +17,7 @@ from scipy.optimize import minimize_scalar
 from diagnosis import masked
 from diagnosis.actuator_rows import middle
 from diagnosis.floor import sensor_noise
+from diagnosis.masked import LAG
 from diagnosis.refit import FullFit, full
 from diagnosis.step import WORTH
 from diagnosis.workspace import Workspace
@@ -24,20 +25,15 @@ from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording
 
-LAG = "speed_loop_lag"
 MASKED = ("input_delay", "actuator_lag")
 """Effects that the lag of a speed loop takes the place of."""
 LOOKED_AT = 8.0
 """s of a record that tell which speed loop it is."""
-NEAR = 1.5
-"""Times its sensor's noise that the innovations of a speed loop have where nothing large is missing in it.
-
-The right loop had 1.07 to 1.41 on eleven clean records of the virtual vehicle (seven of multisine, one each of sweep,
-square, step and rest), and the next one 1.62 and more. With all parameters free it had 1.05 to 1.18."""
 FORMULA = 0.06
 """Share of its own lag to which the formula of a speed loop holds: a further lag that is less is part of it.
 
-On the same eleven records a further lag came out as 0 to 0.038 of the speed loop's."""
+On eleven clean records of the virtual vehicle (seven of multisine, one each of sweep, square, step and rest) a further
+lag came out as 0 to 0.038 of the speed loop's."""
 LONGER = 0.01
 """Share of the rows in which the drives' ramp takes longer than the row from which on its shape counts."""
 SLOWER = 3.0
@@ -76,9 +72,7 @@ def _nearest(
             continue
     if not bases:
         raise ArithmeticError("no model of the actuators can be fitted")
-    nearest = min(bases, key=lambda each: over_noise(each[0]))
-    chosen = [nearest] if over_noise(nearest[0]) < NEAR else bases
-    tried = [_tried(alone, workspace, effects) for alone, workspace in chosen]
+    tried = [_tried(alone, workspace, effects) for alone, workspace in bases]
     return max(tried, key=lambda each: each[0])[1:]
 
 

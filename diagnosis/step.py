@@ -14,6 +14,7 @@ import numpy as np
 from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
+from diagnosis.foresight import foresees
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
 from diagnosis.refit import FURTHER_FITS, FullFit, QuickFit, by_chance, full, quick, surety, with_effect
@@ -159,12 +160,20 @@ def _contenders(
     for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
         quicks.append(each)
         tell(f"tried {each.candidate.effect.title}", 0.3 + 0.3 * len(quicks) / len(worth))
-    quicks = [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
-    quicks.sort(key=lambda each: -each.gain)
-    chosen = [each for each in quicks if each.gain >= CONTENDING * quicks[0].gain]
-    chosen = chosen[: CONTENDERS * (2 if far else 1)]
-    fits = list(hidden)
-    chosen = [each for each in chosen if each.candidate.name not in {fit.name for fit in hidden}]
+    fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
+    allowed = LEVEL / max(1, len(screened.scores))
+    fits = [
+        each for each in fits if each.fit.minimum.converged and by_chance(each, base) < allowed and surety(each) > SURE
+    ]
+    return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _full_fits(
+    base: FullFit, quicks: Sequence[QuickFit], workspace: Workspace, hidden: Collection[str], far: bool, tell: Tell
+) -> list[FullFit]:
+    """Of those of `quicks` that explain most, but for `hidden`, which have theirs. One that explains by what no
+    predictor knows is no measure of what is most."""
+    left = sorted((each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0), key=lambda each: -each.gain)
 
     def fitted(each: QuickFit) -> FullFit | None:
         model = with_effect(base.model, each.candidate, each.values)
@@ -173,15 +182,18 @@ def _contenders(
         except ArithmeticError:
             return None
 
-    for number, found in enumerate(side_by_side(fitted, chosen), start=1):
-        tell(f"fitted {chosen[number - 1].candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
-        if found is not None:
-            fits.append(found)
-    allowed = LEVEL / max(1, len(screened.scores))
-    fits = [
-        each for each in fits if each.fit.minimum.converged and by_chance(each, base) < allowed and surety(each) > SURE
-    ]
-    return sorted(fits, key=lambda each: -each.evidence)
+    found: dict[str, FullFit | None] = {}
+    while True:
+        near = [each for each in left if each.gain >= CONTENDING * left[0].gain][: CONTENDERS * (2 if far else 1)]
+        chosen = [each for each in near if each.candidate.name not in {*hidden, *found}]
+        if not chosen:
+            return [each for each in found.values() if each is not None]
+        for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
+            tell(f"fitted {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
+            if fit is not None and foresees(fit.fit, base.fit):
+                left = [other for other in left if other is not each]
+            else:
+                found[each.candidate.name] = fit
 
 
 def _finding(

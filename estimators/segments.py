@@ -36,8 +36,8 @@ SUPPORT_MARGIN = float(np.radians(0.3))
 """rad inside the support angle within which a vehicle counts as free."""
 RESTING = 0.8
 """Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
-REACH = 0.1
-"""s before a stretch of which it keeps the inputs."""
+REACH = 1.0
+"""s before a stretch of which it keeps the inputs: a lag of 0.2 s forgets all but a hundredth in that."""
 FORETOLD = 0.2
 """s before a fall, within which what made the vehicle fall may have been at work: left out, too."""
 LONGEST_GAP = 2.5

@@ -25,16 +25,21 @@ whenever the motor reverses: with 100 rows, 0.5 s, hardly a block was without, a
 large."""
 
 
+def differences(signal: Array) -> Array:
+    """Fourth differences of `signal` (n, ...), (n - 4, ...)."""
+    return np.asarray(np.diff(signal, 4, axis=0))
+
+
 def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
     """Variance of the white noise on each column of `parts` (n, m), by fourth differences, (m,), and its degrees of
     freedom."""
-    differences = np.concatenate([np.diff(part, 4, axis=0) for part in parts])
-    blocks = np.array_split(differences, max(1, len(differences) // ROWS))
+    rough = np.concatenate([differences(part) for part in parts])
+    blocks = np.array_split(rough, max(1, len(rough) // ROWS))
     known = [np.isfinite(block) for block in blocks]
     sums = np.array([np.sum(block**2, axis=0, where=there) for block, there in zip(blocks, known, strict=True)])
     counts = np.array([np.sum(there, axis=0) for there in known])
     powers = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)  # a block may be unknown as a whole
-    rows = len(differences) / len(blocks)
+    rows = len(rough) / len(blocks)
     median = float(chi2.ppf(0.5, rows / SKEWNESS) / (rows / SKEWNESS))
     variance = np.nanmedian(powers, axis=0) / GAIN_OF_DIFFERENCES / median
-    return variance, len(differences) / CORRELATION / (LOSS_OF_MEDIAN if len(blocks) > 2 else 1.0)
+    return variance, len(rough) / CORRELATION / (LOSS_OF_MEDIAN if len(blocks) > 2 else 1.0)

@@ -127,6 +127,17 @@ def _climb(row, i, NU, by_input, slope):
 
 
 @njit(**INLINE)
+def _hold(i, h, tau, held, own, na, width, memory, memory_S):
+    """Moves a lag's memory on by h in which its input is `held`. Column `own` is tau's; no other moves the input."""
+    decay = math.exp(-h / tau) if tau > 0.0 else 0.0
+    for c in range(na):
+        memory_S[i * width + c] *= decay
+    if own >= 0 and tau > 0.0:
+        memory_S[i * width + own] += (memory[i] - held) * decay * h / (tau * tau)
+    memory[i] = held + (memory[i] - held) * decay
+
+
+@njit(**INLINE)
 def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, stretch, mean_S):
     """The mean over h of what a lag does to a straight line from `start` to `end`; moves the lag's memory on.
 
@@ -287,9 +298,21 @@ def run(
                     if moves[2 * q] == i:
                         memory_S[i * width + moves[2 * q + 1]] -= slope[i]
             else:
+                memory[i] = u[i]
                 while pointer[i] < samples - 1 and knots[(pointer[i] + 1) * NU + i] + delay[i] < time[first]:
+                    j = pointer[i] * NU + i
+                    if lagged[i]:
+                        _hold(i, knots[j + NU] - knots[j], p[lag[i]], u[j], column[lag[i]], na, width, memory, memory_S)
                     pointer[i] += 1
-                memory[i] = u[pointer[i] * NU + i]
+                j = pointer[i] * NU + i
+                since = time[first] - delay[i] - knots[j]
+                if lagged[i] and since > 0.0:
+                    _hold(i, since, p[lag[i]], u[j], column[lag[i]], na, width, memory, memory_S)
+                    for q in range(count):
+                        if moves[2 * q] == i and p[lag[i]] > 0.0:
+                            memory_S[i * width + moves[2 * q + 1]] -= (u[j] - memory[i]) / p[lag[i]]
+                elif not lagged[i]:
+                    memory[i] = u[j]
 
     for k in range(first, last + 1):
         if k > first or not skip:

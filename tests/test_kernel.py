@@ -263,6 +263,24 @@ def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
     assert rate == pytest.approx(expected, abs=1e-13)
 
 
+@pytest.mark.parametrize("delay", [-0.05, 0.123, 0.87])
+@pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
+def test_a_lag_remembers_what_was_held_before_the_first_row(lag: float, delay: float) -> None:
+    """A stretch that begins later goes on as the whole one does, and knows how that depends on lag and delay."""
+    kernel, values = cart(Hold.ZERO_ORDER, lag=lag, delay=delay)
+    whole = cart_segment(KNOTS, FORCES)
+    expected = kernel.run(whole, values, np.array([0.3, -0.2])).predicted[15:]
+    part = Segment(TIME[15:], whole.knots, whole.inputs, whole.measured[15:])
+    begin = expected[0]
+    assert kernel.run(part, values, begin).predicted == pytest.approx(expected, abs=1e-12)
+    if lag:
+        found = kernel.run(part, values, begin, active=(0, 1)).sensitivity
+        for place, size in enumerate((1e-6, 1e-6 * lag)):
+            step = np.where(np.arange(2) == place, size, 0.0)
+            up, down = (kernel.run(part, values + sign * step, begin).predicted for sign in (1.0, -1.0))
+            assert found[:, :, place] == pytest.approx((up - down) / (2.0 * size), abs=1e-5 / lag)
+
+
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
 def test_a_lag_is_the_exact_response_to_ramps(lag: float) -> None:
     """One that begins with the first sample and goes up to the last."""

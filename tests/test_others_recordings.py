@@ -1,0 +1,121 @@
+"""Recordings of a MONOCAB that others made: a noisy gyro, a loop without delay, a speed loop of one lag; from a table.
+
+The drives answer to the gyro's noise before its next row: what is made of that answer has to be told from an effect.
+Sizes are ten times and more what the record would just show. On these seeds nothing was decided; that dry friction and
+the effects of the command were called unknown was seen on another simulator's, which this one resembles.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from others_vehicle import OthersVehicle
+from typer.testing import CliRunner
+
+from diagnosis.foresight import FORESEEN, foresees, foretold_share
+from diagnosis.ready import ready
+from diagnosis.refit import FullFit, full, with_effect
+from diagnosis.workspace import Workspace
+from estimators.identify import nominal_model
+from service.cli import app
+from service.cli.batch import load_recording
+from service.vehicle_file import load
+
+
+def coulomb(time: float, roll: float, roll_rate: float) -> float:
+    return -25.0 * math.tanh(roll_rate / 2e-4)
+
+
+def stribeck(time: float, roll: float, roll_rate: float) -> float:
+    return -(12.0 + 28.0 * math.exp(-((roll_rate / 0.008) ** 2))) * math.tanh(roll_rate / 2e-4)
+
+
+def viscous(time: float, roll: float, roll_rate: float) -> float:
+    return -400.0 * roll_rate
+
+
+def deadband(setpoint: float) -> float:
+    return math.copysign(max(abs(setpoint) - 0.02, 0.0), setpoint)
+
+
+VEHICLES = {
+    "coulomb_friction": ({"torque": coulomb}, {"torque": (25.0, 0.5)}),
+    "stribeck_friction": ({"torque": stribeck}, {}),
+    "viscous_friction": ({"torque": viscous}, {"coefficient": (400.0, 20.0)}),
+    "input_delay": ({"delay": 4}, {"delay": (0.02, 5e-4)}),
+    "input_gain": ({"command": lambda setpoint: 0.85 * setpoint}, {"gain": (-0.15, 2e-3)}),
+    "input_deadband": ({"command": deadband}, {"width": (0.02, 2e-4)}),
+    # Which of two lags in a row comes first, 40 ms or 50 ms, hardly shows.
+    "actuator_lag": ({"further_lag": 0.05}, {"lag": (0.045, 7e-3)}),
+}
+
+
+def diagnosed(path: Path) -> Any:
+    done = CliRunner().invoke(app, ["diagnose", str(path), "--vehicle", "monocab", "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("effect", VEHICLES)
+def test_what_is_missing_is_found(effect: str, tmp_path: Path) -> None:
+    hidden, sizes = VEHICLES[effect]
+    found = diagnosed(OthersVehicle(seed=11, **hidden).write(tmp_path / "theirs.csv"))
+    assert found["verdict"] == "missing_effect", found["reason"]
+    (named,) = found["findings"]
+    assert named["effect"] == effect
+    assert len(named["tied_with"]) <= 1
+    for name, (size, within) in sizes.items():
+        assert named["parameters"][f"{effect}.{name}"]["value"] == pytest.approx(size, abs=within)
+
+
+def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
+    found = diagnosed(OthersVehicle(seed=12).write(tmp_path / "theirs.csv"))
+    assert found["verdict"] == "adequate", found["reason"]
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """With dry friction hidden, of which play's formula can make the noise of a row ahead."""
+    path = OthersVehicle(seed=13, torque=coulomb).write(tmp_path_factory.mktemp("theirs") / "theirs.csv")
+    recording, vehicle = load_recording(path, "monocab"), load("monocab")
+    model = ready(nominal_model("monocab").remove("static_torque"), [recording])
+    return Workspace.of(model, [recording], vehicle.support, ("coulomb_friction", "backlash"))
+
+
+@pytest.fixture(scope="module")
+def base(workspace: Workspace) -> FullFit:
+    return full(ready(nominal_model("monocab").remove("static_torque"), workspace.recordings), workspace)
+
+
+class TestForesight:
+    def fitted(self, base: FullFit, workspace: Workspace, effect: str, begin: Mapping[str, float]) -> FullFit:
+        candidate = next(each for each in workspace.candidates if each.name == effect)
+        end = replace(base.fit.end, values={**base.fit.end.values, **begin})
+        return full(with_effect(base.model, candidate, {}), workspace, candidate, end)
+
+    def test_the_right_effect_foretells_no_noise_and_one_that_reads_ahead_does(
+        self, base: FullFit, workspace: Workspace
+    ) -> None:
+        right = self.fitted(base, workspace, "coulomb_friction", {"coulomb_friction.torque": 10.0})
+        rate = [each.name for each in base.model.outputs].index("roll_rate")
+        assert foretold_share(right.fit, rate)[0] == pytest.approx(0.0, abs=0.02)
+        assert not foresees(right.fit, base.fit)
+        # A row ahead, with a shaft so soft that its twist is all there is.
+        soft = {"backlash.width": 2e-4, "backlash.torque": 1.0, "backlash.load_inertia": 30.0}
+        wrong = self.fitted(base, workspace, "backlash", {**soft, "drive_offset": -0.005})
+        assert wrong.log_likelihood > right.log_likelihood
+        assert foretold_share(wrong.fit, rate)[0] > 2.0 * FORESEEN
+        assert foresees(wrong.fit, base.fit)
+
+    def test_too_few_rows_say_nothing(self, base: FullFit) -> None:
+        segment = base.fit.problem.segments[0]
+        short = replace(segment, time=segment.time[:60], measured=segment.measured[:60])
+        few = replace(base.fit, problem=replace(base.fit.problem, segments=(short,)))
+        assert foretold_share(few, 1) == (0.0, np.inf)
