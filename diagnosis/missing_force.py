@@ -23,6 +23,7 @@ from scipy.stats import chi2
 from diagnosis.floor import Innovations
 from diagnosis.force_probe import Probe, Response, recurrence
 from diagnosis.stationary import stationary
+from estimators.contract import EstimationError
 from estimators.gauss_newton import Block, eliminate
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ STEPS = np.logspace(-6.0, 3.0, 46)
 OWN = 1e-3
 """Share of what a force shows that no forces at other joints show, above which it is told from them: derivatives agree
 to less."""
+FADING = 1e-6
+"""Share of the variance of a state's error by which it is moved a row where it would not fade and nothing moves it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +193,8 @@ def _smoothed(
     transition = np.block([[floor.predictor, response.drive * size], [np.zeros((joints, states)), np.eye(joints)]])
     output = floor.whitener @ np.hstack((floor.output, response.direct * size))
     driven = np.diag(np.concatenate((np.zeros(states), np.ones(joints))))
-    covariance = solve_discrete_are(transition.T, output.T, driven, np.eye(len(output)))
+    spread = np.concatenate((np.diag(floor.state_covariance), np.zeros(joints)))
+    covariance = _settled(transition, output, driven, spread)
     surprise = output @ covariance @ output.T + np.eye(len(output))
     gain = np.asarray(transition @ covariance @ output.T @ np.linalg.inv(surprise))
     closed = transition - gain @ output
@@ -213,6 +217,27 @@ def _smoothed(
         smooth = state + recurrence(closed.T, surprises[::-1])[::-1] @ covariance
         forces.append(smooth[:, states:] * size + first)
     return forces, np.sqrt(np.maximum(np.diag(left)[states:], 0.0)) * size
+
+
+def _settled(transition: Array, output: Array, driven: Array, spread: Array) -> Array:
+    """The covariance of the state that is filtered for ever, the noise of `output` one.
+
+    There is none where something of a predictor's state does not fade and nothing moves it, as what a filter holds of a
+    record that has none. It is moved by FADING of what it is known to, `spread`, a row then. Raises EstimationError
+    where that does not help.
+    """
+    noise = np.eye(len(output))
+    try:
+        return np.asarray(solve_discrete_are(transition.T, output.T, driven, noise))
+    except np.linalg.LinAlgError:
+        pass
+    try:
+        return np.asarray(solve_discrete_are(transition.T, output.T, driven + FADING * np.diag(spread), noise))
+    except np.linalg.LinAlgError as error:
+        what = f"what its equations lack cannot be told with this predictor ({error})"
+        raise EstimationError(
+            "missing force", what, remedy="check the noises and filters that the model states."
+        ) from error
 
 
 def _with_first(found: Innovations, response: Response) -> list[Block]:

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 import virtual_records
 from axis_plant import MASS
+from scipy.linalg import solve_discrete_are
 
 from diagnosis.floor import Innovations, with_nuisances
 from diagnosis.force_bins import Binned, binned_forces, mean_forces
 from diagnosis.force_probe import Probe, probe, recurrence
-from diagnosis.missing_force import MissingForce, missing_force
+from diagnosis.missing_force import FADING, MissingForce, _settled, missing_force
+from estimators.contract import EstimationError
 from estimators.problem import problem
 from models.model import Model
 from telemetry.recording import Recording
@@ -29,6 +31,35 @@ def force_of(missing: Callable[[float, float, float], float]) -> MissingForce:
     found, probed = seen(axis_plant.model(), axis_plant.record(missing))
     (force,) = missing_force(found, probed)
     return force
+
+
+class TestSettled:
+    OUTPUT = np.array([[1.0, 0.0, 1.0]])
+    DRIVEN = np.diag([0.0, 0.0, 1.0])
+
+    def test_what_fades_has_the_covariance_of_a_filter_that_ran_for_long(self) -> None:
+        transition = np.array([[0.9, 0.1, 0.2], [0.0, 0.8, 0.0], [0.0, 0.0, 1.0]])
+        covariance = np.eye(3)
+        for _ in range(2000):
+            gain = covariance @ self.OUTPUT.T / (self.OUTPUT @ covariance @ self.OUTPUT.T + 1.0)
+            covariance = transition @ (covariance - gain @ self.OUTPUT @ covariance) @ transition.T + self.DRIVEN
+        assert _settled(transition, self.OUTPUT, self.DRIVEN, np.ones(3)) == pytest.approx(covariance, abs=1e-9)
+
+    def test_a_state_that_does_not_fade_is_moved_a_little(self) -> None:
+        """What a filter holds of a recording that has none: without that SciPy finds no solution."""
+        still = np.array([[0.9, 0.0, 0.2], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        output = np.array([[1.0, 0.0, 1.0], [0.0, 1e-3, 0.0]])
+        with pytest.raises(np.linalg.LinAlgError):
+            solve_discrete_are(still.T, output.T, self.DRIVEN, np.eye(2))
+        found = _settled(still, output, self.DRIVEN, np.ones(3))
+        # P = Q / 2 + sqrt(Q^2 / 4 + Q R) of a walk with a variance Q a row in a noise R.
+        assert found[1, 1] == pytest.approx(0.5 * FADING + (0.25 * FADING**2 + FADING * 1e6) ** 0.5)
+        assert found[0, 1] == pytest.approx(0.0, abs=1e-9)
+
+    def test_one_that_grows_unseen_is_said(self) -> None:
+        growing = np.array([[0.9, 0.0, 0.2], [0.0, 1.1, 0.0], [0.0, 0.0, 1.0]])
+        with pytest.raises(EstimationError, match="cannot be told with this predictor"):
+            _settled(growing, self.OUTPUT, self.DRIVEN, np.ones(3))
 
 
 def test_the_recurrence_is_that_of_a_loop() -> None:
