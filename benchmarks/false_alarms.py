@@ -4,7 +4,8 @@ Clean recordings of virtual vehicles, each with other sensor noise and, of the M
 that says of itself, are screened for the whole catalogue. The smallest p-value of a recording knows that all effects
 were looked at: where nothing is missing it is uniform, below 0.01 once in a hundred recordings. Told is how often it is
 below some levels, with the 95 % interval (Wilson). With `--named` each is diagnosed as a whole, and told is how many
-get a name: what the screen lets through has to hold on held-out data as well. That takes ten times as long.
+get a name, and how many are refused as telling nothing: what the screen lets through has to hold on held-out data as
+well. That takes ten times as long.
 """
 
 from __future__ import annotations
@@ -59,10 +60,22 @@ def smallest(name: str, experiment: str, seed: int) -> tuple[float, str]:
 
 
 def named(name: str, experiment: str, seed: int) -> str:
-    """What the diagnosis of one clean recording says is missing; empty where it is adequate."""
+    """What the diagnosis of one clean recording says is missing, or its verdict; empty where it is adequate."""
     found = diagnose(bare(name), [clean(name, experiment, seed)], support=load(name).support)
     names = " and ".join(each.effect for each in found.findings)
     return "" if found.verdict is Verdict.ADEQUATE else names or found.verdict.value
+
+
+def told(experiment: str, found: dict[int, str]) -> None:
+    """Prints how many of the recordings (by seed) have a name, are unknown, or were refused as telling nothing."""
+    refused = sum(names == Verdict.INSUFFICIENT_DATA for names in found.values())
+    wrong = {seed: names for seed, names in found.items() if names and names != Verdict.INSUFFICIENT_DATA}
+    line = f"{experiment}: {len(found)} recordings, refused {refused}"
+    if refused < len(found):
+        line += f", of the others not adequate {share(len(wrong), len(found) - refused)}"
+    print(line, flush=True)
+    for seed, names in wrong.items():
+        print(f"  seed {seed}: {names}")
 
 
 def share(count: int, of: int) -> str:
@@ -84,11 +97,8 @@ def main() -> None:
     for experiment in arguments.experiment or [EXPERIMENTS[arguments.vehicle]]:
         with ProcessPoolExecutor(arguments.processes) as pool:
             if arguments.named:
-                told = dict(zip(seeds, pool.map(partial(named, arguments.vehicle, experiment), seeds), strict=True))
-                wrong = {seed: names for seed, names in told.items() if names}
-                print(f"{experiment}: {len(told)} recordings, not adequate {share(len(wrong), len(told))}", flush=True)
-                for seed, names in wrong.items():
-                    print(f"  seed {seed}: {names}")
+                names = pool.map(partial(named, arguments.vehicle, experiment), seeds)
+                told(experiment, dict(zip(seeds, names, strict=True)))
                 continue
             found = list(pool.map(partial(smallest, arguments.vehicle, experiment), seeds))
         print(f"{experiment}: {len(found)} recordings")

@@ -1,0 +1,267 @@
+"""Recordings that others made: is what their MONOCAB has, and our model lacks, called by its name?
+
+`python benchmarks/others_recordings.py --noise 5` simulates a vehicle that is not our virtual one, writes a table for
+each effect, and asks `upright diagnose TABLE --vehicle monocab`. Sizes are those of a workshop, many times what the
+record would just show. Roll is an encoder's with white noise, the gyro as noisy as cheap ones are, the controller a
+plain PD whose setpoint acts at once, the gimbals one first-order lag: so the drives answer to a row's noise before the
+next row. Written apart from `simulation` and `models`; steps of a tenth of a millisecond, by the midpoint rule.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+Array = NDArray[np.float64]
+
+STEP = 1e-4
+INERTIA, STIFFNESS, MOMENTUM, LAG = 1560.0, 13400.0, 3300.0, 0.04
+FREQUENCIES = np.array([0.13, 0.31, 0.53, 0.89, 1.31, 1.9, 2.7, 3.9])
+ROLL_NOISE, RATE_NOISE, GIMBAL_NOISE = 2e-5, 3e-4, 1e-4
+"""rad, rad/s and rad/s a sample, times `noise`."""
+CHANNELS = (
+    "time",
+    "roll",
+    "roll_rate",
+    "precession",
+    "precession_rate",
+    "precession_rate_setpoint",
+    "trim_position",
+    "trim_rate",
+    "trim_rate_setpoint",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What an effect may depend on: s, rad, rad/s, and its own states."""
+
+    time: float
+    roll: float
+    roll_rate: float
+    precession: float
+    precession_rate: float
+    own: Sequence[float]
+
+
+Torque = Callable[[Moment], float]
+
+
+@dataclass
+class OthersVehicle:
+    """`torque` (N m) is what a model lacks, with `own` states that begin at zero and have `slopes`. `command` is what
+    the drives make of a setpoint, `delay` in rows and `further_lag` in s are what it meets besides. `sensed` is what is
+    shown of roll and its rate, `late` rows later."""
+
+    torque: Torque = lambda now: 0.0
+    slopes: Callable[[Moment], tuple[float, ...]] = lambda now: ()
+    own: int = 0
+    command: Callable[[float], float] = float
+    delay: int = 0
+    further_lag: float = 0.0
+    sensed: Callable[[float, float], tuple[float, float]] = lambda roll, roll_rate: (roll, roll_rate)
+    late: int = 0
+    rate: int = 200
+    noise: float = 5.0
+    sweep: bool = False
+    seed: int = 0
+    state: list[float] = field(init=False)
+    """Roll, its rate, precession, its rate, the setpoint behind the further lag, and `own` ones."""
+
+    def __post_init__(self) -> None:
+        self.state = [0.002, 0.0, 0.0, 0.0, 0.0, *[0.0] * self.own]
+
+    def write(self, path: Path, seconds: float = 40.0) -> Path:
+        """A table of the channels that the manual asks for."""
+        random = np.random.default_rng(self.seed)
+        phases = random.uniform(0.0, 2.0 * np.pi, FREQUENCIES.size)
+        rows: list[list[float]] = []
+        shown: list[tuple[float, float]] = []
+        for row in range(round(seconds * self.rate)):
+            time = row / self.rate
+            roll, roll_rate = self.sensed(self.state[0], self.state[1])
+            shown.append((
+                roll + self.noise * ROLL_NOISE * random.standard_normal(),
+                roll_rate + self.noise * RATE_NOISE * random.standard_normal(),
+            ))  # fmt: skip
+            roll, roll_rate = shown[max(0, row - self.late)]
+            gimbal_rate = self.state[3] + self.noise * GIMBAL_NOISE * random.standard_normal()
+            lean = 0.012 * self.state[2]
+            excitation = self._excitation(time, seconds, phases)
+            setpoint = float(np.clip(-18.0 * (roll + lean) - 5.2 * roll_rate + excitation, -1.0, 1.0))
+            rows.append([time, roll, roll_rate, self.state[2], gimbal_rate, setpoint, 0.0, 0.0, 0.0])
+            self._advance(time, self.command(rows[max(0, row - self.delay)][5]))
+        np.savetxt(path, np.array(rows), delimiter=",", header=",".join(CHANNELS), comments="", fmt="%.8g")
+        return path
+
+    def _excitation(self, time: float, seconds: float, phases: Array) -> float:
+        if self.sweep:  # 0.1 to 2.5 Hz
+            return 0.15 * math.sin(2.0 * math.pi * (0.1 + 1.2 * time / seconds) * time)
+        return 0.06 * float(np.sum(np.sin(2.0 * np.pi * FREQUENCIES * time + phases)))
+
+    def _advance(self, time: float, setpoint: float) -> None:
+        for step in range(round(1.0 / self.rate / STEP)):
+            now = time + step * STEP
+            half = self._moved(0.5 * STEP, self._slopes(now, setpoint, self.state))
+            self.state = self._moved(STEP, self._slopes(now + 0.5 * STEP, setpoint, half))
+
+    def _moved(self, by: float, slopes: Sequence[float]) -> list[float]:
+        return [value + by * slope for value, slope in zip(self.state, slopes, strict=True)]
+
+    def _slopes(self, time: float, setpoint: float, state: Sequence[float]) -> list[float]:
+        roll, roll_rate, precession, precession_rate, late, *own = state
+        now = Moment(time, roll, roll_rate, precession, precession_rate, own)
+        torque = STIFFNESS * math.sin(roll) + MOMENTUM * precession_rate + self.torque(now)
+        acting = late if self.further_lag else setpoint
+        return [
+            roll_rate,
+            torque / INERTIA,
+            precession_rate,
+            (acting - precession_rate) / LAG,
+            (setpoint - late) / self.further_lag if self.further_lag else 0.0,
+            *self.slopes(now),
+        ]
+
+
+def sign(rate: float) -> float:
+    """Sharper than any model draws it."""
+    return math.tanh(rate / 2e-4)
+
+
+def deadband(setpoint: float) -> float:
+    return math.copysign(max(abs(setpoint) - 0.02, 0.0), setpoint)
+
+
+def yields(now: Moment) -> tuple[float, ...]:
+    """Of a loop whose corners are rounder than those of the catalogue: Bouc and Wen with an exponent of 1."""
+    z = now.own[0]
+    return ((now.roll_rate - 0.5 * (abs(now.roll_rate) * z + now.roll_rate * abs(z))) / 2e-3,)
+
+
+SPRUNG_INERTIA, SPRUNG, DAMPING = 0.1 * INERTIA, (2.0 * math.pi * 5.0) ** 2, 2.0 * 0.03 * 2.0 * math.pi * 5.0
+
+
+def spring(now: Moment) -> float:
+    return SPRUNG * (now.own[0] - now.roll) + DAMPING * (now.own[1] - now.roll_rate)
+
+
+EFFECTS: dict[str, dict[str, Any]] = {
+    "static_torque": {"torque": lambda now: 40.0},
+    "viscous_friction": {"torque": lambda now: -400.0 * now.roll_rate},
+    "coulomb_friction": {"torque": lambda now: -25.0 * sign(now.roll_rate)},
+    "stribeck_friction": {
+        "torque": lambda now: -(12.0 + 28.0 * math.exp(-((now.roll_rate / 0.008) ** 2))) * sign(now.roll_rate)
+    },
+    "asymmetric_friction": {
+        "torque": lambda now: -(35.0 if now.roll_rate > 0.0 else 10.0) * sign(now.roll_rate),
+    },
+    "quadratic_drag": {"torque": lambda now: -12e3 * now.roll_rate * abs(now.roll_rate)},
+    "cubic_stiffness": {"torque": lambda now: -3e6 * now.roll**3},
+    "end_stop": {"torque": lambda now: -2e4 * math.copysign(max(abs(now.roll) - 8e-3, 0.0), now.roll)},
+    "hysteresis": {"torque": lambda now: -40.0 * now.own[0], "slopes": yields, "own": 1},
+    "load_dependent_friction": {
+        "torque": lambda now: -0.03 * abs(MOMENTUM * now.precession_rate) * sign(now.roll_rate)
+    },
+    "periodic_disturbance": {"torque": lambda now: 25.0 * math.sin(2.0 * math.pi * 1.7 * now.time + 0.4)},
+    "position_cogging": {"torque": lambda now: 30.0 * math.sin(2.0 * math.pi * now.roll / 4e-3)},
+    "torque_step": {"torque": lambda now: 60.0 if now.time > 20.0 else 0.0},
+    "torque_drift": {"torque": lambda now: 80.0 * (1.0 - math.exp(-now.time / 15.0))},
+    "gimbal_imbalance": {"torque": lambda now: 60.0 * math.sin(now.precession)},
+    "gimbal_angle_coupling": {"torque": lambda now: MOMENTUM * now.precession_rate * (math.cos(now.precession) - 1.0)},
+    "flexible_mode": {
+        "torque": lambda now: SPRUNG_INERTIA * spring(now),
+        "slopes": lambda now: (now.own[1], -spring(now)),
+        "own": 2,
+    },
+    "sensor_offset": {"sensed": lambda roll, roll_rate: (roll + 0.01, roll_rate)},
+    "sensor_scale": {"sensed": lambda roll, roll_rate: (roll, 1.1 * roll_rate)},
+    "sensor_delay": {"late": 6},
+    "input_delay": {"delay": 4},
+    "input_gain": {"command": lambda setpoint: 0.85 * setpoint},
+    "input_deadband": {"command": deadband},
+    "input_asymmetry": {"command": lambda setpoint: setpoint + 0.1 * abs(setpoint)},
+    "actuator_lag": {"further_lag": 0.05},
+}
+UNLISTED: dict[str, dict[str, Any]] = {
+    "cubic drag": {"torque": lambda now: -4e5 * now.roll_rate**3},
+    "drag with the root of the rate": {
+        "torque": lambda now: -math.copysign(120.0 * math.sqrt(abs(now.roll_rate)), now.roll_rate)
+    },
+    "a stiffness that swings": {"torque": lambda now: 2500.0 * math.sin(2.0 * math.pi * 0.9 * now.time) * now.roll},
+}
+CLEAN = "nothing"
+
+
+def asked(path: Path) -> dict[str, Any]:
+    """What `upright diagnose` says of a table."""
+    command = [str(Path(sys.executable).with_name("upright")), "diagnose", str(path), "--vehicle", "monocab", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        return dict(json.loads(done.stdout))
+    except ValueError:
+        return {"verdict": "error", "findings": [], "reason": done.stderr[-300:]}
+
+
+def right(hidden: str, found: dict[str, Any]) -> bool:
+    """Whether what is hidden is named first, alone or tied with one; or is unknown; or nothing is."""
+    if hidden == CLEAN:
+        return bool(found["verdict"] == "adequate")
+    if hidden in UNLISTED:
+        return bool(found["verdict"] == "unknown")
+    first = found["findings"][0] if found["findings"] else {"effect": "", "tied_with": []}
+    return hidden in (first["effect"], *first["tied_with"]) and len(first["tied_with"]) <= 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--noise", type=float, default=5.0, help="times 1e-3 deg of roll and 0.017 deg/s of its rate")
+    parser.add_argument("--rate", type=int, default=200, help="rows a second")
+    parser.add_argument("--sweep", action="store_true", help="a sine sweep; eight sines at once otherwise")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--effect", action="append", help="may be given several times; all of them otherwise")
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    everything = {CLEAN: {}, **EFFECTS, **UNLISTED}
+    names = arguments.effect or list(everything)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.processes) as pool:
+
+        def tried(number: int) -> dict[str, Any]:
+            vehicle = OthersVehicle(
+                rate=arguments.rate,
+                noise=arguments.noise,
+                sweep=arguments.sweep,
+                seed=arguments.seed + number,
+                **everything[names[number]],
+            )
+            return asked(vehicle.write(Path(folder) / f"{number}.csv"))
+
+        results = {}
+        for name, found in zip(names, pool.map(tried, range(len(names))), strict=True):
+            results[name] = right(name, found)
+            told = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
+            print(f"{'right' if results[name] else 'WRONG':6}{name:32}{found['verdict']:16}{told}", flush=True)
+    for title, group in (("in the catalogue", EFFECTS), ("outside it", UNLISTED), ("clean", {CLEAN: {}})):
+        given = [results[name] for name in results if name in group]
+        if given:
+            interval = binomtest(sum(given), len(given)).proportion_ci(0.95, method="wilson")
+            share = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
+            print(f"{title}: right in {sum(given)} of {len(given)} ({share})")
+
+
+if __name__ == "__main__":
+    main()
