@@ -68,6 +68,8 @@ _LEVEL_NOISE = 2e-4
 1.1e-4 (IG1). Without it the mean of the tilt is believed better than it is known, and has to be a torque."""
 _SMOOTHING = 1.0
 """s, of its accelerometer's low pass."""
+_FADING = 0.5
+"""1/s, of the error of a tilt that no such filter made: one that stayed could not be told from a torque."""
 
 _DEFINITIONS = {
     "reflected_inertia": "gear_ratio ** 2 * rotor_inertia",
@@ -193,7 +195,8 @@ TWSBR = Model(
         State(
             "tilt_error",
             "rad",
-            "rate_error - filter_proportional * (tilt_error - level)",
+            "filtered * rate_error - filter_proportional * (tilt_error - level)"
+            f" - {_FADING} * (1 - filtered) * tilt_error",
             initial_std=5e-3,
             process_noise=1e-4,
             noise_known=True,
