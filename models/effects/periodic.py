@@ -48,7 +48,7 @@ POSITION_COGGING = Effect(
             value="coordinate_scale / 4",
             scale="coordinate_scale / 200",
             lower="coordinate_scale / 1000",
-            upper="10 * coordinate_scale",
+            upper="coordinate_scale",
             starts=(
                 "coordinate_scale / 10",
                 "coordinate_scale / 7",
