@@ -208,8 +208,8 @@ class Kernel:
         delays, constants = int(structure[4]), int(structure[5])
         width = -(-columns // machine_code.LANES) * machine_code.LANES
         space = constants + states * (states + 2 * inputs + outputs + 4) + outputs * (states + 2 * inputs + 1)
-        space += inputs * 13
-        space += width * (4 * states + 2 * inputs + outputs * (2 + states) + 4)
+        space += inputs * 14
+        space += width * (4 * states + 3 * inputs + outputs * (2 + states) + 4)
         work, places = _aligned(space), np.empty(parameters + 3 * delays + inputs, dtype=np.int64)
         used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, asked, gain, by_gain)
         before = (

@@ -138,15 +138,35 @@ def _hold(i, h, tau, held, own, na, width, memory, memory_S):
 
 
 @njit(**INLINE)
-def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, stretch, mean_S):
+def _tilt(x):
+    """By how much a lag's answer rises over h = x tau for each unit it begins above its input, and the slope of that.
+
+    Of the straight line that has the answer's mean and its first moment: 12 (1 - e) / x^2 - 6 (1 + e) / x, e = exp(-x).
+    """
+    if x < 0.01:
+        return x * (-1.0 + x * (0.5 - 0.15 * x)), -1.0 + x * (1.0 - 0.45 * x)
+    e = math.exp(-x)
+    return (
+        (12.0 * (1.0 - e) / x - 6.0 * (1.0 + e)) / x,
+        (12.0 * e - 24.0 * (1.0 - e) / x + 6.0 * e * x + 6.0 * (1.0 + e)) / (x * x),
+    )
+
+
+@njit(**INLINE)
+def _lagged(
+    i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, stretch, mean_S, tilt, tilt_S
+):
     """The mean over h of what a lag does to a straight line from `start` to `end`; moves the lag's memory on.
 
-    The line's ends have derivatives `begin_S` and `end_S`, h has `stretch` where `moved`, and column `own` is tau's.
+    tilt[i] becomes by how much that rises over h: the lag's answer is taken for a straight line. The line's ends have
+    derivatives `begin_S` and `end_S`, h has `stretch` where `moved`, and column `own` is tau's.
     """
-    gone, over = 1.0, 0.0
+    gone, over, rise, rise_slope = 1.0, 0.0, 0.0, 0.0
     if tau > 0.0:
         gone = -math.expm1(-h / tau)
         over = (1.0 - gone) / tau
+        rise, rise_slope = _tilt(h / tau)
+        rise_slope /= tau
     decay = 1.0 - gone
     share = tau / h * gone
     chord = (end - start) / h
@@ -157,12 +177,17 @@ def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begi
         gap_c = memory_S[i * width + c] - begin_S[c] + chord_c * tau
         mean_c = gap_c * share - chord_c * tau + gap * (decay - share) / h * longer
         end_c = end_S[c] - chord_c * tau + gap_c * decay - gap * over * longer
+        tilt_c = gap_c * rise + gap * rise_slope * longer
         if c == own:
             mean_c += chord * share - chord + gap * (gone / h - over)
             end_c += chord * decay - chord + (gap * over * h / tau if tau > 0.0 else 0.0)
+            # At no lag the answer rises by minus six lags of the gap over h.
+            tilt_c += chord * rise - gap * (rise_slope * h / tau if tau > 0.0 else 6.0 / h)
         mean_S[i * width + c] = mean_c
         memory_S[i * width + c] = end_c
+        tilt_S[i * width + c] = tilt_c
     memory[i] = end - chord * tau + gap * decay
+    tilt[i] = gap * rise
     return gap * share - chord * tau
 
 
@@ -226,7 +251,8 @@ def run(
     stage_S = _at(total_S, NX * width)
     memory_S = _at(stage_S, NX * width)
     mean_S = _at(memory_S, NU * width)
-    later = _at(mean_S, NU * width)
+    tilt_S = _at(mean_S, NU * width)
+    later = _at(tilt_S, NU * width)
     stretch = _at(later, width)
     begin_S = _at(stretch, width)
     end_S = _at(begin_S, width)
@@ -247,7 +273,8 @@ def run(
     slope = _at(held, NU)
     shift = _at(slope, 2 * NU)
     curve = _at(shift, NU)
-    share = _at(curve, 7 * NU)
+    tilt = _at(curve, 7 * NU)
+    share = _at(tilt, NU)
 
     _prepare(prepare, p, constants)
     for i in range(NP):
@@ -431,10 +458,8 @@ def run(
                         own = column[lag[i]]
                         shift[i] = _lagged(
                             i, h, p[lag[i]], head, tail, moving, own,
-                            na, width, memory, memory_S, begin_S, end_S, stretch, mean_S,
+                            na, width, memory, memory_S, begin_S, end_S, stretch, mean_S, tilt, tilt_S,
                         )  # fmt: skip
-                        if not drawn[i]:
-                            value[i] += shift[i]
                 for i in range(NX):
                     stage[i] = x[i]
                     total[i] = 0.0
@@ -443,9 +468,11 @@ def run(
                     t = start + node * h
                     if r != 2:
                         for i in range(NU):
+                            value[i] = held[i]
                             if drawn[i]:
                                 value[i] = _curve(i, t - delay[i], r == 3, samples, NU, knots, u, pointer, curve, slope)
-                                value[i] += shift[i]
+                            if lagged[i]:
+                                value[i] += shift[i] + (node - 0.5) * tilt[i]
                     if patched:
                         for i in range(NX * width):
                             B[i] = 0.0
@@ -460,7 +487,8 @@ def run(
                                 for j in range(NU):
                                     if lagged[j]:
                                         for c in range(na):
-                                            B[i * width + c] += G[2 * NU * i + j] * mean_S[j * width + c]
+                                            moved_by = mean_S[j * width + c] + (node - 0.5) * tilt_S[j * width + c]
+                                            B[i * width + c] += G[2 * NU * i + j] * moved_by
                         if moving:  # the instant of this stage moves, and with it what changes steadily
                             for i in range(NX):
                                 drift = T[i]

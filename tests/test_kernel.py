@@ -263,6 +263,17 @@ def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
     assert rate == pytest.approx(expected, abs=1e-13)
 
 
+@pytest.mark.parametrize("lag", [0.004, 0.25, 3.0])
+def test_a_lag_moves_the_position_as_its_exact_response_does(lag: float) -> None:
+    """Within a step it is the straight line of the same mean and the same first moment."""
+    kernel, values = cart(Hold.ZERO_ORDER, lag=lag)
+    position = kernel.run(cart_segment(KNOTS, FORCES), values, np.zeros(2)).predicted[:, 0]
+    since = np.maximum(TIME[:, None] - KNOTS[1:], 0.0)
+    through = 0.5 * since**2 - lag * since + lag**2 * (1.0 - np.exp(-since / lag))
+    expected = 0.5 * FORCES[0] * TIME**2 + through @ np.diff(FORCES)
+    assert position == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("delay", [-0.05, 0.123, 0.87])
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
 def test_a_lag_remembers_what_was_held_before_the_first_row(lag: float, delay: float) -> None:

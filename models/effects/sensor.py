@@ -56,7 +56,7 @@ def _shift(name: str, meaning: str) -> tuple[EffectParameter, ...]:
             amplitude=True,
             scale="0.005",
             lower="0",
-            upper="0.05",
+            upper="0.1",
             starts=("0.005", "0.015", "0.03"),
         ),
     )
