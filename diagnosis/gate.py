@@ -34,8 +34,36 @@ LINE = 0.05
 """Hz, half width of a line; wider where the record is short."""
 
 
+BEYOND = 3.0
+"""Times the angle of its supports that no vehicle can be at: they carry it, whatever it weighs."""
+
+
+def _in_radians(model: Model, recordings: Sequence[Recording], support: float | None) -> None:
+    """Raises DataError where the angle that the supports bound is far beyond them."""
+    name = model.joints[0].coordinate if model.joints else ""
+    for recording in recordings:
+        if support is None or name not in recording.values:
+            continue
+        largest = float(np.nanmax(np.abs(recording[name]), initial=0.0))
+        if largest > BEYOND * support:
+            raise DataError(
+                Status.BAD_DATA,
+                f"channel {name}",
+                f"goes up to {largest:.2g}, and its supports carry the vehicle at {support:.2g} rad",
+                remedy="convert degrees to rad, or correct the angle of the supports in the vehicle file.",
+            )
+
+
 def check(model: Model, recordings: Sequence[Recording], support: float | None = None) -> None:
     """Raises DataError where `recordings` cannot tell what `model` lacks."""
+    try:
+        _check(model, recordings, support)
+    except DataError:
+        _in_radians(model, recordings, support)  # a better reason, where it is one
+        raise
+
+
+def _check(model: Model, recordings: Sequence[Recording], support: float | None) -> None:
     rows = segments(model, recordings, support=support)
     span = sum(segment.duration for segment in rows)
     if span < SHORTEST:

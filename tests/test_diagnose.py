@@ -147,6 +147,12 @@ class TestDataThatCannotTell:
     def test_degrees_for_radians(self) -> None:
         assert "degrees" in self.insufficient(changed(multisine(), roll_rate=np.degrees(multisine()["roll_rate"])))
 
+    def test_degrees_for_radians_that_lie_beyond_the_supports(self) -> None:
+        """So quiet a run that its degrees could be rad: it looks like a vehicle that hardly left its supports."""
+        whole = multisine().between(10.0)
+        angle, rate = (0.2 * np.degrees(whole[name]) for name in ("roll", "roll_rate"))
+        assert "convert degrees to rad" in self.insufficient(changed(whole, roll=angle, roll_rate=rate))
+
     def test_two_channels_swapped(self) -> None:
         whole = multisine()
         swapped = changed(whole, roll_rate=whole["precession_rate"], precession_rate=whole["roll_rate"])
