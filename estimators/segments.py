@@ -3,7 +3,8 @@
 A row is used where every input and the outputs are known and, where the model has a support angle to keep clear of, the
 vehicle is free. Inputs keep the instants at which they were sampled; outputs of a device that is sampled at other
 instants than the row (`age`) are read from the curve through them. An input that acts late acts on the first row by
-what it was before: where a recording begins with a stretch, its first row tells that and no more.
+what it was before: where a recording begins with a stretch, its first row tells that and no more, and half a second
+where the input goes through a lag.
 
 What makes a fit look good and be wrong is refused here, with the channel and the reason: a channel that is missing, one
 that never moves, that is clipped, and an angle and a rate that do not belong together (degrees for radians, a swapped
