@@ -39,11 +39,11 @@ SURE = 4.0
 def foresees(fitted: Fit, base: Fit) -> bool:
     """Whether `fitted` makes more of a row's noise than `base`, in any output whose noise is measured.
 
-    Commands do not follow the noise before they are given, so that only measured inputs count. Where even `base`
-    foretells something of the fourth differences, these are motion, and nothing can be said.
+    Commands do not follow the noise before they are given, so that only measured inputs whose instants are estimated
+    count. Where even `base` foretells something of the fourth differences, these are motion, and nothing can be said.
     """
     model = fitted.problem.model
-    if not any(each.hold is Hold.CUBIC for each in model.inputs):
+    if not any(each.hold is Hold.CUBIC and each.delays for each in model.inputs):
         return False
     measured = [place for place, each in enumerate(model.outputs) if not (each.noise_known or each.counted)]
     return any(_surely(fitted, place) and not _surely(base, place) for place in measured)

@@ -3,7 +3,7 @@
 A model may say that a sensor's noise is known, and that a filter made one reading of another: then the angle is the
 integrated rate to a millionth. Where the record's angle has white noise of its own, many times that, it was measured
 otherwise: its noise is then estimated as that of any other sensor, is not the integral of another one's, and no filter
-takes errors of the rate into the angle. What such a recording does not say of a filter (`usual` of an input) is 0.
+takes errors of the rate into the angle.
 """
 
 from __future__ import annotations
@@ -39,8 +39,6 @@ def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
     return replace(
         model,
         base_states=states,
-        # How well a filter knew the angle: none made it.
-        inputs=tuple(each if each.usual is None or not apart else replace(each, usual=0.0) for each in model.inputs),
         outputs=outputs,
         sensors=tuple(replace(each, filter=None) if each.name in apart else each for each in model.sensors),
         # What an effect has for the filter goes with it.

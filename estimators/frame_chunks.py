@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Status
-from estimators.segments import LONGEST_GAP, REACH, SHORTEST, SUPPORT_MARGIN, DataError, reading
+from estimators.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError, reading
 from models.model import Model
 from models.segment import Segment
 from telemetry.channels import NOTHING_RUNS, ChannelTable
@@ -33,6 +33,8 @@ OLDEST = 0.1
 """s up to which an older sample of another device tells of now."""
 EARLIER_NS = 1_000_000_000
 """ns by which a cycle that is no late one but another recording's is earlier than the one before."""
+HISTORY = 0.1
+"""s before a stretch of which it keeps the inputs: no lag of a command is estimated while the vehicle runs."""
 FARTHEST = 0.1
 """s by which a delay without bounds can move an input."""
 
@@ -204,7 +206,7 @@ class FrameChunks:
 
     def _latest(self, time: float) -> tuple[list[float], list[tuple[float, ...]]]:
         """The rows whose inputs may still act at `time`, s, and when they were."""
-        begin = bisect_right(self._times, time - REACH) if self._late else len(self._times)
+        begin = bisect_right(self._times, time - HISTORY) if self._late else len(self._times)
         return self._times[begin:], self._rows[begin:]
 
     def _with_usual(self, row: tuple[float, ...]) -> tuple[float, ...]:

@@ -3,8 +3,7 @@
 A row is used where every input and the outputs are known and, where the model has a support angle to keep clear of, the
 vehicle is free. Inputs keep the instants at which they were sampled; outputs of a device that is sampled at other
 instants than the row (`age`) are read from the curve through them. An input that acts late acts on the first row by
-what it was before: where a recording begins with a stretch, its first row tells that and no more, and half a second
-where the input goes through a lag.
+what it was before: where a recording begins with a stretch, its first row tells that and no more.
 
 What makes a fit look good and be wrong is refused here, with the channel and the reason: a channel that is missing, one
 that never moves, that is clipped, and an angle and a rate that do not belong together (degrees for radians, a swapped
@@ -39,8 +38,6 @@ RESTING = 0.8
 """Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
 REACH = 1.0
 """s before a stretch of which it keeps the inputs: a lag of 0.2 s forgets all but a hundredth in that."""
-FORGOTTEN = 0.5
-"""s of its input after which a lag no longer tells what it began with: ten times one of 50 ms."""
 FORETOLD = 0.2
 """s before a fall, within which what made the vehicle fall may have been at work: left out, too."""
 LONGEST_GAP = 2.5
@@ -299,11 +296,10 @@ def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | N
 
 
 def _late(model: Model, recording: Recording) -> NDArray[np.bool_] | None:
-    """The rows (n,) at which all inputs are known that the model uses; None where all of them act at once."""
+    """The rows (n,) at which all inputs are known that the model uses; None where none of them may act late."""
     used = channels_of(model)
     inputs = [each for each in model.inputs if each.channel in used and each.channel in recording.values]
-    shifting = any(each.effect.delay or each.effect.lag for each in model.effects)
-    if not (shifting or any(each.delays or each.lag for each in inputs)):
+    if not any(each.delays for each in inputs):
         return None
     channels = {each.channel for each in inputs} | {each.age for each in inputs if each.age in recording.values}
     return np.asarray(np.all([np.isfinite(recording[channel]) for channel in channels], axis=0))
@@ -320,16 +316,6 @@ def _before(recording: Recording, part: slice, known: NDArray[np.bool_]) -> int:
     return row
 
 
-def _told_from(model: Model, time: Array, acting: slice) -> int:
-    """The row from which on what acts is told by the inputs of the rows `acting`: the second, or where a lag has
-    forgotten what it was at the first, as long as enough rows are left."""
-    second = int(acting.start) + 1
-    if not any(each.lag for each in model.inputs) and not any(each.effect.lag for each in model.effects):
-        return second
-    forgotten = int(np.searchsorted(time, time[acting.start] + FORGOTTEN))
-    return max(second, min(forgotten, int(acting.stop) - SHORTEST))
-
-
 def _segment(model: Model, recording: Recording, part: slice, late: NDArray[np.bool_] | None) -> Segment:
     """`late`: see `_late`."""
     time = recording.time
@@ -338,7 +324,7 @@ def _segment(model: Model, recording: Recording, part: slice, late: NDArray[np.b
     acting = part
     if late is not None:
         acting = slice(_before(recording, part, late), part.stop)
-        part = slice(max(part.start, _told_from(model, time, acting)), part.stop)
+        part = slice(max(part.start, acting.start + 1), part.stop)
 
     inputs = [_input(recording, each) if each.channel in used else zeros for each in model.inputs]
     knots = [_sampled(recording, each.age if each.channel in used else "") for each in model.inputs]

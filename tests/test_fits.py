@@ -197,21 +197,3 @@ def test_estimate_reads_well_as_text_html_and_json(model: Model, multisine: Reco
     assert set(document["parameters"]["inertia"]) >= {"value", "std", "unit", "identifiable"}
     assert -1.0 <= document["correlation"]["gravity_stiffness"]["inertia"] <= 1.0
     assert document["seconds"] > 0.0
-
-
-def test_a_lag_is_told_from_where_it_has_forgotten_what_it_began_with(multisine: Recording) -> None:
-    """Where the recording begins, nobody knows: half a second is left to it, and no less than fifty rows are used."""
-    plain = library.get("monocab_gimbals_lag")
-    lagging, time = plain.add("actuator_lag"), multisine.time
-    known = rows(multisine, time >= 10.0)
-    begin = known.time[0]
-    (used,) = segments(lagging, [known])
-    assert used.time[0] == pytest.approx(begin + 0.5, abs=0.005)
-    assert segments(plain, [known])[0].time[0] == pytest.approx(known.time[1])
-    # In its midst the inputs before it tell.
-    hidden = {each.name: np.where(known.time > 5.0, known[each.name], np.nan) for each in plain.outputs}
-    (later,) = segments(lagging, [with_values(known, **hidden)])
-    assert later.time[0] == pytest.approx(5.0, abs=0.01)
-    assert later.earlier == pytest.approx(250, abs=1)
-    (short,) = segments(lagging, [rows(known, slice(0, 60))])
-    assert len(short) == 50

@@ -263,18 +263,6 @@ class TestCandidates:
         assert freed.sensors[0].filter is None
         assert freed.states == as_recorded(MODEL, [apart]).states
 
-    def test_what_a_recording_without_a_filter_does_not_say_of_one_is_nothing(self) -> None:
-        """A tilt that was measured apart does not lean back when the robot drives off, as an accelerometer does."""
-        model, recording = library.get("twsbr"), record("twsbr", "hold", seed=1, duration=8.0)
-        noise = 1e-4 * np.random.default_rng(1).standard_normal(len(recording.time))
-        apart = replace(recording, values={**recording.values, "tilt": recording["tilt"] + noise})
-        known, unknown = (
-            next(each.usual for each in as_recorded(model, [given]).inputs if each.name == "tilt_std")
-            for given in (recording, apart)
-        )
-        assert known == pytest.approx(1.3e-3)
-        assert unknown == 0.0
-
 
 def found_in(hide: Sequence[str], seed: int) -> Diagnosis:
     recording: Recording = record("monocab", "multisine", hide=hide, seed=seed, duration=30.0)

@@ -68,8 +68,6 @@ _LEVEL_NOISE = 2e-4
 1.1e-4 (IG1). Without it the mean of the tilt is believed better than it is known, and has to be a torque."""
 _SMOOTHING = 1.0
 """s, of its accelerometer's low pass."""
-_FADING = 0.5
-"""1/s, of the error of a tilt that no such filter made: one that stayed could not be told from a torque."""
 
 _DEFINITIONS = {
     "reflected_inertia": "gear_ratio ** 2 * rotor_inertia",
@@ -80,8 +78,6 @@ _DEFINITIONS = {
     "travel_rate": "0.5 * (left_wheel_rate + right_wheel_rate) + tilt_rate",
     # The tilt filter's gains, by how well it knows the tilt: what the bias is followed with is told by Riccati's
     # equation, in which the variance P of the tilt goes as P' = gyro + 2 integral accelerometer - P^2 / accelerometer.
-    # Where a recording is not of such a filter (estimators.as_recorded), tilt_std is 0, and so are they.
-    "filtered": "min(1, 1e6 * tilt_std)",
     "filter_proportional": f"tilt_std ** 2 / {_ACCELEROMETER}",
     "filter_integral": f"max(0, 0.5 * (filter_proportional ** 2 - {_GYRO / _ACCELEROMETER})"
     f" + tilt_std * tilt_std_slope / {_ACCELEROMETER})",
@@ -195,8 +191,7 @@ TWSBR = Model(
         State(
             "tilt_error",
             "rad",
-            "filtered * rate_error - filter_proportional * (tilt_error - level)"
-            f" - {_FADING} * (1 - filtered) * tilt_error",
+            "rate_error - filter_proportional * (tilt_error - level)",
             initial_std=5e-3,
             process_noise=1e-4,
             noise_known=True,
@@ -234,11 +229,7 @@ TWSBR = Model(
         # The tilt filter integrates the gyro by trapezoids: on top of the tilt these have a twelfth of the square of a
         # row times the acceleration, which is more than the filter's noise where the voltage jumps.
         Output(
-            "tilt",
-            "rad",
-            f"tilt + tilt_error + {PERIOD**2 / 12.0} * filtered * tilt_acceleration",
-            noise=1e-5,
-            noise_known=True,
+            "tilt", "rad", f"tilt + tilt_error + {PERIOD**2 / 12.0} * tilt_acceleration", noise=1e-5, noise_known=True
         ),
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
         *(
