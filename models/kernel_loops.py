@@ -4,8 +4,9 @@ Classical Runge-Kutta of order four on states and variational equations: discret
 sensitivities are those of the numbers that are returned. A step is cut where a held input changes; moving that instant
 by a delay moves the ends of two pieces, which is how a delay gets its derivative. A measured input is read as a curve
 through its samples: at three instants a step straight lines would lose a corner in its midst, where an input is sampled
-a part of a row before. Behind a first-order lag it is the exact response to a straight line over each piece, in the
-mean, and is exactly neutral at lag 0.
+a part of a row before. Behind a first-order lag it is the straight line that has the mean and the first moment of the
+exact response to a straight line over each piece, and is exactly neutral at lag 0. A lag of a held input remembers what
+was held before the first row.
 
 numba translates this file once on a computer, not once a model: sizes are arguments and a model's equations
 (models.codegen) are called by address. Arrays are bare pointers, row by row; nothing is allocated and nothing can
