@@ -21,10 +21,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 from diagnosis.candidates import Candidate
-from diagnosis.findings import Finding
+from diagnosis.findings import Finding, InTwo
 from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.screen import Screen
-from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, surprising, unseen_at_zero
+from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
 from diagnosis.ties import LEVEL, NEIGHBOUR, alike
 from diagnosis.workspace import Workspace
 
@@ -85,8 +85,8 @@ def taken_apart(
     What the two are called, each is looked for as in `exchange`: beside a static torque plain dry friction may be none.
     """
     for made in findings:
-        parts = [each for each in workspace.candidates if each.name in made.definition.made_of]
-        if len(parts) != 2 or {each.name for each in parts} & {each.effect for each in findings}:
+        parts = _parts(made, findings, workspace)
+        if not parts:
             continue
         tell(f"taking {made.effect} apart", 0.97)
         others = [each for each in findings if each is not made]
@@ -102,6 +102,33 @@ def taken_apart(
             continue
         return exchange([*others, one.finding, other.finding], other.fit, workspace, masked, tell)
     return list(findings), whole
+
+
+def in_two(made: Finding, findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> InTwo | None:
+    """`made`, one of `findings` that the fit `whole` has, told as the two that it is made of; None where it is of none.
+
+    Those who publish a bench's friction often give the two.
+    """
+    parts = _parts(made, findings, workspace)
+    if not parts:
+        return None
+    model = whole.model.remove(made.effect)
+    for each in parts:
+        model = with_effect(model, each, each.variants[0])
+    try:
+        two = full(model, workspace, parts[-1])
+    except ArithmeticError:
+        return None
+    if not two.fit.minimum.converged:
+        return None
+    found = {name: each for part in parts for name, each in sizes(part.name, two).items()}
+    return InTwo(found, two.log_likelihood - whole.log_likelihood)
+
+
+def _parts(made: Finding, findings: Sequence[Finding], workspace: Workspace) -> list[Candidate]:
+    """The two that `made` is made of; none where one of them was found beside it."""
+    parts = [each for name in made.definition.made_of for each in workspace.candidates if each.name == name]
+    return [] if len(parts) != 2 or {each.name for each in parts} & {each.effect for each in findings} else parts
 
 
 def put_together(

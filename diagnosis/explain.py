@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from diagnosis.candidates import Candidate
-from diagnosis.screen import Score, Screen
+from diagnosis.screen import Score
+from estimators.contract import ParameterEstimate
 from estimators.report import significant
 
 if TYPE_CHECKING:
     from diagnosis.findings import Finding
 
+WORTH_A_WORD = 0.2
+"""Share of the gain from which on a neighbour's is told: it explains a part that one may take for the whole."""
 
-def explain(finding: Finding, candidate: Candidate, score: Score, screened: Screen) -> str:
+
+def explain(finding: Finding, score: Score) -> str:
     """A paragraph of plain sentences."""
-    effect = candidate.effect
-    sizes = ", ".join(
-        f"{name.removeprefix(f'{candidate.name}.')} = {_value(each.value, each.std, each.unit)}"
-        for name, each in finding.parameters.items()
-        if each.value is not None and each.std is not None
-    )
+    candidate, effect = score.candidate, score.candidate.effect
+    sizes = _sizes(finding.parameters, f"{candidate.name}.")
     told = [f"{effect.name}: {effect.title} ({effect.equation})" + (f"; {sizes}" if sizes else "") + "."]
     told.append(effect.signature)
     first = candidate.amplitudes[0]
@@ -32,12 +33,17 @@ def explain(finding: Finding, candidate: Candidate, score: Score, screened: Scre
         tied = ", ".join(finding.tied_with)
         told.append(f"Tied with {tied}: under this excitation they do almost the same. {effect.separated_by}")
     if others:
-        nearest = max(others, key=lambda name: finding.odds[name])
+        nearest = max(others, key=lambda name: (finding.odds[name], finding.gains[name]))
         if nearest not in finding.tied_with:
             told.append(f"Its nearest neighbour, {nearest}, is {_odds(finding.odds[nearest])} times less likely.")
-        closed = screened.similarity(finding.effect, nearest) ** 2
+        share = finding.gains[nearest]
+        if share > WORTH_A_WORD:
+            told.append(f"{nearest} instead gains {100.0 * share:.0f} % as much: a falling error proves little.")
+    if finding.in_two is not None:
+        two, gain = finding.in_two, finding.in_two.log_likelihood_gain
         told.append(
-            f"{nearest} instead would close about {100.0 * closed:.0f} % of the gap: a falling error proves little."
+            f"Told as the two that it is made of, {_sizes(two.parameters)}; the log likelihood is {abs(gain):.3g} "
+            f"{'higher' if gain > 0.0 else 'lower'} with these."
         )
     if finding.held_out is not None:
         gain, std = finding.held_out.gain, finding.held_out.std
@@ -45,6 +51,14 @@ def explain(finding: Finding, candidate: Candidate, score: Score, screened: Scre
     else:
         told.append("No part of these data tells enough of it to be held against another: record once more.")
     return " ".join(told)
+
+
+def _sizes(parameters: Mapping[str, ParameterEstimate], prefix: str = "") -> str:
+    return ", ".join(
+        f"{name.removeprefix(prefix)} = {_value(each.value, each.std, each.unit)}"
+        for name, each in parameters.items()
+        if each.value is not None and each.std is not None
+    )
 
 
 def _value(value: float, std: float, unit: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -26,13 +26,25 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class InTwo:
+    """What was found, told as the two effects that it is made of.
+
+    `parameters` of both, by name; `log_likelihood_gain` of the model with the two over that with the one.
+    """
+
+    parameters: Mapping[str, ParameterEstimate]
+    log_likelihood_gain: float
+
+
+@dataclass(frozen=True, slots=True)
 class Finding:
     """An effect that the model lacks.
 
     `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
     model before; `held_out` what data say that the fit had not seen, None where there are none;
-    `odds` of every effect that got a full fit, relative to this one; `screen` is the one that it was found in. Where
-    there are several, each is told as it is beside the others.
+    `odds` of every effect that got a full fit, relative to this one, and what each `gains`, as a share of what this one
+    does; `screen` is the one that it was found in. `in_two`, where it is made of two. Where there are several, each is
+    told as it is beside the others.
     """
 
     effect: str
@@ -45,7 +57,9 @@ class Finding:
     log_likelihood_gain: float
     held_out: Unseen | None
     odds: Mapping[str, float]
+    gains: Mapping[str, float] = field(default_factory=dict)
     screen: Screen | None = None
+    in_two: InTwo | None = None
 
     @property
     def held_out_error_closed_percent(self) -> float | None:
@@ -63,16 +77,26 @@ class Finding:
         return {
             "effect": self.effect,
             "family": self.family,
-            "parameters": {
-                name: {"value": each.value, "std": each.std, "unit": each.unit, "identifiable": each.identifiable}
-                for name, each in self.parameters.items()
-            },
+            "parameters": _to_json(self.parameters),
             "probability": self.probability,
             "p_value": self.p_value,
             "held_out_error_closed_percent": self.held_out_error_closed_percent,
             "tied_with": list(self.tied_with),
+            "made_of": {
+                "parameters": _to_json(self.in_two.parameters),
+                "log_likelihood_gain": self.in_two.log_likelihood_gain,
+            }
+            if self.in_two
+            else None,
             "explanation": self.explanation,
         }
+
+
+def _to_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
+    return {
+        name: {"value": each.value, "std": each.std, "unit": each.unit, "identifiable": each.identifiable}
+        for name, each in parameters.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)

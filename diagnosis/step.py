@@ -210,36 +210,37 @@ def _finding(
     # The least odds that "none" can have at this p-value, whatever the prior of the size: Sellke, Bayarri, Berger,
     # "Calibration of p values for testing precise null hypotheses" (2001).
     none = -math.e * p_value * math.log(max(p_value, 1e-300))
+    gain = best.log_likelihood - base.log_likelihood
     finding = Finding(
         effect=best.name,
         family=best.candidate.effect.family.value,
-        parameters=_sizes(best.name, best),
+        parameters=sizes(best.name, best),
         probability=1.0 / (sum(odds.values()) + none),
         p_value=p_value,
         tied_with=tied(best, fits, base, workspace),
         explanation="",
-        log_likelihood_gain=best.log_likelihood - base.log_likelihood,
+        log_likelihood_gain=gain,
         held_out=held_out,
         odds=odds,
+        gains={each.name: float(each.log_likelihood - base.log_likelihood) / gain for each in fits},
         screen=screened,
     )
-    return replace(finding, explanation=explain(finding, best.candidate, screened.score(best.name), screened))
+    return reworded(finding)
 
 
 def retold(finding: Finding, fitted: FullFit) -> Finding:
     """`finding` with its parameters as `fitted` has them, which other effects may have moved."""
-    return reworded(replace(finding, parameters=_sizes(finding.effect, fitted)))
+    return reworded(replace(finding, parameters=sizes(finding.effect, fitted)))
 
 
 def reworded(finding: Finding) -> Finding:
     """`finding` with an explanation that has its parameters."""
     screened = finding.screen
     assert screened is not None
-    score = screened.score(finding.effect)
-    return replace(finding, explanation=explain(finding, score.candidate, score, screened))
+    return replace(finding, explanation=explain(finding, screened.score(finding.effect)))
 
 
-def _sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
+def sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
     """The parameters of `effect`, by name.
 
     A size that data alone do not tell, because another parameter does the same, is told by what was known of that one:
