@@ -30,13 +30,7 @@ from telemetry.recording import Recording
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "estimate_robot.py"))
 MODEL = get("twsbr")
 PLANT = TwsbrTruth()
-RENAMED = {"com_height": "centre_of_gravity_height", "armature_resistance": "resistance"}
-RENAMED |= {"motor_constant": "torque_constant"}
-TRUTH = {
-    each.name: getattr(PLANT, RENAMED.get(each.name, each.name))
-    for each in MODEL.base_parameters
-    if hasattr(PLANT, RENAMED.get(each.name, each.name))
-}
+TRUTH = PLANT.table_1
 SHORT = 8.0
 """s of excitation where it is not about accuracy."""
 

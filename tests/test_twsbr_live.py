@@ -26,16 +26,8 @@ from telemetry.samples import Frame
 VEHICLE = load("twsbr")
 GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}
 MODEL = nominal_model("twsbr")
-PLANT = TwsbrTruth()
 SOUGHT = [each.name for each in MODEL.parameters if each.estimated]
-RENAMED = {"com_height": "centre_of_gravity_height", "armature_resistance": "resistance"}
-RENAMED |= {"motor_constant": "torque_constant"}
-TRUTH = {
-    each.name: getattr(PLANT, RENAMED.get(each.name, each.name))
-    for each in MODEL.base_parameters
-    if hasattr(PLANT, RENAMED.get(each.name, each.name))
-}
-TRUTH["voltage_offset"] = 1e-3  # s, in the drive: it acts on a command in its next cycle
+TRUTH = {**TwsbrTruth().table_1, "voltage_offset": 1e-3}  # s, in the drive: it acts on a command in its next cycle
 LATENCY = 1.5
 """s of free motion after which values are told."""
 SEEDS = [1, 2, 3, 4]

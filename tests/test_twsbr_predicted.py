@@ -33,17 +33,7 @@ from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 
 VEHICLE = load("twsbr")
-PLANT = TwsbrTruth()
-RENAMED = {
-    "com_height": "centre_of_gravity_height",
-    "armature_resistance": "resistance",
-    "motor_constant": "torque_constant",
-}
-TRUE = {
-    each.name: getattr(PLANT, RENAMED.get(each.name, each.name))
-    for each in get("twsbr").base_parameters
-    if hasattr(PLANT, RENAMED.get(each.name, each.name))
-}
+TRUE = TwsbrTruth().table_1
 BUS = 1e-3
 """s from a row to where its voltages act on the virtual robot's motors."""
 TRUTH = get("twsbr").change({**TRUE, "voltage_offset": BUS})

@@ -62,6 +62,18 @@ class TwsbrTruth:
     """At rest on the front bumper, or upright in a stand that lets go when the motors have power."""
 
     @property
+    def table_1(self) -> dict[str, float]:
+        """The numbers of the paper's table 1 by the names that a vehicle file gives them; but the inductance."""
+        alike = ("wheel_radius", "wheel_mass", "body_mass", "wheel_distance", "yaw_inertia", "tilt_inertia")
+        also_alike = ("gear_ratio", "rotor_inertia", "motor_friction", "wheel_friction")
+        renamed = {
+            "com_height": self.centre_of_gravity_height,
+            "armature_resistance": self.resistance,
+            "motor_constant": self.torque_constant,
+        }
+        return {**{name: float(getattr(self, name)) for name in (*alike, *also_alike)}, **renamed}
+
+    @property
     def registry(self) -> Registry:
         return TWSBR
 

@@ -1,0 +1,154 @@
+"""What is hidden in the balancing robot, found and added from the command line? `python benchmarks/robot_diagnosis.py`
+
+Each case is a virtual robot with one effect hidden in it, or none, recorded with the paper's square wave. `upright
+diagnose` is told the recording and the vehicle file, whose numbers are up to 40 % off, and looks for the whole
+catalogue at all places; `upright model add` then adds the effect that is hidden, with the sine, the doublet and the
+sine stream held out. Told are the verdict, the names, the size beside the plant's own, and the energy of the
+innovations over that of the sensors' noise; of the three others by how much the energy of the error some time ahead
+falls, and to what multiple of that which the model states for its noise. A delay and play are recorded with a softer controller
+(docs/how-to/diagnose-the-robot.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from service.vehicle_file import load
+from service.virtual_run import record
+
+OTHERS = ("sine", "doublet", "sine_stream")
+CHANNELS = ("tilt", "tilt_rate", "left_wheel_angle")
+SOFTER = {"proportional_gain = 25.0": "proportional_gain = 10.0", "derivative_gain = 3.5 ": "derivative_gain = 0.7 "}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """`hide` as for `upright simulate`; `names` that a diagnosis may give it, the first of which is added; `size` of
+    the first parameter in the plant."""
+
+    hide: str
+    names: tuple[str, ...]
+    size: float = 0.0
+    softer: bool = False
+
+
+CASES = {
+    "nothing": Case("", ()),
+    "centre of mass 1.4 mm ahead": Case("static_torque", ("static_torque", "sensor_offset"), 0.01),
+    "IMU 0.5 deg askew": Case("sensor_offset", ("sensor_offset", "static_torque"), 8.7e-3),
+    # -(m_b + 2 m_w) g r sin
+    "slope of 2 deg": Case("slope", ("static_torque@travel",), -9.3e-3),
+    "dead zone": Case("input_deadband", ("input_deadband",), 0.6),
+    # of both gears
+    "dry friction of the gears": Case("coulomb_friction", ("coulomb_friction@wheels",), 0.02),
+    "nothing, softer": Case("", (), softer=True),
+    "delay of 5 ms, softer": Case("input_delay", ("input_delay",), 5e-3, softer=True),
+    "play of 1 mrad, softer": Case("backlash", ("backlash",), 1e-3, softer=True),
+    "play of 0.5 mrad, softer": Case("backlash=0.5", ("backlash",), 0.5e-3, softer=True),
+}
+
+
+def upright(*arguments: object) -> dict[str, Any]:
+    """What a command says with `--json`."""
+    command = [str(Path(sys.executable).with_name("upright")), *map(str, arguments), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
+    return dict(json.loads(done.stdout))
+
+
+def vehicle(folder: Path, softer: bool) -> Path:
+    """The shipped vehicle file, or one with a softer controller."""
+    text = (resources.files("vehicles") / "twsbr.toml").read_text(encoding="utf-8")
+    for old, new in SOFTER.items() if softer else ():
+        text = text.replace(old, new)
+    path = folder / "vehicle.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def tried(case: Case, seed: int, candidates: list[str]) -> list[str]:
+    """What came out, in lines."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        file = vehicle(folder, case.softer)
+
+        def recorded(experiment: str) -> Path:
+            path = folder / f"{experiment}.arrow"
+            hidden = [case.hide] if case.hide else []
+            record(load(str(file)), experiment, hide=hidden, seed=seed).save(path)
+            return path
+
+        square = recorded("square")
+        looked_for = [word for each in candidates for word in ("--effect", each)]
+        found = upright("diagnose", square, "--vehicle", file, *looked_for)
+        lines = [diagnosed(case, found)]
+        if case.names:
+            effect, _, place = case.names[0].partition("@")
+            at = ["--at", place] if place else []
+            held_out = [word for each in OTHERS for word in ("--held-out", recorded(each))]
+            command = ["model", "add", "twsbr", effect, *at, "--vehicle", file, "--output", folder / "repaired.toml"]
+            lines += added(upright(*command, "--recording", square, *held_out)["repair"])
+        return lines
+
+
+def diagnosed(case: Case, found: dict[str, Any]) -> str:
+    names = [(each["effect"], *each["tied_with"]) for each in found["findings"]]
+    right = found["verdict"] == "adequate" if not case.names else bool(names) and case.names[0] in names[0]
+    told = [found["verdict"], "; ".join(" = ".join(each) for each in names)]
+    for each in found["findings"]:
+        if each["effect"] in case.names:
+            size = next(iter(each["parameters"].values()))
+            told.append(f"{size['value']:.4g} +-{size['std'] or float('nan'):.2g} {size['unit']} for {case.size:g}")
+    if found["innovation_ratio_before"] is not None:
+        told.append(f"{found['innovation_ratio_before']:.3g} to {found['innovation_ratio_after']:.3g} times the noise")
+    return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in told if each)
+
+
+def added(repair: dict[str, Any]) -> list[str]:
+    """By channel and horizon, by how much the held-out error's energy falls, and to what multiple of the noise's."""
+    lines = [f"       added, surety {repair['surety']:.3g}: {'needed' if repair['needed'] else 'NOT needed'}"]
+    before, after, floor = repair["before"]["held_out"], repair["after"]["held_out"], repair["floor"]["held_out"]
+    for channel in CHANNELS:
+        told = [
+            f"{ahead:g} s: by {100.0 * (1.0 - (new / old) ** 2):.3g} % to {(new / least) ** 2:.2g}"
+            for ahead, old, new, least in zip(
+                repair["horizons"], before[channel], after[channel], floor[channel], strict=True
+            )
+        ]
+        lines.append(f"       {channel:17}{', '.join(told)}")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--runs", type=int, default=1, help="of each case, with one seed after the other")
+    parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
+    parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    asked = [
+        (name, seed)
+        for name in arguments.case or CASES
+        for seed in range(arguments.seed, arguments.seed + arguments.runs)
+    ]
+    with ThreadPoolExecutor(arguments.processes) as pool:
+        results = pool.map(lambda each: tried(CASES[each[0]], each[1], arguments.effect), asked)
+        for (name, seed), lines in zip(asked, results, strict=True):
+            print(f"{name}, seed {seed}", *lines, sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
