@@ -5,8 +5,8 @@ diagnose` is told the recording and the vehicle file, whose numbers are up to 40
 catalogue at all places; `upright model add` then adds the effect that is hidden, with the sine, the doublet and the
 sine stream held out. Told are the verdict, the names, the size beside the plant's own, and the energy of the
 innovations over that of the sensors' noise; of the three others by how much the energy of the error some time ahead
-falls, and to what multiple of that which the model states for its noise. A delay and play are recorded with a softer controller
-(docs/how-to/diagnose-the-robot.md).
+falls, and to what multiple of that which the model states for its noise. A delay and play are recorded with a softer
+controller (docs/how-to/diagnose-the-robot.md).
 """
 
 from __future__ import annotations
