@@ -7,6 +7,9 @@ sine stream held out. Told are the verdict, the names, the size beside the plant
 innovations over that of the sensors' noise; of the three others by how much the energy of the error some time ahead
 falls, and to what multiple of that which the model states for its noise. A delay and play are recorded with a softer
 controller (docs/how-to/diagnose-the-robot.md).
+
+With `--live` every effect that the virtual robot can hide is hidden, and none, and told is what the live diagnosis says
+at the end of the square wave.
 """
 
 from __future__ import annotations
@@ -17,14 +20,16 @@ import os
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from service.replay import live_diagnosis
 from service.vehicle_file import load
 from service.virtual_run import record
+from simulation.twsbr.hidden import TWSBR_HIDDEN
 
 OTHERS = ("sine", "doublet", "sine_stream")
 CHANNELS = ("tilt", "tilt_rate", "left_wheel_angle")
@@ -130,20 +135,32 @@ def added(repair: dict[str, Any]) -> list[str]:
     return lines
 
 
+def while_it_runs(name: str, seed: int) -> str:
+    """What the live diagnosis says at the end of a square wave with the effect `name`; empty where nothing."""
+    file = load("twsbr")
+    found = live_diagnosis(record("twsbr", "square", hide=[name] if name else [], seed=seed), file) or {}
+    return "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found.get("findings", ()))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runs", type=int, default=1, help="of each case, with one seed after the other")
     parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
     parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
+    parser.add_argument("--live", action="store_true", help="what is named while it runs, of all that can be hidden")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    asked = [
-        (name, seed)
-        for name in arguments.case or CASES
-        for seed in range(arguments.seed, arguments.seed + arguments.runs)
-    ]
+    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    if arguments.live:
+        hidden = [name for name in ("", *TWSBR_HIDDEN) for _ in seeds]
+        with ProcessPoolExecutor(arguments.processes) as processes:
+            told = processes.map(while_it_runs, hidden, [seed for _ in ("", *TWSBR_HIDDEN) for seed in seeds])
+            for name, names in zip(hidden, told, strict=True):
+                print(f"{name or 'nothing':26}{names or 'no name'}", flush=True)
+        return
+    asked = [(name, seed) for name in arguments.case or CASES for seed in seeds]
     with ThreadPoolExecutor(arguments.processes) as pool:
         results = pool.map(lambda each: tried(CASES[each[0]], each[1], arguments.effect), asked)
         for (name, seed), lines in zip(asked, results, strict=True):
