@@ -127,8 +127,8 @@ ASYMMETRIC_FRICTION = Effect(
         "hysteresis",
         "static_torque",
     ),
-    separated_by="Motion and long rests in one record: at rest the mean of friction is gone, that of a static torque "
-    "is not.",
+    separated_by="From Coulomb friction and a static torque by no motion, where friction sticks: it then holds against "
+    "the same loads. Another load or balance moves the torque alone, another lubricant or temperature the friction.",
     made_of=("coulomb_friction", "static_torque"),
     beyond=("coulomb_friction",),
     dissipative=True,
