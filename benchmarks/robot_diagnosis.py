@@ -9,7 +9,8 @@ falls, and to what multiple of that which the model states for its noise. A dela
 controller (docs/how-to/diagnose-the-robot.md).
 
 With `--live` every effect that the virtual robot can hide is hidden, and none, and told is what the live diagnosis says
-at the end of the square wave.
+at the end of the square wave. With `--closed-loop` the true numbers are simulated in the closed loop with the robot's
+controller through the square wave, and told is how far off that is, in multiples of what noise alone would make.
 """
 
 from __future__ import annotations
@@ -20,16 +21,21 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from diagnosis.compare import compare
+from models.library import get
+from service.recorded_loop import recorded_loop
 from service.replay import live_diagnosis
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
+from simulation.twsbr.truth import TwsbrTruth
 
 OTHERS = ("sine", "doublet", "sine_stream")
 CHANNELS = ("tilt", "tilt_rate", "left_wheel_angle")
@@ -142,6 +148,23 @@ def while_it_runs(name: str, seed: int) -> str:
     return "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found.get("findings", ()))
 
 
+def in_the_loop(name: str, seed: int) -> str:
+    """How far the true numbers without the effect `name` are off in the closed loop, times the noise's share."""
+    file, right = load("twsbr"), get("twsbr").change(TwsbrTruth().table_1)
+    recording = record("twsbr", "square", hide=[name] if name else [], seed=seed)
+    (found,) = compare({"": right}, [recording], support=file.support, loops=[recorded_loop(file, recording)])
+    loop = found.closed_loop
+    return loop.reason or ", ".join(f"{each} {loop.over_floor(each):.2g}" for each in ("tilt", "left_wheel_angle"))
+
+
+def of_each(told: Callable[[str, int], str], seeds: Sequence[int], processes: int) -> None:
+    """Prints what is `told` of the robot with each effect that it can hide, and with none."""
+    asked = [(name, seed) for name in ("", *TWSBR_HIDDEN) for seed in seeds]
+    with ProcessPoolExecutor(processes) as pool:
+        for (name, _), text in zip(asked, pool.map(told, *zip(*asked, strict=True)), strict=True):
+            print(f"{name or 'nothing':26}{text or 'no name'}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=0)
@@ -149,16 +172,15 @@ def main() -> None:
     parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
     parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
     parser.add_argument("--live", action="store_true", help="what is named while it runs, of all that can be hidden")
+    parser.add_argument("--closed-loop", action="store_true", help="how far off the true numbers are")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    if arguments.live:
-        hidden = [name for name in ("", *TWSBR_HIDDEN) for _ in seeds]
-        with ProcessPoolExecutor(arguments.processes) as processes:
-            told = processes.map(while_it_runs, hidden, [seed for _ in ("", *TWSBR_HIDDEN) for seed in seeds])
-            for name, names in zip(hidden, told, strict=True):
-                print(f"{name or 'nothing':26}{names or 'no name'}", flush=True)
+    for told, wanted in ((while_it_runs, arguments.live), (in_the_loop, arguments.closed_loop)):
+        if wanted:
+            of_each(told, seeds, arguments.processes)
+    if arguments.live or arguments.closed_loop:
         return
     asked = [(name, seed) for name in arguments.case or CASES for seed in seeds]
     with ThreadPoolExecutor(arguments.processes) as pool:
