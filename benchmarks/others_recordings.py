@@ -16,7 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -206,9 +206,9 @@ UNLISTED: dict[str, dict[str, Any]] = {
 CLEAN = "nothing"
 
 
-def asked(path: Path) -> dict[str, Any]:
+def asked(path: Path, vehicle: str = "monocab") -> dict[str, Any]:
     """What `upright diagnose` says of a table."""
-    command = [str(Path(sys.executable).with_name("upright")), "diagnose", str(path), "--vehicle", "monocab", "--json"]
+    command = [str(Path(sys.executable).with_name("upright")), "diagnose", str(path), "--vehicle", vehicle, "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     try:
         return dict(json.loads(done.stdout))
@@ -224,6 +224,21 @@ def right(hidden: str, found: dict[str, Any]) -> bool:
         return bool(found["verdict"] == "unknown")
     first = found["findings"][0] if found["findings"] else {"effect": "", "tied_with": []}
     return hidden in (first["effect"], *first["tied_with"]) and len(first["tied_with"]) <= 1
+
+
+def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: dict[str, dict[str, Any]]) -> None:
+    """Prints what came out of each, and how many of each of `groups` are right, with their 95 % interval (Wilson)."""
+    results: list[tuple[str, bool]] = []
+    for name, found in zip(names, answers, strict=True):
+        results.append((name, right(name, found)))
+        told = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
+        print(f"{'right' if results[-1][1] else 'WRONG':6}{name:32}{found['verdict']:16}{told}", flush=True)
+    for title, group in groups.items():
+        given = [correct for name, correct in results if name in group]
+        if given:
+            interval = binomtest(sum(given), len(given)).proportion_ci(0.95, method="wilson")
+            share = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
+            print(f"{title}: right in {sum(given)} of {len(given)} ({share})")
 
 
 def main() -> None:
@@ -250,17 +265,8 @@ def main() -> None:
             )
             return asked(vehicle.write(Path(folder) / f"{number}.csv"))
 
-        results = {}
-        for name, found in zip(names, pool.map(tried, range(len(names))), strict=True):
-            results[name] = right(name, found)
-            told = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
-            print(f"{'right' if results[name] else 'WRONG':6}{name:32}{found['verdict']:16}{told}", flush=True)
-    for title, group in (("in the catalogue", EFFECTS), ("outside it", UNLISTED), ("clean", {CLEAN: {}})):
-        given = [results[name] for name in results if name in group]
-        if given:
-            interval = binomtest(sum(given), len(given)).proportion_ci(0.95, method="wilson")
-            share = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
-            print(f"{title}: right in {sum(given)} of {len(given)} ({share})")
+        groups = {"in the catalogue": EFFECTS, "outside it": UNLISTED, "clean": {CLEAN: {}}}
+        verdicts(names, pool.map(tried, range(len(names))), groups)
 
 
 if __name__ == "__main__":

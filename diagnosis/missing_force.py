@@ -151,14 +151,25 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
 def _by_joint(
     found: Innovations, blocks: Sequence[Block], response: Response, steps: Array
 ) -> tuple[list[Array], Array]:
-    """`_smoothed` for all joints: of those that show in ways of their own together, of every other one alone."""
+    """`_smoothed` for all joints: of those that show in ways of their own together, of every other one alone.
+
+    Of each alone, too, where what tells them apart hardly shows, as the mode of a mass that is sprung at one of them.
+    """
     together, others = _independent(response)
     forces = [np.zeros((len(part), len(steps))) for part in found.errors]
     deviations = np.zeros(len(steps))
-    for group in (together, *([place] for place in others)):
+    groups = [together, *([place] for place in others)]
+    while groups:
+        group = groups.pop()
         few = replace(response, drive=response.drive[:, group], direct=response.direct[:, group])
         own = [replace(each, own=_first_of(each, len(steps), group)) for each in blocks]
-        parts, deviations[group] = _smoothed(found, own, few, steps[group])
+        try:
+            parts, deviations[group] = _smoothed(found, own, few, steps[group])
+        except EstimationError:
+            if len(group) == 1:
+                raise
+            groups += [[place] for place in group]
+            continue
         for force, part in zip(forces, parts, strict=True):
             force[:, group] = part
     return forces, deviations

@@ -3,7 +3,7 @@
 A model may say that a sensor's noise is known, and that a filter made one reading of another: then the angle is the
 integrated rate to a millionth. Where the record's angle has white noise of its own, many times that, it was measured
 otherwise: its noise is then estimated as that of any other sensor, is not the integral of another one's, and no filter
-takes errors of the rate into the angle.
+takes errors of the rate, or an accelerometer's, into the angle.
 """
 
 from __future__ import annotations
@@ -32,7 +32,12 @@ def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
         for each in model.outputs
     )
     states = tuple(
-        replace(each, noise_of="", initial_std=max(each.initial_std, noise.get(each.initial, 0.0)))
+        replace(
+            each,
+            derivative=f"-{each.name}" if each.error_of in freed else each.derivative,
+            noise_of="",
+            initial_std=max(each.initial_std, noise.get(each.initial, 0.0)),
+        )
         for each in model.base_states
     )
     apart = {sensor.name for sensor in model.sensors if sensor.angle in freed}

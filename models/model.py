@@ -73,7 +73,8 @@ class State:
     parameters. `initial_std`: how far off that may be, 0 for exactly known. `process_noise`: standard deviation of the
     white noise on the derivative, unit/sqrt(s), where its estimation starts, or, with `noise_known`, what it is; 0 for
     none. `noise_of` names an output whose sensor noise is integrated in this state: what a filter makes of its sensor,
-    a trapezoid a row.
+    a trapezoid a row. `error_of` names one that a filter makes, of whose error this state is a part: where a record
+    shows that no filter made it, the state fades within a second, and nothing that moves makes it.
     """
 
     name: str
@@ -84,6 +85,7 @@ class State:
     process_noise: float = 0.0
     noise_known: bool = False
     noise_of: str = ""
+    error_of: str = ""
     meaning: str = ""
 
 

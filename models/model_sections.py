@@ -38,6 +38,7 @@ class StateSection(Section):
     process_noise: NotNegative = 0.0
     noise_known: bool = False
     noise_of: str = ""
+    error_of: str = ""
     meaning: str = ""
 
 

@@ -144,6 +144,7 @@ def _check_names(tables: ModelSection, file: str) -> None:
 def _check_references(tables: ModelSection, file: str) -> None:
     """What names an input, an output, a joint or a parameter names one that is there."""
     references = [(f"states.{name}.noise_of", state.noise_of, "outputs") for name, state in tables.states.items()]
+    references += [(f"states.{name}.error_of", state.error_of, "outputs") for name, state in tables.states.items()]
     for name, each in tables.inputs.items():
         references += [(f"inputs.{name}.delays", delay, "parameters") for delay in each.delays]
         references += [(f"inputs.{name}.lag", each.lag, "parameters")]

@@ -211,6 +211,7 @@ WRONG_OWN = [
     ("initial_std = 1e-3", 'initial_std = "1e-3"', "states.angle.initial_std", "is no finite number (found '1e-3')"),
     ('initial = "angle"', 'initial = "rate"', "states.angle.initial", "there is no 'rate'"),
     ('initial = "angle"', 'noise_of = "angel"', "states.angle.noise_of", "did you mean 'angle'?"),
+    ('initial = "angle"', 'error_of = "angel"', "states.angle.error_of", "did you mean 'angle'?"),
     ("process_noise = 1e-3", "process_noise = inf", "states.rate.process_noise", "is no finite number (found inf)"),
     ("process_noise = 1e-3", "process_noise = true", "states.rate.process_noise", "(found True)"),
     ("[inputs.voltage]", "[inputs.2volt]", "inputs.2volt", "is no name"),

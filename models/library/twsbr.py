@@ -196,6 +196,7 @@ TWSBR = Model(
             process_noise=1e-4,
             noise_known=True,
             noise_of="tilt_rate",
+            error_of="tilt",
             meaning="error of the tilt filter: the gyro's noise integrated, and slow corrections",
         ),
         State(
@@ -206,6 +207,7 @@ TWSBR = Model(
             initial_std=2e-2,
             process_noise=_LEVEL_NOISE,
             noise_known=True,
+            error_of="tilt",
             meaning="error of the accelerometer's direction, and the speed that made it",
         ),
         State(
@@ -215,6 +217,7 @@ TWSBR = Model(
             initial_std=2e-4,
             process_noise=1.3e-5,
             noise_known=True,
+            error_of="tilt",
             meaning="what the tilt filter has not learned of the gyro's bias",
         ),
     ),

@@ -1,0 +1,62 @@
+"""A table of a balancing robot that others made: its tilt was measured by itself, and no filter takes driving off for a
+lean. As `upright diagnose TABLE --vehicle twsbr` is told it, with a few effects to look for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.others_robot import EFFECTS, OthersRobot, hill
+from estimators.as_recorded import as_recorded
+from models.library import get
+from service.cli import app
+from service.cli.batch import load_recording
+from service.virtual_run import record
+
+LOOKED_FOR = ("static_torque", "sensor_scale", "input_deadband")
+WITHIN = 3.0
+"""Standard deviations that a size may be off."""
+
+
+def diagnosed(path: Path) -> Any:
+    names = [word for name in LOOKED_FOR for word in ("--effect", name)]
+    arguments = ["diagnose", str(path), "--vehicle", "twsbr", *names, "--json"]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
+    """With the tilt filter in the model a scale of the gyro of 1.3 % was."""
+    found = diagnosed(OthersRobot(seed=41).write(tmp_path / "theirs.csv"))
+    assert found["verdict"] == "adequate", found["reason"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "size"),
+    [("static_torque@travel", "torque", hill(2.0)), ("input_deadband", "width", 0.6)],
+)
+def test_what_is_missing_is_found(effect: str, parameter: str, size: float, tmp_path: Path) -> None:
+    found = diagnosed(OthersRobot(seed=42, **EFFECTS[effect]).write(tmp_path / "theirs.csv"))
+    assert found["verdict"] == "missing_effect", found["reason"]
+    (named,) = found["findings"]
+    assert named["effect"] == effect
+    told = named["parameters"][f"{effect}.{parameter}"]
+    assert abs(told["value"] - size) < WITHIN * told["std"]
+
+
+def test_the_errors_of_a_filter_fade_where_there_was_none(tmp_path: Path) -> None:
+    """Whether a filter made the tilt is what its white noise says."""
+    model = get("twsbr")
+    theirs = load_recording(OthersRobot(seed=43).write(tmp_path / "theirs.csv"), "twsbr")
+    errors = {each.name for each in model.base_states if each.error_of == "tilt"}
+    derivatives = {each.name: each.derivative for each in as_recorded(model, [theirs]).base_states}
+    assert errors == {"tilt_error", "level_error", "rate_error"}
+    assert all(derivatives[name] == f"-{name}" for name in errors)
+    assert derivatives["tilt"] == "tilt_rate"
+    ours = record("twsbr", "square", seed=43, duration=8.0)
+    assert as_recorded(model, [ours]).base_states == model.base_states
