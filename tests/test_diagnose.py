@@ -179,6 +179,7 @@ class TestDocument:
             "p_value",
             "held_out_error_closed_percent",
             "tied_with",
+            "made_of",
             "explanation",
         }
 
