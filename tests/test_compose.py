@@ -168,6 +168,10 @@ def test_its_broker_configuration_is_one_for_mosquitto(tmp_path: Path) -> None:
             _until_listening(ports, process)
         finally:
             process.terminate()
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:  # as once in many runs, waiting for its WebSockets
+                process.kill()
 
 
 def _until_listening(ports: list[int], process: subprocess.Popen[bytes]) -> None:
