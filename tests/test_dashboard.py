@@ -181,8 +181,8 @@ def test_the_model_is_drawn_over_the_measurement(
     experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
 ) -> None:
     watched.show("live")
-    legend = watched.page.locator("#view-live .chart").first.inner_text()
-    assert "model, 0.5 s ahead" in legend
+    # A chart is drawn when it has come into sight, which takes a frame or two.
+    expect(watched.page.locator("#view-live .chart").first).to_contain_text("model, 0.5 s ahead")
     assert watched.page.inner_text("#figure-rate").endswith("of 250 Hz")
     assert float(watched.page.inner_text("#figure-load").split()[0]) > 10.0
 
