@@ -2,8 +2,8 @@
 
 As `benchmarks/others_recordings.py`, of a robot with two wheels that is not our virtual one: its tilt is measured by
 itself, with white noise, not made by a filter of gyro and accelerometer; voltages act at once and in steps of a
-millivolt, one number of each robot is off the vehicle file by up to 35 %, and tables say nothing of ages. Equations (1)
-to (22) of the paper for motion straight ahead, by hand, in steps of a tenth of a millisecond.
+millivolt, its numbers are up to a third off the vehicle file's, and tables say nothing of ages. Equations (1) to (22)
+of the paper for motion straight ahead, by hand, in steps of a tenth of a millisecond.
 """
 
 from __future__ import annotations

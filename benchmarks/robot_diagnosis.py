@@ -82,6 +82,7 @@ def vehicle(folder: Path, softer: bool) -> Path:
     """The shipped vehicle file, or one with a softer controller."""
     text = (resources.files("vehicles") / "twsbr.toml").read_text(encoding="utf-8")
     for old, new in SOFTER.items() if softer else ():
+        assert text.count(old) == 1, old
         text = text.replace(old, new)
     path = folder / "vehicle.toml"
     path.write_text(text, encoding="utf-8")

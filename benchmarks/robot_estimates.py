@@ -4,8 +4,8 @@ The virtual robot is recorded with the paper's square wave, and what a record ne
 parameters, `models.library.twsbr.TOLD_NEAR_UPRIGHT`) is estimated from the vehicle file's numbers, which are up to 40 %
 off. Told are, of each combination, the scatter of estimate over truth, the deviations that it is off by (RMS: 1 where a
 +- is right), and how often the 95 % interval holds the truth; then by how much the recursive estimator is off at the
-end of the run (RMS). Six combinations of one record are not independent: the last line's interval
-(Wilson) counts records.
+end of the run (RMS). Six combinations of one record are not independent: the last line's interval (Wilson) counts
+records.
 
 With `--validate` the sine, the doublet and the sine stream of the first seed are predicted 0.1 s ahead with the
 estimates, beside the vehicle file's numbers and the true ones, which are what the noise allows.

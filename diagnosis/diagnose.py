@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
-from diagnosis.exchange import asked, exchange, in_two, one_by_one, put_together, taken_apart, two_at_once
+from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
@@ -122,7 +122,7 @@ def _search(
         findings, whole = put_together(findings, whole, workspace, part)
         same = [each.effect for each in findings] == [each.effect for each in before]
         fits = [*fits, whole] if same else one_by_one(findings, whole, workspace)
-    findings = [replace(each, in_two=in_two(each, findings, fits[-1], workspace)) for each in findings]
+    findings = [replace(each, made_of=made_of(each, findings, fits[-1], workspace)) for each in findings]
     return [retold(each, fits[-1]) for each in findings], fits, screens, whole
 
 

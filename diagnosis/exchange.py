@@ -21,7 +21,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from diagnosis.candidates import Candidate
-from diagnosis.findings import Finding, InTwo
+from diagnosis.findings import Finding, MadeOf
 from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
@@ -104,7 +104,7 @@ def taken_apart(
     return list(findings), whole
 
 
-def in_two(made: Finding, findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> InTwo | None:
+def made_of(made: Finding, findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> MadeOf | None:
     """`made`, one of `findings` that the fit `whole` has, told as the two that it is made of; None where it is of none.
 
     Those who publish a bench's friction often give the two.
@@ -122,7 +122,7 @@ def in_two(made: Finding, findings: Sequence[Finding], whole: FullFit, workspace
     if not two.fit.minimum.converged:
         return None
     found = {name: each for part in parts for name, each in sizes(part.name, two).items()}
-    return InTwo(found, two.log_likelihood - whole.log_likelihood)
+    return MadeOf(found, two.log_likelihood - whole.log_likelihood)
 
 
 def _parts(made: Finding, findings: Sequence[Finding], workspace: Workspace) -> list[Candidate]:

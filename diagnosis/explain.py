@@ -39,8 +39,8 @@ def explain(finding: Finding, score: Score) -> str:
         share = finding.gains[nearest]
         if share > WORTH_A_WORD:
             told.append(f"{nearest} instead gains {100.0 * share:.0f} % as much: a falling error proves little.")
-    if finding.in_two is not None:
-        two, gain = finding.in_two, finding.in_two.log_likelihood_gain
+    if finding.made_of is not None:
+        two, gain = finding.made_of, finding.made_of.log_likelihood_gain
         told.append(
             f"Told as the two that it is made of, {_sizes(two.parameters)}; the log likelihood is {abs(gain):.3g} "
             f"{'higher' if gain > 0.0 else 'lower'} with these."

@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class InTwo:
+class MadeOf:
     """What was found, told as the two effects that it is made of.
 
     `parameters` of both, by name; `log_likelihood_gain` of the model with the two over that with the one.
@@ -43,7 +43,7 @@ class Finding:
     `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
     model before; `held_out` what data say that the fit had not seen, None where there are none;
     `odds` of every effect that got a full fit, relative to this one, and what each `gains`, as a share of what this one
-    does; `screen` is the one that it was found in. `in_two`, where it is made of two. Where there are several, each is
+    does; `screen` is the one that it was found in. `made_of`, where it is made of two. Where there are several, each is
     told as it is beside the others.
     """
 
@@ -59,7 +59,7 @@ class Finding:
     odds: Mapping[str, float]
     gains: Mapping[str, float] = field(default_factory=dict)
     screen: Screen | None = None
-    in_two: InTwo | None = None
+    made_of: MadeOf | None = None
 
     @property
     def held_out_error_closed_percent(self) -> float | None:
@@ -83,10 +83,10 @@ class Finding:
             "held_out_error_closed_percent": self.held_out_error_closed_percent,
             "tied_with": list(self.tied_with),
             "made_of": {
-                "parameters": _to_json(self.in_two.parameters),
-                "log_likelihood_gain": self.in_two.log_likelihood_gain,
+                "parameters": _to_json(self.made_of.parameters),
+                "log_likelihood_gain": self.made_of.log_likelihood_gain,
             }
-            if self.in_two
+            if self.made_of
             else None,
             "explanation": self.explanation,
         }

@@ -30,13 +30,13 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
     assert forward is not None
     assert backward is not None
     assert 0.5 * (forward + backward) == pytest.approx(emps.PUBLISHED["coulomb_friction.torque"], rel=0.01)
-    assert finding.in_two is not None
+    assert finding.made_of is not None
     for name in ("coulomb_friction.torque", "static_torque.torque"):
-        assert finding.in_two.parameters[name].value == pytest.approx(emps.PUBLISHED[name], rel=0.01)
+        assert finding.made_of.parameters[name].value == pytest.approx(emps.PUBLISHED[name], rel=0.01)
     # The formula of the one has a mean only in motion, that of the two at rest, too.
-    assert finding.in_two.log_likelihood_gain < 0.0
+    assert finding.made_of.log_likelihood_gain < 0.0
     assert "coulomb_friction.torque = 20." in finding.explanation
-    assert finding.to_json()["made_of"]["parameters"].keys() == finding.in_two.parameters.keys()
+    assert finding.to_json()["made_of"]["parameters"].keys() == finding.made_of.parameters.keys()
     assert finding.held_out_error_closed_percent is not None
     assert finding.held_out_error_closed_percent > 80.0
     assert found.repaired is not None

@@ -8,13 +8,13 @@ elastic teeth that rebound, the model one place within the play that does not.
 from __future__ import annotations
 
 import json
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.robot_diagnosis import vehicle as vehicle_file
 from models import library
 from service.cli import app
 from service.vehicle_file import load
@@ -23,7 +23,6 @@ from simulation.twsbr.hidden import TWSBR_HIDDEN
 
 SEED = 74
 """Decided nothing."""
-SOFTER = {"proportional_gain = 25.0": "proportional_gain = 10.0", "derivative_gain = 3.5 ": "derivative_gain = 0.7 "}
 LOOKED_FOR = ("backlash", "input_deadband", "coulomb_friction", "actuator_lag")
 """At all places. The whole catalogue takes ten minutes."""
 OTHERS = ("sine", "doublet", "sine_stream")
@@ -36,13 +35,7 @@ pytestmark = pytest.mark.timeout(900)
 @pytest.fixture(scope="module")
 def vehicle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The shipped vehicle file with a softer controller."""
-    text = (resources.files("vehicles") / "twsbr.toml").read_text(encoding="utf-8")
-    for old, new in SOFTER.items():
-        assert text.count(old) == 1
-        text = text.replace(old, new)
-    path = tmp_path_factory.mktemp("softer") / "softer.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return vehicle_file(tmp_path_factory.mktemp("softer"), softer=True)
 
 
 def recorded(experiment: str, vehicle: Path, *hide: str) -> Path:
