@@ -122,7 +122,7 @@ def _repair(
     looked_at = _screen(without.fit, model, [candidate, *neighbours])
     told(f"fitting with {candidate.name}", 1.2 / count)
     own_score = _score(looked_at, candidate)
-    fitted = fit_effect(model, candidate, training, score=own_score, support=support)
+    fitted = fit_effect(model, candidate, training, without, score=own_score, support=support)
     there = _on(fitted, tried, support)
     held = _Held(tried, support, sensor_floors(there, HORIZONS))
     outputs = fitted.fit.problem.kernel.outputs
@@ -133,7 +133,7 @@ def _repair(
         told(f"fitting its neighbour {each.name}", (2.5 + place) / count)
         score = _score(looked_at, each)
         try:
-            found = fit_effect(model, each, training, score=score, support=support, most=NEIGHBOUR_STARTS)
+            found = fit_effect(model, each, training, without, score=score, support=support, most=NEIGHBOUR_STARTS)
         except EstimationError:
             continue  # it cannot explain these records at all
         energy = held.energy(held.errors(found))

@@ -55,8 +55,9 @@ _PARAMETERS = (
         "s",
         0.0,
         std=0.001,
-        lower=-0.05,
-        upper=0.05,
+        # An answer to a row comes before the next: what is later is no property of a bus, but a delay.
+        lower=-0.003,
+        upper=0.003,
         meaning="how much later than its row a voltage begins to act",
     ),
 )
