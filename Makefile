@@ -18,7 +18,7 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test vcan-test benchmark clean
+.PHONY: help demo test lint native-test hurried-test patient-test vcan-test benchmark clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -26,7 +26,8 @@ help: ## this list
 demo: $(READY) ## the whole story on a virtual bus, no hardware needed; ARGS="--dashboard" shows it in a browser
 	$(BIN)/upright demo $(ARGS)
 
-test: lint native-test vcan-test ## lint and every test, those on real SocketCAN and under a real systemd included
+test: lint hurried-test ## lint and every test, those on real SocketCAN and under a real systemd included
+	tests/setup/beside "$(MAKE) --no-print-directory patient-test" "$(MAKE) --no-print-directory vcan-test"
 
 lint: $(READY) ## ruff, mypy --strict, import contract
 	$(BIN)/ruff check .
@@ -34,10 +35,16 @@ lint: $(READY) ## ruff, mypy --strict, import contract
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-native-test: $(READY) ## the tests that need neither SocketCAN nor systemd
+native-test: hurried-test patient-test ## the tests that need neither SocketCAN nor systemd
+
+hurried-test: $(READY)
 	@tests/setup/apt-needs mosquitto:mosquitto chromium:chromium openssl:openssl || $(OPTIONAL)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --durations=20 -m "not vcan and not systemd and not browser"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --durations=20 -m "not (vcan or systemd or browser or patient)"
 	$(BIN)/pytest -m browser
+
+# These compute on one CPU and ask no clock, so that they go beside the guest, which is one CPU, too.
+patient-test: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 -m patient
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)

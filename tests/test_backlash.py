@@ -18,6 +18,8 @@ from simulation.config import PlantTruth
 from simulation.gimbal import LOAD_SHARE, PLAY_STIFFNESS
 from simulation.hidden import HIDDEN
 
+pytestmark = pytest.mark.patient
+
 VEHICLE = load("monocab")
 MODEL = with_values(
     nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations

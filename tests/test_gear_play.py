@@ -29,7 +29,7 @@ OTHERS = ("sine", "doublet", "sine_stream")
 WITHIN = 3.0
 """Standard deviations that the width may be off."""
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [pytest.mark.timeout(900), pytest.mark.patient]
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,8 @@ from service.cli import app
 from service.virtual_run import record
 from simulation.hidden import HIDDEN
 
+pytestmark = pytest.mark.patient
+
 LEARNED = "gyro_bias"
 """The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""
 LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}

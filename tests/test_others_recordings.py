@@ -27,6 +27,8 @@ from service.cli import app
 from service.cli.batch import load_recording
 from service.vehicle_file import load
 
+pytestmark = pytest.mark.patient
+
 SIZES: dict[str, dict[str, tuple[float, float]]] = {
     "coulomb_friction": {"torque": (25.0, 0.5)},
     "stribeck_friction": {},

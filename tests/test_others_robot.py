@@ -17,6 +17,8 @@ from service.cli import app
 from service.cli.batch import load_recording
 from service.virtual_run import record
 
+pytestmark = pytest.mark.patient
+
 LOOKED_FOR = ("static_torque", "sensor_scale", "input_deadband")
 WITHIN = 3.0
 """Standard deviations that a size may be off."""
