@@ -1,0 +1,75 @@
+"""A delay of the balancing robot's voltages, hidden in the virtual robot, found and added from the command line.
+
+The paper's gains bear none, so a softer controller balances. How late a voltage is on the bus anyway, a millisecond
+here, is a number of the model that no record tells from a delay: it must not take up one that no bus has.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.robot_diagnosis import vehicle as vehicle_file
+from models.library import get
+from service.cli import app
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.twsbr.hidden import TWSBR_HIDDEN
+
+pytestmark = pytest.mark.patient
+
+SEED = 84
+"""Decided nothing."""
+LOOKED_FOR = ("input_delay", "coulomb_friction", "static_torque")
+OTHERS = ("sine", "doublet", "sine_stream")
+WITHIN = 3.0
+"""Standard deviations that the size may be off."""
+CLOSED = 0.9
+"""Share of the error's energy, half a second ahead, that goes."""
+
+
+@pytest.fixture(scope="module")
+def vehicle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return vehicle_file(tmp_path_factory.mktemp("softer"), softer=True)
+
+
+def recorded(experiment: str, vehicle: Path) -> Path:
+    path = vehicle.parent / f"{experiment}.arrow"
+    if not path.exists():
+        duration = 16.0 if experiment == "square" else 8.0
+        record(load(str(vehicle)), experiment, hide=["input_delay"], seed=SEED, duration=duration).save(path)
+    return path
+
+
+def upright(*arguments: Any) -> Any:
+    done = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def test_no_bus_is_later_than_a_row() -> None:
+    offset = get("twsbr").parameter("voltage_offset")
+    assert max(-offset.lower, offset.upper) < 1.0 / load("twsbr").control.rate
+
+
+def test_a_delay_is_found_with_its_size(vehicle: Path) -> None:
+    names = [word for name in LOOKED_FOR for word in ("--effect", name)]
+    found = upright("diagnose", recorded("square", vehicle), "--vehicle", vehicle, *names)
+    assert [each["effect"] for each in found["findings"]] == ["input_delay"], found["reason"]
+    delay = found["findings"][0]["parameters"]["input_delay.delay"]
+    assert abs(delay["value"] - TWSBR_HIDDEN["input_delay"].size) < WITHIN * delay["std"]
+
+
+def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(vehicle: Path, tmp_path: Path) -> None:
+    others = [word for name in OTHERS for word in ("--held-out", recorded(name, vehicle))]
+    square = ["--recording", recorded("square", vehicle)]
+    output = ["--output", tmp_path / "repaired.toml"]
+    repair = upright("model", "add", "twsbr", "input_delay", "--vehicle", vehicle, *output, *square, *others)["repair"]
+    assert repair["needed"]
+    for channel in ("tilt", "tilt_rate"):
+        before, after = (repair[when]["held_out"][channel][-1] for when in ("before", "after"))
+        assert 1.0 - (after / before) ** 2 > CLOSED
