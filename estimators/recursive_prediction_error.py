@@ -38,6 +38,8 @@ SHORTEST_SPAN = 0.4
 """s of free motion before a result is given."""
 SMALLEST = 0.1
 """Share of its start value down to which a parameter that must not vanish is followed."""
+LATEST = 0.05
+"""s by which inputs may be late on the way to what they are late by."""
 
 
 class Method(StrEnum):
@@ -150,11 +152,15 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
 
 
 def _computable(model: Model) -> Model:
-    """The model with bounds at which it can still be computed: an inertia of zero cannot."""
+    """The model with bounds at which it can still be computed: an inertia of zero cannot. How late its inputs are may
+    be on the way what it cannot be in the end: held at what a bus may be, the robot's estimates lost their way."""
+    delays = {name for each in model.inputs for name in each.delays}
 
     def bounded(parameter: Parameter) -> Parameter:
         if parameter.lower == 0.0 < parameter.value and parameter.estimated:
             return replace(parameter, lower=SMALLEST * parameter.value)
+        if parameter.name in delays:
+            return replace(parameter, lower=min(parameter.lower, -LATEST), upper=max(parameter.upper, LATEST))
         return parameter
 
     return replace(model, base_parameters=tuple(map(bounded, model.base_parameters)))
