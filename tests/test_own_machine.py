@@ -18,8 +18,6 @@ from typer.testing import CliRunner
 
 from service.cli import app
 
-pytestmark = pytest.mark.patient
-
 MANUAL = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "write-your-own-model.md"
 SEED = 71
 """Nothing was decided on it."""
