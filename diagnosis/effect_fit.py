@@ -227,8 +227,13 @@ def _fits(
     tries = [(start, end) for end in ends for start in starts]
     found = [each for each in side_by_side(lambda each: fitted(*each), tries) if each is not None]
     if not found:
+        first = failed[0]
         remedy = "check the model against the recording with `upright compare`."
-        raise EstimationError(f"model {starts[0].name}", str(failed[0]), remedy=remedy) from failed[0]
+        raise (
+            first
+            if isinstance(first, EstimationError)
+            else EstimationError(f"model {starts[0].name}", str(first), remedy=remedy)
+        )
     return found
 
 
@@ -242,9 +247,12 @@ def _best(found: Sequence[Fitted], without: Fitted) -> Fitted:
 
 
 def _off_ahead(fitted: Fitted, without: Fitted) -> float:
-    """Energy of the error half a second ahead on the record that was fitted, over that of the model `without`."""
-    with_it, before = (np.nanmean(errors(each.fit, HORIZONS[-1:])[0] ** 2, axis=0) for each in (fitted, without))
-    return float(np.mean(with_it / np.maximum(before, 1e-300)))
+    """Energy of the error half a second ahead on the record that was fitted, over that of the model `without`; infinite
+    where the model runs away."""
+    with np.errstate(all="ignore"):
+        with_it, before = (np.nanmean(errors(each.fit, HORIZONS[-1:])[0] ** 2, axis=0) for each in (fitted, without))
+        off = float(np.mean(with_it / np.maximum(before, 1e-300)))
+    return off if np.isfinite(off) else np.inf
 
 
 def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:

@@ -55,7 +55,7 @@ _PARAMETERS = (
         "s",
         0.0,
         std=0.001,
-        # An answer to a row comes before the next: what is later is no property of a bus, but a delay.
+        # Three deviations: an answer comes within its row, and what is later is no property of a bus, but a delay.
         lower=-0.003,
         upper=0.003,
         meaning="how much later than its row a voltage begins to act",
