@@ -5,7 +5,8 @@ An effect knows no machine. Its expressions use the names of the place it is att
 * at a joint: `coordinate`, `rate`, `inertia`, `load` (the force there without the effect, so that load / inertia is the
   acceleration), `time`, `smooth_rate` (a number); where the joint has an actuator also `actuator_rate`,
   `actuator_angle`, `gain` (force a unit of actuator rate) and `actuator_inertia` (the actuator's own, a part of
-  `inertia`). `force` is added to the joint's load.
+  `inertia`). `force` is added to the joint's load. `twist` is by how much the actuator is ahead of `coordinate`: what
+  the sensors on it show more than the joint's motion.
 * on an actuator: `command`, `time`, and `actuator_rate` and `actuator_angle` where the model knows them. `command` (the
   attribute) replaces the command; `delay` and `lag` name the parameters (s) by which it acts later or goes through a
   first-order lag.
@@ -34,7 +35,7 @@ from models.place import places_of as places_of
 from models.sensing import BEGUN, FILTERED, integrated
 
 BELONGING: Mapping[Place, tuple[str, ...]] = {
-    Place.JOINT: ("force",),
+    Place.JOINT: ("force", "twist"),
     Place.ACTUATOR: ("command", "delay", "lag"),
     Place.SENSOR: ("angle_reading", "rate_reading", "delay"),
 }
@@ -120,6 +121,7 @@ class Effect:
     confused_with: tuple[str, ...]
     separated_by: str
     force: str = ""
+    twist: str = ""
     command: str = ""
     delay: str = ""
     lag: str = ""
@@ -146,7 +148,7 @@ class Effect:
     @property
     def expressions(self) -> dict[str, str]:
         """Key to text of the expressions it has, its states' included; `delay` and `lag` are names, not expressions."""
-        texts = {key: getattr(self, key) for key in ("force", "command", "angle_reading", "rate_reading")}
+        texts = {key: getattr(self, key) for key in ("force", "twist", "command", "angle_reading", "rate_reading")}
         texts |= {f"{state.name}.derivative": state.derivative for state in self.states}
         return {key: text for key, text in texts.items() if text}
 

@@ -1,8 +1,9 @@
 """A model's text equations, with all its effects merged in, as SymPy expressions.
 
-Effects on actuators replace the command; effects at joints add to the joint's force; effects on sensors replace what
-the output shows, last, and what they add to a rate goes through the filter that makes an angle of it. An effect that
-asks for `load` (what accelerates the joint) is given all that does not ask.
+Effects on actuators replace the command; effects at joints add to the joint's force, and their twist to what sensors on
+the joint's actuator show; effects on sensors replace what the output shows, last, and what they add to a rate goes
+through the filter that makes an angle of it. An effect that asks for `load` (what accelerates the joint) is given all
+that does not ask.
 Only generation, printing and tests need this module: a kernel that is cached is loaded without SymPy.
 """
 
@@ -83,10 +84,11 @@ def compose(model: Model) -> Equations:
     forces: dict[str, tuple[tuple[str, sympy.Expr], ...]] = {}
     plain = dict(symbols)
     memories: dict[str, sympy.Expr] = {}
+    twists: dict[str, sympy.Expr] = {}
     for joint in model.joints:
         load = _real(parse(joint.load, symbols, f"joint {joint.name}, load"))
         plain[f"{joint.name}_force"] = load
-        terms = _joint_terms(model, joint, load, symbols, memories)
+        terms, twists[joint.name] = _joint_terms(model, joint, load, symbols, memories)
         forces[joint.name] = terms
         symbols[f"{joint.name}_force"] = sympy.Add(load, *(term for _, term in terms))
     for attached in model.effects:
@@ -105,6 +107,14 @@ def compose(model: Model) -> Equations:
         nominal.append(derivatives[-1])
     outputs = {each.name: _real(parse(each.expression, symbols, f"output {each.name}")) for each in model.outputs}
     moving = _Flow(states, inputs, slopes, [each.hold is Hold.CUBIC for each in model.inputs], time)
+    for actuator in model.actuators:
+        twist = twists.get(actuator.joint, sympy.Integer(0))
+        twist_rate = moving.rate(twist, derivatives)
+        for sensor in model.sensors:
+            if sensor.actuator == actuator.name:
+                for output, more in ((sensor.angle, twist), (sensor.rate, twist_rate)):
+                    if output:
+                        outputs[output] += more
     for sensor in model.sensors:
         _read(model, sensor, outputs, symbols, moving, derivatives, nominal, memories)
     derivatives = [memories.get(state.name, each) for state, each in zip(model.states, derivatives, strict=True)]
@@ -170,8 +180,8 @@ def _command(model: Model, actuator: Actuator, name: str, symbols: Symbols) -> s
 
 def _joint_terms(
     model: Model, joint: Joint, load: sympy.Expr, symbols: Symbols, memories: dict[str, sympy.Expr]
-) -> tuple[tuple[str, sympy.Expr], ...]:
-    """The force of each effect at `joint`; the derivatives of their states go into `memories`."""
+) -> tuple[tuple[tuple[str, sympy.Expr], ...], sympy.Expr]:
+    """The force of each effect at `joint`, and the twist of all; the derivatives of their states go into `memories`."""
     place = {
         "coordinate": _real(parse(joint.coordinate, symbols, f"joint {joint.name}, coordinate")),
         "rate": _real(parse(joint.rate, symbols, f"joint {joint.name}, rate")),
@@ -184,7 +194,7 @@ def _joint_terms(
             break
     here = [a for a in model.effects if a.effect.place is Place.JOINT and a.at == joint.name]
     asking = [a for a in here if _asks_for_load(a)]
-    terms = []
+    terms, twist = [], sympy.Integer(0)
     for attached in [a for a in here if a not in asking] + asking:
         names = _local(attached, symbols, {**place, "load": load})
         where = f"effect {attached.name}"
@@ -192,13 +202,13 @@ def _joint_terms(
         for state, own in zip(attached.states, attached.effect.states, strict=True):
             memories[state.name] = _real(parse(own.derivative, {**names, "force": force}, f"{where}, {own.name}"))
         terms.append((attached.name, force))
+        twist += _real(parse(attached.effect.twist or "0", names, f"{where}, twist"))
         load = load + force
-    return tuple(terms)
+    return tuple(terms), twist
 
 
 def _asks_for_load(attached: AttachedEffect) -> bool:
-    texts = [attached.effect.force, *(state.derivative for state in attached.effect.states)]
-    return any("load" in names_in(text) for text in texts if text)
+    return any("load" in names_in(text) for text in attached.effect.expressions.values())
 
 
 @dataclass(frozen=True, slots=True)

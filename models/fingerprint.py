@@ -20,14 +20,13 @@ def fingerprint(model: Model) -> str:
     parts += [sorted(model.definitions.items())]
     parts += [(j.name, j.coordinate, j.rate, j.inertia, j.load, j.smooth_rate) for j in model.joints]
     parts += [(a.name, a.commands, a.joint, a.rate, a.angle, a.gain, a.inertia) for a in model.actuators]
-    parts += [(s.name, s.angle, s.rate, s.filter) for s in model.sensors]
+    parts += [(s.name, s.angle, s.rate, s.actuator, s.filter) for s in model.sensors]
     for attached in model.effects:
         effect = attached.effect
-        expressions = (effect.force, effect.command, effect.angle_reading, effect.rate_reading)
-        states = [(state.name, state.derivative) for state in effect.states]
+        expressions = list(effect.expressions.items())
         names = [parameter.name for parameter in effect.parameters]
         shifts = (effect.delay, effect.lag)
-        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, states, names)]
+        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, names)]
     return digest(*parts)
 
 

@@ -217,12 +217,15 @@ class Filter:
 class Sensor:
     """Outputs of one device: `angle` (or position) and `rate` are output names, "" where it does not measure it.
 
-    `filter` is what makes the angle from the rate, None where they are measured apart.
+    `filter` is what makes the angle from the rate, None where they are measured apart. `actuator` is the one that it
+    sits on: it shows that one's motion, in the unit of the coordinate of its joint, also where an effect lets the two
+    move apart. "" where it shows what the outputs say.
     """
 
     name: str
     angle: str = ""
     rate: str = ""
+    actuator: str = ""
     angle_unit: str = "rad"
     rate_unit: str = "rad/s"
     angle_scale: float = 1.0

@@ -115,6 +115,7 @@ class FilterSection(Section):
 class SensorSection(Section):
     angle: str = ""
     rate: str = ""
+    actuator: str = ""
     angle_unit: str = "rad"
     rate_unit: str = "rad/s"
     angle_scale: Positive = 1.0

@@ -156,6 +156,7 @@ def _check_references(tables: ModelSection, file: str) -> None:
     for name, sensor in tables.sensors.items():
         references += [(f"sensors.{name}.angle", sensor.angle, "outputs")]
         references += [(f"sensors.{name}.rate", sensor.rate, "outputs")]
+        references += [(f"sensors.{name}.actuator", sensor.actuator, "actuators")]
         if not (sensor.angle or sensor.rate):
             remedy = f"name the output that it measures: {', '.join(tables.outputs)}."
             raise ModelError(f"{file}: sensors.{name}", "has neither angle nor rate", remedy=remedy)
@@ -163,6 +164,13 @@ def _check_references(tables: ModelSection, file: str) -> None:
         if name and name not in getattr(tables, key):
             what = f"there is no {name!r} in {key}"
             raise ModelError(f"{file}: {where}", what, remedy=one_of(name, getattr(tables, key)))
+    for name, sensor in tables.sensors.items():
+        joint = tables.actuators[sensor.actuator].joint if sensor.actuator else ""
+        unit = tables.joints[joint].coordinate_unit if joint else sensor.angle_unit
+        if sensor.angle and unit != sensor.angle_unit:
+            what = f"is {sensor.angle_unit!r}, and the joint of its actuator moves in {unit!r}"
+            remedy = "give both the same unit, or leave out `actuator`."
+            raise ModelError(f"{file}: sensors.{name}.angle_unit", what, remedy=remedy)
 
 
 def _check_expressions(tables: ModelSection, file: str) -> None:
@@ -193,6 +201,8 @@ def _check_expressions(tables: ModelSection, file: str) -> None:
         for key in ("rate", "angle", "gain"):
             if getattr(actuator, key):
                 looked_at(getattr(actuator, key), f"actuators.{name}.{key}")
+        if actuator.inertia:
+            looked_at(actuator.inertia, f"actuators.{name}.inertia", tables.parameters)
     for name, text in tables.definitions.items():
         lengths[name] = looked_at(text, f"definitions.{name}")
         names.add(name)

@@ -34,6 +34,8 @@ class Kind(StrEnum):
     """The force at a joint, or its part without effects."""
     EFFECT = "effect"
     """The force that the effect `name` adds."""
+    TWIST = "twist"
+    """By how much an effect lets an actuator be ahead of its joint, `name`, and `name@1` by how much it is faster."""
     DERIVATIVE = "derivative"
     """`expression` is the time derivative of `name`."""
     OUTPUT = "output"
@@ -62,6 +64,7 @@ def equations(model: Model) -> tuple[Line, ...]:
         *(Line(Kind.DERIVATIVE, state.name, _tidy(state.derivative)) for state in model.base_states),
         *(line for attached in model.effects for line in _memories(model, attached)),
         *(Line(Kind.OUTPUT, output.name, _tidy(output.expression)) for output in model.outputs),
+        *_twists(model),
         *_readings(model),
     )
 
@@ -189,17 +192,38 @@ def _forces(model: Model, joint: Joint) -> Iterator[Line]:
     yield Line(Kind.FORCE, total, load)
 
 
+def _before(model: Model, joint: Joint, attached: AttachedEffect) -> str:
+    """All that acts at `joint` before the effect."""
+    *parts, _ = _forces(model, joint)
+    return " + ".join([line.name for line in parts][: [line.effect for line in parts].index(attached.name)])
+
+
 def _memories(model: Model, attached: AttachedEffect) -> Iterator[Line]:
     """How the states of an effect at a joint change."""
     if attached.effect.place is not Place.JOINT:
         return
     joint = next(each for each in model.joints if each.name == attached.at)
-    *parts, _ = _forces(model, joint)
-    before = [line.name for line in parts][: [line.effect for line in parts].index(attached.name)]
     force = _free(model, attached.name)
-    names = {**_at_joint(model, joint), "load": " + ".join(before), "force": force, **_own(attached)}
+    names = {**_at_joint(model, joint), "load": _before(model, joint, attached), "force": force, **_own(attached)}
     for state, own in zip(attached.states, attached.effect.states, strict=True):
         yield Line(Kind.DERIVATIVE, state.name, renamed(own.derivative, names), attached.name)
+
+
+def _twists(model: Model) -> Iterator[Line]:
+    """What sensors on an actuator show more than the motion of its joint."""
+    for attached in _acting(model, Place.JOINT):
+        actuators = [each.name for each in model.actuators if each.joint == attached.at]
+        showing = [each for each in model.sensors if each.actuator in actuators]
+        if not attached.effect.twist or not showing:
+            continue
+        joint = next(each for each in model.joints if each.name == attached.at)
+        twist = _free(model, f"{attached.name}_twist")
+        names = {**_at_joint(model, joint), "load": _before(model, joint, attached), **_own(attached)}
+        yield Line(Kind.TWIST, twist, renamed(attached.effect.twist, names), attached.name)
+        for sensor in showing:
+            for output, more in ((sensor.angle, twist), (sensor.rate, f"{twist}@1")):
+                if output:
+                    yield Line(Kind.READING, output, f"{_measured(output)} + {more}", attached.name)
 
 
 def _readings(model: Model) -> Iterator[Line]:
@@ -259,8 +283,7 @@ def _at_joint(model: Model, joint: Joint) -> dict[str, str]:
 
 
 def _asks_for_load(attached: AttachedEffect) -> bool:
-    texts = [attached.effect.force, *(state.derivative for state in attached.effect.states)]
-    return any("load" in names_in(text) for text in texts if text)
+    return any("load" in names_in(text) for text in attached.effect.expressions.values())
 
 
 def _measured(output: str) -> str:

@@ -23,6 +23,7 @@ from models import library, model_sections, rendering
 from models.effect import Place
 from models.effects import CATALOGUE
 from models.expressions import number
+from models.fingerprint import fingerprint
 from models.model import Actuator, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
 from models.model_file import ModelFile, load_model, parse, read, write
 from service import cli
@@ -246,6 +247,14 @@ WRONG_OWN = [
     ('gain = "motor_constant"', 'gain = "torque"', "actuators.motor.gain", "'torque', which is not known here yet"),
     ('[sensors.encoder]\nangle = "angle"', "[sensors.encoder]", "sensors.encoder", "has neither angle nor rate"),
     ('[sensors.encoder]\nangle = "angle"', '[sensors.e]\nrate = "rate"', "sensors.e.rate", "no 'rate' in outputs"),
+    ('[sensors.encoder]', '[sensors.encoder]\nactuator = "moto"', "sensors.encoder.actuator", "did you mean 'motor'?"),
+    (
+        '[sensors.encoder]',
+        '[sensors.encoder]\nactuator = "motor"\nangle_unit = "deg"',
+        "sensors.encoder.angle_unit",
+        "is 'deg', and the joint of its actuator moves in 'rad'",
+    ),
+    ('joint = "pivot"', 'joint = "pivot"\ninertia = "angle"', "actuators.motor.inertia", "there is no 'angle'"),
     ("smooth_rate = 1e-3", "smooth_rate = 0", "joints.pivot.smooth_rate", "greater than 0"),
     ("smooth_rate = 1e-3", "smoothrate = 1e-3", "joints.pivot", "smooth"),
     ("[joints.pivot]", "[joints.hinge]", "actuators.motor.joint", "use one of: hinge"),
@@ -554,6 +563,32 @@ def test_the_lines_compute_what_the_kernel_computes(crowded: Model) -> None:
             assert found[part.name] == pytest.approx(float(plain.subs(exact)), rel=1e-9), part.name
     (delay,) = (line for line in rendering.equations(crowded) if line.kind is rendering.Kind.DELAY)
     assert delay.expression == " + ".join(composed.delays[0])
+
+
+def test_sensors_on_an_actuator_show_how_far_it_is_ahead_of_its_joint() -> None:
+    from models.equations import compose
+
+    robot = library.get("twsbr").add("backlash")
+    composed = compose(robot)
+    width, place, speed = (sympy.Symbol(f"backlash.{name}", real=True) for name in ("width", "place", "speed"))
+    shown = {output.name: expression for output, expression in zip(robot.outputs, composed.outputs, strict=True)}
+    for side in ("left", "right"):
+        for output, ahead in ((f"{side}_wheel_angle", place), (f"{side}_wheel_rate", speed)):
+            assert sympy.simplify(shown[output] - sympy.Symbol(output, real=True) - 0.5 * width * ahead) == 0
+    assert {width, place} & shown["tilt_rate"].free_symbols == set()
+
+    text = _squeezed(rendering.text(robot))
+    assert "backlash_twist = 0.5 * backlash.width * backlash.place" in text
+    assert "left_wheel_angle_measured := left_wheel_angle_measured + backlash_twist [backlash]" in text
+    assert "right_wheel_rate_measured := right_wheel_rate_measured + backlash_twist' [backlash]" in text
+    assert r"\dot{\mathrm{backlash}_{\mathrm{twist}}}" in rendering.latex(robot)
+
+
+def test_no_other_sensor_shows_it_and_a_model_has_code_of_its_own() -> None:
+    robot = library.get("twsbr").add("backlash")
+    loose = dataclasses.replace(robot, sensors=tuple(dataclasses.replace(each, actuator="") for each in robot.sensors))
+    assert "backlash_twist" not in rendering.text(loose)
+    assert fingerprint(loose) != fingerprint(robot)
 
 
 def test_text_names_each_effect(crowded: Model) -> None:

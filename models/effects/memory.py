@@ -112,6 +112,7 @@ _BACKLASH_OF_A_GEAR = Effect(
         EffectState("begun", "1", "(1 - begun) / 0.05", "how much of the first moments is over"),
     ),
     force=f"-0.5 * width * actuator_inertia * {_AFTER} * {_ACROSS}",
+    twist="0.5 * width * place",
     signature="Whenever the torque in the gear changes its sign, what is behind it falls through the gap, and a blow "
     "ends that: the rate of the body makes a step from one row to the next. The motor's encoder does not show it.",
     confused_with=(

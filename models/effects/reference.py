@@ -39,7 +39,8 @@ its own parameters and states, and the names of its place:
 _RULES = """\
 `load` is the force at the joint without the effect, so that `load / inertia` is its acceleration; `actuator_inertia` is
 the part of `inertia` that is the actuator's own, as of a rotor before its gear; the derivative of a
-state may use `force`, too. `angle_1` and `angle_2` are time derivatives. A place that does not know a name that is
+state may use `force`, too. `twist` is by how much the effect lets the actuator be ahead of `coordinate`, which sensors
+that sit on it show. `angle_1` and `angle_2` are time derivatives. A place that does not know a name that is
 used, as an actuator whose angle is not measured, cannot have the effect.
 
 A Python file assigns `EFFECT = Effect(...)`. It is code: reading it runs it, with all the rights of whoever reads it.
@@ -61,7 +62,7 @@ _FAMILIES = {
 }
 
 _PLACES = {
-    Place.JOINT: "`force`, and `states` where it has a memory",
+    Place.JOINT: "`force`, `twist`, and `states` where it has a memory",
     Place.ACTUATOR: "`command`, or the name of a parameter in s as `delay` or `lag`",
     Place.SENSOR: "`angle_reading`, `rate_reading`, the name of a parameter in s as `delay`, and `states` where it has "
     "a memory",

@@ -15,7 +15,7 @@ from models.sensing import FILTERED
 
 _TRIES = 40
 """Random motions on which neutrality is judged; a term that is missed by one is hit by another."""
-_NEUTRAL = {"force": "", "command": "command", "angle_reading": "angle", "rate_reading": "rate"}
+_NEUTRAL = {"force": "", "twist": "", "command": "command", "angle_reading": "angle", "rate_reading": "rate"}
 """Which name each expression must equal where the amplitudes are zero; "" for zero."""
 
 

@@ -164,6 +164,7 @@ def _encoder(side: str) -> Sensor:
         f"{side}_encoder",
         angle=f"{side}_wheel_angle",
         rate=f"{side}_wheel_rate",
+        actuator="motors",
         angle_scale=3.0,
         rate_scale=10.0,
     )
