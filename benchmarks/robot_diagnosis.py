@@ -4,8 +4,10 @@ Each case is a virtual robot with one effect hidden in it, or none, recorded wit
 diagnose` is told the recording and the vehicle file, whose numbers are up to 40 % off, and looks for the whole
 catalogue at all places; `upright model add` then adds the effect that is hidden, with the sine, the doublet and the
 sine stream held out. Told are the verdict, the names, the size beside the plant's own, and the energy of the
-innovations over that of the sensors' noise; of the three others by how much the energy of the error some time ahead
-falls, and to what multiple of that which the model states for its noise. A delay and play are recorded with a softer
+innovations over that of the sensors' noise; of the three others together by how much the energy of the error some time
+ahead falls, each model with the filter that was fitted with it, and to what multiple of that which the model states for
+its noise; then of each of them by how much it falls in `upright compare`, whose filter is of the noise of sensors and
+process as they are stated, and of no model's errors. A delay and play are recorded with a softer
 controller (docs/how-to/diagnose-the-robot.md).
 
 With `--live` every effect that the virtual robot can hide is hidden, and none, and told is what the live diagnosis says
@@ -38,6 +40,8 @@ from simulation.twsbr.hidden import TWSBR_HIDDEN
 from simulation.twsbr.truth import TwsbrTruth
 
 OTHERS = ("sine", "doublet", "sine_stream")
+FURTHEST = 0.5
+"""s ahead: what the unstable robot makes of an error in more than that says nothing of a model."""
 CHANNELS = ("tilt", "tilt_rate", "left_wheel_angle")
 SOFTER = {"proportional_gain = 25.0": "proportional_gain = 10.0", "derivative_gain = 3.5 ": "derivative_gain = 0.7 "}
 
@@ -110,7 +114,13 @@ def tried(case: Case, seed: int, candidates: list[str]) -> list[str]:
             at = ["--at", place] if place else []
             held_out = [word for each in OTHERS for word in ("--held-out", recorded(each))]
             command = ["model", "add", "twsbr", effect, *at, "--vehicle", file, "--output", folder / "repaired.toml"]
-            lines += added(upright(*command, "--recording", square, *held_out)["repair"])
+            answer = upright(*command, "--recording", square, *held_out)
+            lines += added(answer["repair"])
+            before, after = folder / "before.json", folder / "repaired.toml"
+            before.write_text(json.dumps(answer), encoding="utf-8")
+            for each in OTHERS:
+                found = upright("compare", recorded(each), "--vehicle", file, "--model", before, "--model", after)
+                lines += compared(each, found["models"][-2:])
         return lines
 
 
@@ -139,6 +149,19 @@ def added(repair: dict[str, Any]) -> list[str]:
             )
         ]
         lines.append(f"       {channel:17}{', '.join(told)}")
+    return lines
+
+
+def compared(experiment: str, models: Sequence[dict[str, Any]]) -> list[str]:
+    """By channel and horizon, by how much the error's energy falls from the first of two models to the second."""
+    lines = []
+    for channel in CHANNELS:
+        told = [
+            f"{old['horizon']:g} s: by {100.0 * (1.0 - (new['rmse'][channel] / old['rmse'][channel]) ** 2):.3g} %"
+            for old, new in zip(*(each["by_horizon"] for each in models), strict=True)
+            if old["horizon"] <= FURTHEST
+        ]
+        lines.append(f"       {experiment:12}{channel:17}{', '.join(told)}")
     return lines
 
 

@@ -206,6 +206,17 @@ class TestModelsOfTheCommandLine:
         assert models["a_method"].values["inertia"] == 1650.0
         assert models["a_method"].values["gravity_stiffness"] == models["CAD"].values["gravity_stiffness"]
 
+    def test_what_adding_an_effect_says_holds_the_model_before(self, tmp_path: Path) -> None:
+        path = tmp_path / "added.json"
+        before = {"parameters": {"inertia": {"value": 1650.0}}}
+        path.write_text(json.dumps({"effect": "backlash", "repair": {"before": before}}))
+        models = self.models(str(path))
+        assert list(models) == ["CAD", "without backlash"]
+        assert models["without backlash"].values["inertia"] == 1650.0
+        path.write_text(json.dumps({"effect": "backlash", "repair": None}))
+        with pytest.raises(RecordingError, match="holds no estimates"):
+            self.models(str(path))
+
     def test_a_shipped_model_and_a_model_file_are_read(self, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"
         path.write_text('base = "monocab_roll"\n\n[[effects]]\nname = "coulomb_friction"\n')

@@ -27,7 +27,7 @@ def compare(
         typer.Option(
             "--model",
             help="A model file (.toml), a shipped model, or JSON of parameters, such as an .estimates.json beside a"
-            " recording. May be given several times.",
+            " recording, or as `upright model add --json` says it of the model before. May be given several times.",
             show_default="the vehicle's with its CAD values",
         ),
     ] = None,
@@ -123,7 +123,8 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
 
 
 def estimated(path: Path, base: Model | None) -> dict[str, Model]:
-    """Models by name from a JSON file of estimates: `base` with the values that each method determines.
+    """Models by name from a JSON file of estimates: `base` with the values that each method determines. What
+    `upright model add --json` says holds those of the model without the effect, which no model file has.
 
     Raises RecordingError where the file holds no estimates, or there is no model that they could be of.
     """
@@ -136,6 +137,8 @@ def estimated(path: Path, base: Model | None) -> dict[str, Model]:
     models = {}
     try:
         document = json_module.loads(path.read_text())
+        if "repair" in document:
+            document = {f"without {document['effect']}": document["repair"]["before"]}
         methods: dict[str, Any] = document.get("methods") or document.get("estimates") or document
         for name, method in methods.items():
             values = {key: entry["value"] for key, entry in method["parameters"].items() if entry["value"] is not None}
