@@ -94,8 +94,8 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: 
 
 @pytest.mark.parametrize("experiment", OTHERS)
 def test_compared_it_falls_on_each_of_them(added: Any, vehicle: Path, experiment: str) -> None:
-    """Through a filter that no model's errors made. On 18 of the benchmark's longer experiments (seeds 74, 803, 805, 807,
-    808 and 912) 13 % of the error's energy went at least up to a fifth of a second ahead, on 17 of them."""
+    """Through a filter that no model's errors made. Of 18 longer experiments (the benchmark's, seeds 74, 803, 805, 807,
+    808 and 912) 13 % of the error's energy went at least on 17, up to a fifth of a second ahead."""
     said = vehicle.parent / "added.json"
     said.write_text(json.dumps(added), encoding="utf-8")
     models = ["--model", said, "--model", vehicle.parent / "repaired.toml"]
