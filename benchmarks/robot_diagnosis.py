@@ -131,7 +131,8 @@ def diagnosed(case: Case, found: dict[str, Any]) -> str:
     for each in found["findings"]:
         if each["effect"] in case.names:
             size = next(iter(each["parameters"].values()))
-            told.append(f"{size['value']:.4g} +-{size['std'] or float('nan'):.2g} {size['unit']} for {case.size:g}")
+            value, std = (float("nan") if size[key] is None else size[key] for key in ("value", "std"))
+            told.append(f"{value:.4g} +-{std:.2g} {size['unit']} for {case.size:g}")
     if found["innovation_ratio_before"] is not None:
         told.append(f"{found['innovation_ratio_before']:.3g} to {found['innovation_ratio_after']:.3g} times the noise")
     return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in told if each)

@@ -22,14 +22,12 @@ from numpy.typing import NDArray
 
 from diagnosis.ahead import errors
 from diagnosis.candidates import Candidate
-from diagnosis.refit import off_prior
+from diagnosis.refit import off_prior, scatter_of_none
 from diagnosis.repair_result import HORIZONS
 from diagnosis.screen import Score
 from diagnosis.side_by_side import side_by_side
-from diagnosis.whitened import whitening
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.fit_result import inverse
-from estimators.gauss_newton import eliminate
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Begin, Fit, fit, result
 from estimators.problem import problem
@@ -82,26 +80,7 @@ class Fitted:
             return float("inf")
         sizes = np.abs(self.fit.minimum.common[places])
         own = np.array([self.deviations[names[place]] for place in places])
-        return float(np.max(sizes / np.maximum(np.minimum(own, self._scatter_of_none(places)), 1e-300)))
-
-    def _scatter_of_none(self, places: list[int]) -> Array:
-        """Standard deviations that the amplitudes at `places` would have, were they zero; infinite where they would
-        show nothing."""
-        fitted = self.fit
-        task, size = fitted.problem, len(fitted.problem.free)
-        common = fitted.minimum.common[:size].copy()
-        common[places] = 0.0
-        with np.errstate(all="ignore"):
-            blocks = task.evaluate(
-                common, fitted.minimum.own[: len(task.segments)], weights=whitening(fitted), gain=fitted.gain
-            )
-        if blocks is None:
-            return np.full(len(places), np.inf)
-        information = np.diag(fitted.prior[:size])
-        for block in blocks:
-            columns = eliminate(block)[1]
-            information = information + columns.T @ columns
-        return np.sqrt(np.diag(inverse(information))[places])
+        return float(np.max(sizes / np.maximum(np.minimum(own, scatter_of_none(self.fit, places)), 1e-300)))
 
     @property
     def model(self) -> Model:

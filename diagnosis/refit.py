@@ -21,7 +21,7 @@ from diagnosis.screen import Score
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
 from estimators.fit_result import inverse
-from estimators.gauss_newton import Block, Minimum, minimise
+from estimators.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.methods.prediction_error import Begin, Fit, fit
 from models.effect import Place
 from models.model import Model
@@ -228,11 +228,13 @@ def by_chance(fitted: FullFit, base: FullFit) -> float:
 
 
 def surety(fitted: FullFit) -> float:
-    """By how many standard deviations the surest amplitude of the effect that was added last is away from zero.
+    """By how many standard deviations the surest amplitude of the effect that was added last is away from zero, of its
+    own, or of those that it would scatter by were there none of it.
 
     One that is not leaves all that was gained to the others, which another start would have brought there, too. Its
     shape is taken for known: of a creep whose end the record does not show, the torque it settles at is anything, and
-    that there is one beyond doubt.
+    that there is one beyond doubt. Likewise where parts strike each other: derivatives through many blows grow until
+    they tell nothing of how large the play is, which gained thousands.
     """
     assert fitted.candidate is not None
     names = [p.name for p in fitted.fit.problem.parameters]
@@ -242,7 +244,33 @@ def surety(fitted: FullFit) -> float:
     deviations = np.sqrt(np.diag(inverse(information[np.ix_(known, known)])))
     std = dict(zip(known.tolist(), deviations.tolist(), strict=True))
     places = [names.index(name) for name in fitted.candidate.amplitudes if name in names]
-    return max((abs(float(fitted.fit.minimum.common[place])) / std[place] for place in places), default=0.0)
+    if not places:
+        return 0.0
+    own = np.array([std[place] for place in places])
+    scatter = np.minimum(own, scatter_of_none(fitted.fit, places, given))
+    return float(np.max(np.abs(fitted.fit.minimum.common[places]) / np.maximum(scatter, 1e-300)))
+
+
+def scatter_of_none(fitted: Fit, places: Sequence[int], given: Sequence[int] = ()) -> Array:
+    """Standard deviations that the amplitudes at `places` among the parameters would have, were they zero, with those
+    at `given` known; infinite where they would show nothing."""
+    task, size = fitted.problem, len(fitted.problem.free)
+    common = fitted.minimum.common[:size].copy()
+    common[list(places)] = 0.0
+    with np.errstate(all="ignore"):
+        blocks = task.evaluate(
+            common, fitted.minimum.own[: len(task.segments)], weights=whitening(fitted), gain=fitted.gain
+        )
+    if blocks is None:
+        return np.full(len(places), np.inf)
+    information = np.diag(fitted.prior[:size])
+    for block in blocks:
+        columns = eliminate(block)[1]
+        information = information + columns.T @ columns
+    known = np.delete(np.arange(size), list(given))
+    deviations = np.full(size, np.inf)
+    deviations[known] = np.sqrt(np.diag(inverse(information[np.ix_(known, known)])))
+    return np.asarray(deviations[list(places)])
 
 
 def off_prior(fitted: Fit) -> float:
