@@ -83,7 +83,7 @@ _BACKLASH_OF_A_GEAR = Effect(
     title="play between a motor and what it moves",
     place=Place.JOINT,
     equation='F = -actuator_inertia (width / 2) z",  half_width z" = (gain actuator_rate inertia / actuator_inertia'
-    " - load) / (inertia - actuator_inertia) between the flanks, -1 < z < 1",
+    " - load) / (inertia - actuator_inertia) between the flanks, -1 < z < 1;  the actuator is (width / 2) z ahead",
     parameters=(
         EffectParameter(
             "width",
