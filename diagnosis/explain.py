@@ -23,6 +23,8 @@ def explain(finding: Finding, score: Score) -> str:
     sizes = _sizes(finding.parameters, f"{candidate.name}.")
     told = [f"{effect.name}: {effect.title} ({effect.equation})" + (f"; {sizes}" if sizes else "") + "."]
     told.append(effect.signature)
+    if all(finding.parameters[name].value is None for name in candidate.amplitudes if name in finding.parameters):
+        told.append("How large it is, these data do not tell.")
     first = candidate.amplitudes[0]
     told.append(
         f"This record would have shown {score.detectable:.2g} {_unit(candidate, first)} of {first.split('.')[-1]}; "

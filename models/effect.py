@@ -5,8 +5,8 @@ An effect knows no machine. Its expressions use the names of the place it is att
 * at a joint: `coordinate`, `rate`, `inertia`, `load` (the force there without the effect, so that load / inertia is the
   acceleration), `time`, `smooth_rate` (a number); where the joint has an actuator also `actuator_rate`,
   `actuator_angle`, `gain` (force a unit of actuator rate) and `actuator_inertia` (the actuator's own, a part of
-  `inertia`). `force` is added to the joint's load. `twist` is by how much the actuator is ahead of `coordinate`: what
-  the sensors on it show more than the joint's motion.
+  `inertia`). `force` is added to the joint's load. `twist` is by how much the actuator is ahead of `coordinate`, in
+  the unit of that: what the sensors on it show more than the joint's motion.
 * on an actuator: `command`, `time`, and `actuator_rate` and `actuator_angle` where the model knows them. `command` (the
   attribute) replaces the command; `delay` and `lag` name the parameters (s) by which it acts later or goes through a
   first-order lag.

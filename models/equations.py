@@ -107,14 +107,13 @@ def compose(model: Model) -> Equations:
         nominal.append(derivatives[-1])
     outputs = {each.name: _real(parse(each.expression, symbols, f"output {each.name}")) for each in model.outputs}
     moving = _Flow(states, inputs, slopes, [each.hold is Hold.CUBIC for each in model.inputs], time)
-    for actuator in model.actuators:
-        twist = twists.get(actuator.joint, sympy.Integer(0))
-        twist_rate = moving.rate(twist, derivatives)
-        for sensor in model.sensors:
-            if sensor.actuator == actuator.name:
-                for output, more in ((sensor.angle, twist), (sensor.rate, twist_rate)):
-                    if output:
-                        outputs[output] += more
+    joint_of = {actuator.name: actuator.joint for actuator in model.actuators}
+    for sensor in model.sensors:
+        twist = twists.get(joint_of.get(sensor.actuator, ""), sympy.Integer(0))
+        if sensor.angle:
+            outputs[sensor.angle] += twist
+        if sensor.rate:
+            outputs[sensor.rate] += moving.rate(twist, derivatives)
     for sensor in model.sensors:
         _read(model, sensor, outputs, symbols, moving, derivatives, nominal, memories)
     derivatives = [memories.get(state.name, each) for state, each in zip(model.states, derivatives, strict=True)]

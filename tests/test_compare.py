@@ -19,7 +19,7 @@ from diagnosis.horizons import HORIZONS
 from estimators.contract import EstimationError
 from estimators.segments import DataError
 from models import library
-from models.model import Model
+from models.model import Model, ModelError
 from models.model_file import load_model
 from service.cli.compare import read_models
 from service.cli.compare_page import comparison_table
@@ -207,14 +207,21 @@ class TestModelsOfTheCommandLine:
         assert models["a_method"].values["gravity_stiffness"] == models["CAD"].values["gravity_stiffness"]
 
     def test_what_adding_an_effect_says_holds_the_model_before(self, tmp_path: Path) -> None:
-        path = tmp_path / "added.json"
+        file, path = tmp_path / "mine.toml", tmp_path / "added.json"
+        effects = "".join(f'\n[[effects]]\nname = "{name}"\n' for name in ("viscous_friction", "coulomb_friction"))
+        file.write_text(f'base = "monocab_roll"\n{effects}')
         before = {"parameters": {"inertia": {"value": 1650.0}}}
-        path.write_text(json.dumps({"effect": "backlash", "repair": {"before": before}}))
+        said = {"file": str(file), "effect": "coulomb_friction", "repair": {"before": before}}
+        path.write_text(json.dumps(said))
         models = self.models(str(path))
-        assert list(models) == ["CAD", "without backlash"]
-        assert models["without backlash"].values["inertia"] == 1650.0
-        path.write_text(json.dumps({"effect": "backlash", "repair": None}))
+        assert list(models) == ["CAD", "without coulomb_friction"]
+        assert models["without coulomb_friction"].values["inertia"] == 1650.0
+        assert [each.name for each in models["without coulomb_friction"].effects] == ["viscous_friction"]
+        path.write_text(json.dumps({**said, "repair": None}))
         with pytest.raises(RecordingError, match="holds no estimates"):
+            self.models(str(path))
+        path.write_text(json.dumps({**said, "effect": "backlash"}))
+        with pytest.raises(ModelError, match="does not have it"):
             self.models(str(path))
 
     def test_a_shipped_model_and_a_model_file_are_read(self, tmp_path: Path) -> None:

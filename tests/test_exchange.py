@@ -171,3 +171,19 @@ def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:
     deviation = np.sqrt(inverse(fitted.fit.minimum.information)[place, place])
     assert abs(fitted.fit.minimum.common[place]) < SURE * deviation, "or this record tells where it settles"
     assert surety(fitted) > 2.0 * SURE
+
+
+def test_that_there_is_an_effect_is_sure_though_its_size_is_open() -> None:
+    """All torques of the balancing robot are told together with the mass of its body, of which little is known."""
+    vehicle = load("twsbr")
+    model = with_values(nominal_model("twsbr"), vehicle.parameters.values, vehicle.parameters.deviations)
+    model = model.change(estimated=[*(each.name for each in model.parameters if each.estimated), "body_mass"])
+    recording = record("twsbr", "square", hide=("static_torque",), seed=31, duration=12.0)
+    workspace = Workspace.of(model, [recording], vehicle.support, ("static_torque",))
+    candidate = next(each for each in workspace.candidates if each.name == "static_torque")
+    fitted = full(with_effect(model, candidate, candidate.variants[0]), workspace, candidate)
+    names = [each.name for each in fitted.fit.problem.parameters]
+    place = names.index("static_torque.torque")
+    deviation = np.sqrt(inverse(fitted.fit.minimum.information)[place, place])
+    assert abs(fitted.fit.minimum.common[place]) < 5.0 * deviation, "or this record tells the mass as well"
+    assert surety(fitted) > 50.0

@@ -123,22 +123,23 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
 
 
 def estimated(path: Path, base: Model | None) -> dict[str, Model]:
-    """Models by name from a JSON file of estimates: `base` with the values that each method determines. What
-    `upright model add --json` says holds those of the model without the effect, which no model file has.
+    """Models by name from a JSON file of estimates: `base` with the values that each method determines, or, of what
+    `upright model add --json` says, the model that the effect was added to, fitted to the same recordings.
 
-    Raises RecordingError where the file holds no estimates, or there is no model that they could be of.
+    Raises RecordingError where the file holds no estimates, or there is no model that they could be of; ModelError
+    where the model file to which an effect was added is not there any more, or does not have it.
     """
     from telemetry.errors import RecordingError
 
-    if base is None:
-        remedy = "Give the model itself: --model FILE.toml."
-        raise RecordingError(str(path), "", "holds values of a model that is not known", remedy=remedy)
-    names = {parameter.name for parameter in base.parameters}
     models = {}
     try:
         document = json_module.loads(path.read_text())
         if "repair" in document:
-            document = {f"without {document['effect']}": document["repair"]["before"]}
+            return {f"without {document['effect']}": _without_effect(document)}
+        if base is None:
+            remedy = "Give the model itself: --model FILE.toml."
+            raise RecordingError(str(path), "", "holds values of a model that is not known", remedy=remedy)
+        names = {parameter.name for parameter in base.parameters}
         methods: dict[str, Any] = document.get("methods") or document.get("estimates") or document
         for name, method in methods.items():
             values = {key: entry["value"] for key, entry in method["parameters"].items() if entry["value"] is not None}
@@ -155,6 +156,14 @@ def estimated(path: Path, base: Model | None) -> dict[str, Model]:
             remedy="Write one with `upright identify ... --json > FILE`.",
         ) from error
     return models
+
+
+def _without_effect(document: dict[str, Any]) -> Model:
+    """The model of the file to which `upright model add` added an effect, as it was fitted without it."""
+    from models.model_file import load_model
+
+    values = {name: each["value"] for name, each in document["repair"]["before"]["parameters"].items()}
+    return load_model(document["file"]).remove(document["effect"]).change(values)
 
 
 def estimates_beside(recording: Path) -> Path:
