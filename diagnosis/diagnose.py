@@ -173,6 +173,8 @@ def _verdict(
     elif findings:
         verdict = Verdict.MISSING_EFFECT
         reason = "; ".join(finding.explanation for finding in findings)
+        if rest.struck and (left := _left(rest.before, after)):
+            reason += f"{left} Blows that come a row early or late make it."
     else:
         verdict = Verdict.ADEQUATE
         reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"

@@ -1,14 +1,13 @@
 """A model fitted with an effect as well as it can be: from several shapes, and with its shape where a record tells it.
 
 An effect with a shape (a frequency, a rate, a gap) has many minima, so the fit begins at several: the one that the
-score test likes best (diagnosis.screen), and those the effect itself names; each with all else at what was known before
-and at where the model without the effect ended. The shape is then estimated too, as far as the record tells it; a shape
-that it does not tell stays where it is.
+score test likes best (diagnosis.screen), and those the effect itself names. The shape is then estimated too, as far as
+the record tells it; a shape that it does not tell stays where it is. The best likelihood stays.
 
-The best likelihood stays, where there is one. Where parts strike each other it is not smooth: a blow that comes a row
-early or late costs as much as one that nobody expected, so fits end hundreds apart of thousands that they gain, and
-some of them with a filter that each blow throws off. Of those that gain almost as much as the best the one stays that
-foretells its own record best, half a second ahead.
+Where parts strike each other it is not smooth: a blow that comes a row early or late costs as much as one that nobody
+expected, so fits end hundreds apart of thousands that they gain, and some of them with a filter that each blow throws
+off. There each shape is begun with all else at what was known before and at where the model without the effect ended,
+and of those that gain almost as much as the best the one stays that foretells its own record best, half a second ahead.
 """
 
 from __future__ import annotations
@@ -166,22 +165,24 @@ def fit_effect(
     with_it = model.add(candidate.effect, candidate.attached.at)
     problem(with_it, recordings, support=support)  # compiled before two threads ask for it
     shapes = _starts(model, candidate, score)[:most]
-    found = _fits([with_it.change(shape) for shape in shapes], recordings, support, (None, without.fit.end))
-    best = _best(found, without)
+    strikes = candidate.effect.strikes
+    ends = (None, without.fit.end) if strikes else (None,)
+    best = _best(_fits([with_it.change(shape) for shape in shapes], recordings, support, ends), without, strikes)
     free = [name for name in candidate.shapes if best.prior.parameter(name).scale > 0.0]
     base = [parameter.name for parameter in best.fit.problem.parameters]
     start = best.prior.change({name: value for name, value in best.values.items() if name in candidate.amplitudes})
     for _ in range(2):
         if not free:
             break
+        ends = (None, best.fit.end) if strikes else (None,)
         try:
-            trials = _fits([start.change(estimated=(*base, *free))], recordings, support, (None, best.fit.end))
+            trials = _fits([start.change(estimated=(*base, *free))], recordings, support, ends)
         except EstimationError:
             break
-        trial = _best(trials, without)
+        trial = _best(trials, without, strikes)
         told = [name for name in free if trial.estimate.parameters[name].status in (Status.OK, Status.AT_BOUND)]
         if told == free:
-            return _best([best, trial], without)
+            return _best([best, trial], without, strikes)
         start = start.change({name: trial.values[name] for name in told})
         free = told
     return best
@@ -216,11 +217,12 @@ def _fits(
     return found
 
 
-def _best(found: Sequence[Fitted], without: Fitted) -> Fitted:
-    """The likeliest of `found` (by BIC), or, of those that gain almost as much, the one that foretells best."""
+def _best(found: Sequence[Fitted], without: Fitted, strikes: bool) -> Fitted:
+    """The likeliest of `found` (by BIC); where parts strike, the one of those that gain almost as much as that which
+    foretells best."""
     gains = [without.bic - each.bic for each in found]
     near = [each for each, gain in zip(found, gains, strict=True) if gain >= ALMOST * max(gains)]
-    if len(near) < 2 or max(gains) <= 0.0:
+    if not strikes or len(near) < 2 or max(gains) <= 0.0:
         return found[int(np.argmax(gains))]
     return min(near, key=lambda each: _off_ahead(each, without))
 

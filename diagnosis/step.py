@@ -82,9 +82,9 @@ def find(
     `unseen`: effects that get a full fit whatever the screen says. `before`: an effect whose fit is known, and that
     stood up to unseen data.
     """
-    hidden = fits_of_masked(base.model, workspace, unseen)
+    hidden = fits_of_masked(base.model, workspace, unseen, (before.fit.name,) if before else ())
     if before:
-        hidden = [*(each for each in hidden if each.name != before.fit.name), before.fit]
+        hidden = [*hidden, before.fit]
     fits = _contenders(base, screened, workspace, hidden, tell)
     # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
     # strongest is tested, the best fitting is named.

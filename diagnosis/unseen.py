@@ -4,10 +4,15 @@ A third is every third of PIECES x THIRDS pieces, and is judged by fits of the o
 whole recording, so that they know their state when a piece begins, as an effect with memory asks for; only what they
 predict inside it counts. Where an effect does so little that what it foretells is less than the noise of what is
 gained, nothing is said.
+
+Where parts strike each other, a blow that is predicted a row early is an error of dozens of deviations, and a second
+with a few of them weighs more than all others. There errors have a normal distribution with tails (Box, Tiao, "A
+Bayesian approach to some outlier problems", 1968): of the right effect -3,000 +-4,000 became 1,840 +-610.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -46,6 +51,10 @@ in one where the effect would not be told it is not judged. And those by which a
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 HORIZON = 0.5
 """s ahead at which held-out errors are told: far enough for a missing force to show."""
+TAILS = 1e-3
+"""Share of the errors that parts which strike each other make, and"""
+WIDER = 10.0
+"""by what factor these are wider."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,11 +184,12 @@ def judge(
         if found is None:
             continue
         without, with_it = found
-        promise = _foretold(with_it, amplitudes, part, support)
+        struck = any(each.effect.strikes for each in with_it.problem.model.effects)
+        promise = _foretold(with_it, amplitudes, part, support, struck)
         if 2.0 * np.sum(promise) < SURE**2:
             continue
         promises.append(promise)
-        gains.append(_log_density(with_it, part, support) - _log_density(without, part, support))
+        gains.append(_log_density(with_it, part, support, struck) - _log_density(without, part, support, struck))
         known.append(off_prior(without) - off_prior(with_it))
         energies.append(_energies(without, with_it, part, support))
     if not gains:
@@ -215,21 +225,31 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
     return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 
-def _log_density(fitted: Fit, part: Fold, support: float | None) -> Array:
+def surprise(white: Array, struck: bool) -> Array:
+    """By how much less likely each row of whitened errors `white` (n, outputs) is than one without any, as a logarithm,
+    (n,): of a normal distribution, and with tails where parts of the model have `struck`."""
+    normal = 0.5 * white**2
+    if struck:
+        odds = TAILS / WIDER / (1.0 - TAILS)
+        normal = normal - np.logaddexp(0.0, math.log(odds) + normal * (1.0 - WIDER**-2)) + math.log1p(odds)
+    return np.asarray(np.sum(normal, axis=1))
+
+
+def _log_density(fitted: Fit, part: Fold, support: float | None, struck: bool) -> Array:
     """Of the judged rows, by blocks of a second."""
     task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
-    return _by_blocks(part, task, [-0.5 * (np.sum(z**2, axis=1) + logarithm) for z in _innovations(fitted, task)])
+    return _by_blocks(part, task, [-surprise(z, struck) - 0.5 * logarithm for z in _innovations(fitted, task)])
 
 
-def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None) -> Array:
+def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, struck: bool) -> Array:
     """How much the likelihood of the judged rows would rise by `amplitudes` if these are right, by blocks."""
     task = _whole(fitted, part, support)
     zero = [name in amplitudes for name in (parameter.name for parameter in task.parameters)]
     without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
     less = replace(fitted, minimum=replace(fitted.minimum, common=without))
     both = zip(_innovations(fitted, task), _innovations(less, task), strict=True)
-    return _by_blocks(part, task, [0.5 * np.sum((one - other) ** 2, axis=1) for one, other in both])
+    return _by_blocks(part, task, [surprise(one - other, struck) for one, other in both])
 
 
 def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:

@@ -105,9 +105,10 @@ class Effect:
 
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
     experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that do a part
-    of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `in_radians`:
-    names that are an angle in rad, or the effect makes no sense. `source` is where the equation is from. `instead`: the
-    formula of the same effect at places that offer what that one asks for.
+    of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `strikes`: parts
+    strike each other, so that what a little of it does says nothing of what more of it does. `in_radians`: names that
+    are an angle in rad, or the effect makes no sense. `source` is where the equation is from. `instead`: the formula of
+    the same effect at places that offer what that one asks for.
     """
 
     name: str
@@ -131,6 +132,7 @@ class Effect:
     made_of: tuple[str, ...] = ()
     beyond: tuple[str, ...] = ()
     dissipative: bool = False
+    strikes: bool = False
     in_radians: tuple[str, ...] = ()
     source: str = ""
     instead: Effect | None = None

@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
+from diagnosis.adequacy import LEFT_STRUCK
 from models import library
 from service.cli import app
 from service.vehicle_file import load
@@ -23,8 +24,11 @@ from simulation.twsbr.hidden import TWSBR_HIDDEN
 
 SEED = 74
 """Decided nothing."""
+RATTLES = 913
+"""Where the square wave rattles, 64 times the floor. On this and 911, whose play had no name, it was decided where fits
+begin and how unseen data judge them."""
 LOOKED_FOR = ("backlash", "input_deadband", "coulomb_friction", "actuator_lag")
-"""At all places. The whole catalogue takes ten minutes."""
+"""At all places. The whole catalogue takes three minutes."""
 OTHERS = ("sine", "doublet", "sine_stream")
 WITHIN = 3.0
 """Standard deviations that the width may be off."""
@@ -38,11 +42,11 @@ def vehicle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return vehicle_file(tmp_path_factory.mktemp("softer"), softer=True)
 
 
-def recorded(experiment: str, vehicle: Path, *hide: str) -> Path:
-    path = vehicle.parent / f"{experiment}{len(hide)}.arrow"
+def recorded(experiment: str, vehicle: Path, *hide: str, seed: int = SEED) -> Path:
+    path = vehicle.parent / f"{experiment}{len(hide)}_{seed}.arrow"
     if not path.exists():
         duration = 20.0 if experiment == "square" else 8.0
-        record(load(str(vehicle)), experiment, hide=hide, seed=SEED, duration=duration).save(path)
+        record(load(str(vehicle)), experiment, hide=hide, seed=seed, duration=duration).save(path)
     return path
 
 
@@ -57,14 +61,18 @@ def diagnosed(recording: Path, vehicle: Path) -> Any:
     return upright("diagnose", recording, "--vehicle", vehicle, *names)
 
 
-def test_play_of_the_gears_is_found_with_its_size(vehicle: Path) -> None:
-    found = diagnosed(recorded("square", vehicle, "backlash"), vehicle)
+@pytest.mark.parametrize("seed", [SEED, RATTLES])
+def test_play_of_the_gears_is_found_with_its_size(vehicle: Path, seed: int) -> None:
+    found = diagnosed(recorded("square", vehicle, "backlash", seed=seed), vehicle)
+    assert found["verdict"] == "missing_effect", found["reason"]
     assert [each["effect"] for each in found["findings"]] == ["backlash"], found["reason"]
     width = found["findings"][0]["parameters"]["backlash.width"]
     assert abs(width["value"] - TWSBR_HIDDEN["backlash"].size) < WITHIN * width["std"]
-    # Seeds 61 to 64: 16 to 17 before, 1.7 to 2.1 after. A blow that comes a row late is as large as one not expected.
+    assert width["std"] < width["value"]
+    # A blow that comes a row early or late is as large as one that is not expected.
     before, after = (found[f"innovation_ratio_{when}"] - 1.0 for when in ("before", "after"))
-    assert after < 0.15 * before
+    assert after < LEFT_STRUCK * before
+    assert "Blows that come a row early or late" in found["reason"]
 
 
 def test_without_play_none_is_found(vehicle: Path) -> None:

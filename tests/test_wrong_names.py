@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.adequacy import CHANCE, SHAPED, Adequacy
+from diagnosis.adequacy import CHANCE, LEFT_STRUCK, SHAPED, Adequacy
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.shapes import Shape
 from diagnosis.where_it_fails import VIEWS, Views
@@ -103,6 +103,13 @@ class TestWhatIsLeft:
         assert adequacy(0.9 * 100.0 * SHAPED, 0.1 * CHANCE).adequate
         assert not adequacy(1.1 * 100.0 * SHAPED, 0.1 * CHANCE).adequate
         assert adequacy(1.1 * 100.0 * SHAPED, 2.0 * CHANCE).adequate
+
+    def test_where_parts_strike_each_other_more_of_the_energy_may_be_left(self) -> None:
+        fails = Views((), (), (), (), (), dict.fromkeys(VIEWS, ({"from": 0.0},)))
+        rest = replace(adequacy(0.0, 1.0), left=fails, before=11.0, after=1.0 + 10.0 * 0.9 * LEFT_STRUCK)
+        assert not rest.adequate
+        assert replace(rest, struck=True).adequate
+        assert not replace(rest, struck=True, after=1.0 + 10.0 * 1.1 * LEFT_STRUCK).adequate
 
     def test_where_more_is_left_than_was_found_nothing_is_named(self) -> None:
         assert adequacy(50.0, 0.1 * CHANCE).named

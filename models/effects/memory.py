@@ -126,6 +126,7 @@ _BACKLASH_OF_A_GEAR = Effect(
     ),
     separated_by="The same excitation at two amplitudes: the blows come as often, while those of a lag or of a delay "
     "grow. An encoder behind the gear shows the play itself.",
+    strikes=True,
     source="Nordin, Gutman, Automatica 38 (2002) 1633, two masses with play; the flanks by Hunt, Crossley, J. Appl. "
     "Mech. 42 (1975) 440",
 )

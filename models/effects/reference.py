@@ -28,9 +28,9 @@ F is a force at the joint, inertia * rate' = load + F, u a command, t the time i
 
 _KEYS = """\
 Its keys are those of `models.effect.Effect`. `equation`, `signature`, `confused_with`, `separated_by`, `source`,
-`dissipative`, `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`, `spread`, the standard deviation
-of what it may be when a record begins, and on a sensor `initial`, the reading that it begins with: angle or rate) may
-be left out. A parameter has `name`, `unit`, `meaning`, `amplitude`,
+`dissipative`, `strikes`, `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`, `spread`, the standard
+deviation of what it may be when a record begins, and on a sensor `initial`, the reading that it begins with: angle or
+rate) may be left out. A parameter has `name`, `unit`, `meaning`, `amplitude`,
 `value`, `scale` (a typical size), `lower`, `upper` and `starts`. An expression may contain numbers, + - * / **,
 brackets, the functions sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, exp, log, sqrt, abs, sign, min and max, `pi`,
 its own parameters and states, and the names of its place:
@@ -103,6 +103,8 @@ def _formula(effect: Effect) -> list[str]:
     lines += [f"**Confused with:** {', '.join(f'[`{name}`](#{name})' for name in effect.confused_with)}.", ""]
     lines += [f"**Told apart by:** {effect.separated_by}", ""]
     more = "It never adds energy. " if effect.dissipative else ""
+    if effect.strikes:
+        more += "Its parts strike each other: a diagnosis fits it from each start, whatever a little of it does. "
     if effect.beyond:
         beyond = " and ".join(f"[`{name}`](#{name})" for name in effect.beyond)
         more += f"It is detectable by what it does beyond {beyond} at its usual shape. "
