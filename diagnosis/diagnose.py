@@ -72,22 +72,36 @@ def diagnose(
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
-    findings, fits, screens, last = _search(base, workspace, most, masked, partial(_part, tell, 0.1, 0.85))
+    bare = _without_blows(base, workspace)
+    known_gain = base.log_likelihood - bare.log_likelihood
+    findings, fits, screens, last = _search(base, workspace, most, masked, known_gain, partial(_part, tell, 0.1, 0.85))
     tell("looking for what has no name", 0.95)
-    rest = adequacy(base.fit, last.fit, last.log_likelihood - base.log_likelihood)
+    rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
     steps = [base, *fits]
+    before = rest.before if bare is base else over_floor(base.fit)
     after = rest.after if steps[-1] is last else over_floor(steps[-1].fit)  # `last` may have one without a name
-    found = _verdict(steps, findings, screens, rest, after, workspace)
+    found = _verdict(steps, findings, screens, rest, (before, after), workspace)
     return found if found.repaired is None else replace(found, repaired=untimed(known, found.repaired))
 
 
+def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
+    """The fit of the model without those of its effects whose parts strike each other; `base` where it has none.
+
+    What is left of these, once they are in the model, is a share of what they explain."""
+    model = base.model
+    for each in base.model.effects:
+        if each.effect.strikes:
+            model = model.remove(each.name)
+    return base if model is base.model else settled(model, workspace)
+
+
 def _search(
-    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress
+    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], known: float, tell: Progress
 ) -> tuple[list[Finding], list[FullFit], list[Screen], FullFit]:
     """Effect after effect, at most `most`, and the fit with each; the screens before each and after the last.
 
     Then the fit of all that was found, which may be one effect more: one that explains too little for a name, but no
-    more is unknown than what it bends.
+    more is unknown than what it bends. `known`: log likelihood that effects of the model gain whose parts strike.
     """
     findings: list[Finding] = []
     fits: list[FullFit] = []
@@ -107,7 +121,7 @@ def _search(
             found = find(whole, screens[-1], workspace, {*masked, *more}, part)
         before = findings
         if found is not None:
-            if found.finding.log_likelihood_gain < asked(found.finding, findings):
+            if found.finding.log_likelihood_gain < asked(found.finding, findings, known):
                 whole = found.fit
                 break
             before = [*findings, found.finding]
@@ -152,38 +166,45 @@ def _left(before: float, after: float) -> str:
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
+def _of_blows(rest: Adequacy) -> str:
+    """What is left where parts strike each other, in words."""
+    left = _left(rest.before, rest.after) if rest.struck else ""
+    return f"{left} Blows that come a row early or late make it." if left else ""
+
+
 def _verdict(
     steps: list[FullFit],
     findings: list[Finding],
     screens: list[Screen],
     rest: Adequacy,
-    after: float,
+    ratios: tuple[float, float],
     workspace: Workspace,
 ) -> Diagnosis:
+    before, after = ratios
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
         reason = f"something is missing that no known effect explains. {rest.reason}"
         names = " and ".join(finding.effect for finding in findings)
         if findings and not rest.named:
             reason += f" Nearest comes {names}; most of it is left."
-            findings, steps, after = [], steps[:1], rest.before
+            findings, steps, after = [], steps[:1], before
         elif findings:
             verb = "is" if len(findings) == 1 else "are"
-            reason = f"{names} {verb} missing, and {reason}{_left(rest.before, after)}"
+            reason = f"{names} {verb} missing, and {reason}{_left(before, after)}"
     elif findings:
         verdict = Verdict.MISSING_EFFECT
         reason = "; ".join(finding.explanation for finding in findings)
-        if rest.struck and (left := _left(rest.before, after)):
-            reason += f"{left} Blows that come a row early or late make it."
+        reason += _of_blows(rest)
     else:
         verdict = Verdict.ADEQUATE
         reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"
+        reason += f".{_of_blows(rest)}" if rest.struck else ""
     return Diagnosis(
         verdict=verdict,
         reason=reason,
         findings=tuple(findings),
         minimum_detectable={score.candidate.name: score.detectable for score in screens[0].scores},
-        innovation_ratio_before=rest.before,
+        innovation_ratio_before=before,
         innovation_ratio_after=after,
         repaired=steps[-1].fitted,
         left_out=workspace.left_out,

@@ -72,7 +72,7 @@ def exchange(
         else:
             settled = 0
             whole = without
-    if given.log_likelihood - whole.log_likelihood > FURTHER * _gained(findings):
+    if given.log_likelihood - whole.log_likelihood > _least(findings) * _gained(findings):
         return list(findings), given
     place = {each.effect: number for number, each in enumerate(findings)}
     if {each.effect for each in found} == set(place):
@@ -222,14 +222,18 @@ def _again(oldest: Named, without: FullFit, workspace: Workspace, masked: Collec
     return find(without, screened, workspace, {*masked, *more}, lambda text, share: None, oldest)
 
 
-def asked(further: Finding, before: Sequence[Finding]) -> float:
-    """Gain in log likelihood that a further effect has to bring, beside those found before."""
-    share = FURTHER
+def asked(further: Finding, before: Sequence[Finding], known: float = 0.0) -> float:
+    """Gain in log likelihood that a further effect has to bring, beside those found before, and beside what is `known`
+    to strike in the model as it was, which gains so much."""
+    share = FURTHER_STRUCK if known else _least(before)
     if any(alike(further.definition, each.definition) for each in before):
-        share = FURTHER_ALIKE
-    if any(each.definition.strikes for each in before):
-        share = FURTHER_STRUCK
-    return share * _gained(before)
+        share = max(share, FURTHER_ALIKE)
+    return share * (known + _gained(before))
+
+
+def _least(findings: Sequence[Finding]) -> float:
+    """Share of what `findings` gained that says something."""
+    return FURTHER_STRUCK if any(each.definition.strikes for each in findings) else FURTHER
 
 
 def _gained(findings: Sequence[Finding]) -> float:

@@ -75,7 +75,8 @@ class Unseen:
     """`gain`: rise of the log likelihood; `std` of it, but for what was foretold; `known`: by how much parameters are
     nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy HORIZON ahead that
     exceeds the sensors', what is gone, and the standard deviation of that, None where there was none;
-    `closing_percent`: what would be gone if the effect were right, and would have come if there were none of it."""
+    `closing_percent`: what would be gone if the effect were right, and would have come if there were none of it;
+    `struck`: parts of the model strike each other."""
 
     gain: float
     std: float
@@ -83,15 +84,17 @@ class Unseen:
     closed_std: float | None = None
     closing_percent: float | None = None
     known: float = 0.0
+    struck: bool = False
 
     @property
     def stands(self) -> bool:
         """Whether the likelihood rises beyond its own noise, and no error surely grows.
 
         What an effect does ahead that is less than the scatter there is judged by the rows alone: other errors of the
-        model, which add up on the way, would decide.
+        model, which add up on the way, would decide. Likewise where parts strike each other: how far ahead is foretold
+        what follows a blow is a matter of the filter that the blows of one record have made.
         """
-        return not self._grows and self.gain + self.known >= self.std
+        return (self.struck or not self._grows) and self.gain + self.known >= self.std
 
     @property
     def _grows(self) -> bool:
@@ -179,6 +182,7 @@ def judge(
     energies: list[Array] = []
     known: list[float] = []
     promises: list[Array] = []
+    struck = False
     for part in parts:
         found = fits(part)
         if found is None:
@@ -210,6 +214,7 @@ def judge(
         closed_std=100.0 * spread / float(before - 1.0) if before > 1.0 else None,
         closing_percent=float(100.0 * apart / (before - 1.0)) if before > 1.0 else None,
         known=float(np.mean(known)),
+        struck=struck,
     )
 
 

@@ -100,6 +100,17 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: 
         assert after < (1.0 - least) * before
 
 
+def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -> None:
+    """A blow that comes a row early or late is left to be explained, and some torque that sets in there can."""
+    assert added["repair"]["needed"]
+    found = upright(
+        "diagnose", recorded("square", vehicle, "backlash"), "--vehicle", vehicle,
+        "--model", vehicle.parent / "repaired.toml", "--effect", "torque_step", "--effect", "periodic_disturbance",
+    )  # fmt: skip
+    assert found["verdict"] == "adequate", found["reason"]
+    assert "Blows that come a row early or late" in found["reason"]
+
+
 @pytest.mark.parametrize("experiment", OTHERS)
 def test_compared_it_falls_on_each_of_them(added: Any, vehicle: Path, experiment: str) -> None:
     """Through a filter that no model's errors made. Of 18 longer experiments (the benchmark's, seeds 74, 803, 805, 807,

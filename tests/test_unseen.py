@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,13 @@ def test_an_error_ahead_judges_what_does_something_ahead(
 ) -> None:
     told = Unseen(30.0, 6.0, closed_percent=closed, closed_std=closed_std, closing_percent=closing)
     assert told.stands is stands
+
+
+def test_where_parts_strike_the_rows_alone_judge() -> None:
+    grows = Unseen(30.0, 6.0, closed_percent=-80.0, closed_std=16.0, closing_percent=55.0)
+    assert not grows.stands
+    assert replace(grows, struck=True).stands
+    assert not replace(grows, struck=True, gain=5.0).stands
 
 
 def test_a_likelihood_that_does_not_rise_refuses_whatever_the_error_ahead() -> None:
