@@ -245,10 +245,13 @@ def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:
 
 
 def _starts(model: Model, candidate: Candidate, score: Score | None) -> list[Mapping[str, float]]:
-    """Values of shapes and amplitudes to start from, the most promising first."""
+    """Values of shapes and amplitudes to start from, the most promising first: as the screen has it, where there is one.
+
+    From none of it the first steps may make up for it by all else: friction of the robot's gears ended with four times
+    the motors' resistance, 1,900 below what it gains from any friction on."""
     shapes = list(candidate.variants)
     if score is not None:
-        shapes = [score.shape, *(each for each in shapes if each != score.shape)]
+        shapes = [score.starts[0], *(each for each in shapes if each != score.shape)]
     further: dict[str, tuple[float, ...]] = {}
     for parameter in candidate.effect.parameters:
         if parameter.amplitude and parameter.starts:
