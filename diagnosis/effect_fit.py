@@ -245,7 +245,7 @@ def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:
 
 
 def _starts(model: Model, candidate: Candidate, score: Score | None) -> list[Mapping[str, float]]:
-    """Values of shapes and amplitudes to start from, the most promising first: as the screen has it, where there is one.
+    """Values of shapes and amplitudes to start from, the most promising first: those of the screen, if there is one.
 
     From none of it the first steps may make up for it by all else: friction of the robot's gears ended with four times
     the motors' resistance, 1,900 below what it gains from any friction on."""
