@@ -93,8 +93,8 @@ def vehicle(folder: Path, softer: bool) -> Path:
     return path
 
 
-def tried(case: Case, seed: int, candidates: list[str]) -> list[str]:
-    """What came out, in lines."""
+def tried(case: Case, seed: int, candidates: list[str], named: bool) -> list[str]:
+    """What came out, in lines; only of the diagnosis where it is asked what is `named`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = vehicle(folder, case.softer)
@@ -109,7 +109,7 @@ def tried(case: Case, seed: int, candidates: list[str]) -> list[str]:
         looked_for = [word for each in candidates for word in ("--effect", each)]
         found = upright("diagnose", square, "--vehicle", file, *looked_for)
         lines = [diagnosed(case, found)]
-        if case.names:
+        if case.names and not named:
             effect, _, place = case.names[0].partition("@")
             at = ["--at", place] if place else []
             held_out = [word for each in OTHERS for word in ("--held-out", recorded(each))]
@@ -196,6 +196,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1, help="of each case, with one seed after the other")
     parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
     parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
+    parser.add_argument("--named", action="store_true", help="only diagnose, and add nothing")
     parser.add_argument("--live", action="store_true", help="what is named while it runs, of all that can be hidden")
     parser.add_argument("--closed-loop", action="store_true", help="how far off the true numbers are")
     parser.add_argument("--processes", type=int, default=2)
@@ -209,7 +210,7 @@ def main() -> None:
         return
     asked = [(name, seed) for name in arguments.case or CASES for seed in seeds]
     with ThreadPoolExecutor(arguments.processes) as pool:
-        results = pool.map(lambda each: tried(CASES[each[0]], each[1], arguments.effect), asked)
+        results = pool.map(lambda each: tried(CASES[each[0]], each[1], arguments.effect, arguments.named), asked)
         for (name, seed), lines in zip(asked, results, strict=True):
             print(f"{name}, seed {seed}", *lines, sep="\n", flush=True)
 
