@@ -73,8 +73,8 @@ def diagnose(
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
     bare = _without_blows(base, workspace)
-    known_gain = base.log_likelihood - bare.log_likelihood
-    findings, fits, screens, last = _search(base, workspace, most, masked, known_gain, partial(_part, tell, 0.1, 0.85))
+    of_blows = max(0.0, base.log_likelihood - bare.log_likelihood)
+    findings, fits, screens, last = _search(base, workspace, most, masked, of_blows, partial(_part, tell, 0.1, 0.85))
     tell("looking for what has no name", 0.95)
     rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
     steps = [base, *fits]
@@ -85,23 +85,28 @@ def diagnose(
 
 
 def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
-    """The fit of the model without those of its effects whose parts strike each other; `base` where it has none.
+    """The fit of the model without those of its effects whose parts strike each other; `base` where it has none, or
+    runs away without them.
 
-    What is left of these, once they are in the model, is a share of what they explain."""
+    What is left of these, once they are in the model, is a share of what they explain.
+    """
     model = base.model
     for each in base.model.effects:
         if each.effect.strikes:
             model = model.remove(each.name)
-    return base if model is base.model else settled(model, workspace)
+    try:
+        return base if model is base.model else settled(model, workspace)
+    except ArithmeticError:
+        return base
 
 
 def _search(
-    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], known: float, tell: Progress
+    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], of_blows: float, tell: Progress
 ) -> tuple[list[Finding], list[FullFit], list[Screen], FullFit]:
     """Effect after effect, at most `most`, and the fit with each; the screens before each and after the last.
 
     Then the fit of all that was found, which may be one effect more: one that explains too little for a name, but no
-    more is unknown than what it bends. `known`: log likelihood that effects of the model gain whose parts strike.
+    more is unknown than what it bends. `of_blows`: log likelihood that effects of the model gain whose parts strike.
     """
     findings: list[Finding] = []
     fits: list[FullFit] = []
@@ -121,7 +126,7 @@ def _search(
             found = find(whole, screens[-1], workspace, {*masked, *more}, part)
         before = findings
         if found is not None:
-            if found.finding.log_likelihood_gain < asked(found.finding, findings, known):
+            if found.finding.log_likelihood_gain < asked(found.finding, findings, of_blows):
                 whole = found.fit
                 break
             before = [*findings, found.finding]

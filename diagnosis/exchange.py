@@ -222,13 +222,13 @@ def _again(oldest: Named, without: FullFit, workspace: Workspace, masked: Collec
     return find(without, screened, workspace, {*masked, *more}, lambda text, share: None, oldest)
 
 
-def asked(further: Finding, before: Sequence[Finding], known: float = 0.0) -> float:
-    """Gain in log likelihood that a further effect has to bring, beside those found before, and beside what is `known`
-    to strike in the model as it was, which gains so much."""
-    share = FURTHER_STRUCK if known else _least(before)
+def asked(further: Finding, before: Sequence[Finding], of_blows: float = 0.0) -> float:
+    """Gain in log likelihood that a further effect has to bring, beside those found before and beside the effects of
+    the model as it was whose parts strike each other, which gain `of_blows`."""
+    share = FURTHER_STRUCK if of_blows else _least(before)
     if any(alike(further.definition, each.definition) for each in before):
         share = max(share, FURTHER_ALIKE)
-    return share * (known + _gained(before))
+    return share * (of_blows + _gained(before))
 
 
 def _least(findings: Sequence[Finding]) -> float:
