@@ -171,10 +171,10 @@ def _left(before: float, after: float) -> str:
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
-def _of_blows(rest: Adequacy) -> str:
+def _left_by_blows(rest: Adequacy) -> str:
     """What is left where parts strike each other, in words."""
     left = _left(rest.before, rest.after) if rest.struck else ""
-    return f"{left} Blows that come a row early or late make it." if left else ""
+    return f"{left} Blows that come a row early or late may leave it." if left else ""
 
 
 def _verdict(
@@ -199,11 +199,11 @@ def _verdict(
     elif findings:
         verdict = Verdict.MISSING_EFFECT
         reason = "; ".join(finding.explanation for finding in findings)
-        reason += _of_blows(rest)
+        reason += _left_by_blows(rest)
     else:
         verdict = Verdict.ADEQUATE
         reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"
-        reason += f".{_of_blows(rest)}" if rest.struck else ""
+        reason += f".{_left_by_blows(rest)}" if rest.struck else ""
     return Diagnosis(
         verdict=verdict,
         reason=reason,

@@ -230,9 +230,12 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
     return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 
-def surprise(white: Array, struck: bool) -> Array:
-    """By how much less likely each row of whitened errors `white` (n, outputs) is than one without any, as a logarithm,
-    (n,): of a normal distribution, and with tails where parts of the model have `struck`."""
+def loss(white: Array, struck: bool) -> Array:
+    """Negative log likelihood of each row of whitened errors `white` (n, outputs), less that of no error, nats (n,).
+
+    Of a normal distribution, or, where parts of the model have `struck`, of one that is contaminated by a wider one:
+    (1 - TAILS) N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
+    """
     normal = 0.5 * white**2
     if struck:
         odds = TAILS / WIDER / (1.0 - TAILS)
@@ -244,7 +247,7 @@ def _log_density(fitted: Fit, part: Fold, support: float | None, struck: bool) -
     """Of the judged rows, by blocks of a second."""
     task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
-    return _by_blocks(part, task, [-surprise(z, struck) - 0.5 * logarithm for z in _innovations(fitted, task)])
+    return _by_blocks(part, task, [-loss(z, struck) - 0.5 * logarithm for z in _innovations(fitted, task)])
 
 
 def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, struck: bool) -> Array:
@@ -254,7 +257,7 @@ def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: flo
     without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
     less = replace(fitted, minimum=replace(fitted.minimum, common=without))
     both = zip(_innovations(fitted, task), _innovations(less, task), strict=True)
-    return _by_blocks(part, task, [surprise(one - other, struck) for one, other in both])
+    return _by_blocks(part, task, [loss(one - other, struck) for one, other in both])
 
 
 def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:

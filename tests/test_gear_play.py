@@ -105,7 +105,7 @@ def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -
     assert added["repair"]["needed"]
     found = upright(
         "diagnose", recorded("square", vehicle, "backlash"), "--vehicle", vehicle,
-        "--model", vehicle.parent / "repaired.toml", "--effect", "torque_step", "--effect", "periodic_disturbance",
+        "--model", vehicle.parent / "repaired.toml", "--effect", "torque_step",
     )  # fmt: skip
     assert found["verdict"] == "adequate", found["reason"]
     assert "Blows that come a row early or late" in found["reason"]

@@ -17,8 +17,6 @@ from typer.testing import CliRunner
 from service.cli import app
 from service.virtual_run import record
 
-pytestmark = pytest.mark.patient
-
 SEED = 83
 """Decided nothing."""
 EXCITED = 16.0

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.robot_next_experiment import log_odds
 from diagnosis.closed_loop import simulate
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.next_experiment import ENOUGH, suggest
-from diagnosis.refit import full
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
-from diagnosis.workspace import Workspace
 from estimators.identify import nominal_model, with_values
 from models.library import get
 from models.model import Model, ModelError
@@ -151,13 +150,6 @@ def first() -> Recording:
 @pytest.fixture(scope="module")
 def rivals(first: Recording) -> list[Rival]:
     return fitted_rivals(vehicle_model(), [first], VEHICLE.support, PAIR)
-
-
-def log_odds(rivals: list[Rival], recording: Recording) -> float:
-    """nats for dry against viscous friction in a recording."""
-    workspace = Workspace.of(vehicle_model(), [recording], VEHICLE.support, ("coulomb_friction", "viscous_friction"))
-    dry, viscous = (full(rival.model, workspace).log_likelihood for rival in rivals)
-    return dry - viscous
 
 
 def test_what_is_suggested_for_a_tied_pair_tells_it_apart(first: Recording, rivals: list[Rival]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.parts import diagnose_actuators
-from diagnosis.unseen import TAILS, WIDER, Unseen, surprise
+from diagnosis.unseen import TAILS, WIDER, Unseen, loss
 from estimators.identify import nominal_model, with_values
 from models.effects import find
 from models.library import ACTUATORS
@@ -92,15 +92,15 @@ def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_l
     assert finding.held_out.closing_percent < finding.held_out.closed_std
 
 
-def test_an_error_is_as_surprising_as_a_normal_distribution_has_it() -> None:
+def test_an_error_costs_what_a_normal_distribution_says() -> None:
     white = np.array([[0.0, 0.0], [1.0, 2.0], [60.0, 0.0]])
-    assert surprise(white, struck=False).tolist() == [0.0, 2.5, 1800.0]
+    assert loss(white, struck=False).tolist() == [0.0, 2.5, 1800.0]
 
 
 def test_where_parts_strike_one_blow_out_of_time_does_not_outweigh_many_rows() -> None:
     """Beyond what the tails are for, an error costs what the wider distribution says: the ratio of the densities at 0,
     and a hundredth of the square."""
     white = np.array([[0.0], [1.0], [2.0], [60.0]])
-    none, one, two, blow = surprise(white, struck=True)
+    none, one, two, blow = loss(white, struck=True)
     assert (none, one, two) == pytest.approx((0.0, 0.5, 2.0), abs=2e-3)
     assert blow == pytest.approx(np.log(WIDER / TAILS) + 0.5 * (60.0 / WIDER) ** 2, abs=2e-3)

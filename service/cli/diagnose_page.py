@@ -26,7 +26,7 @@ def print_diagnosis(found: Diagnosis) -> None:
     if found.verdict is Verdict.UNKNOWN and found.findings:
         meaning = "What has a name is not all that the model lacks."
     if found.verdict is Verdict.ADEQUATE and found.unexplained and found.unexplained.struck:
-        meaning = "The model explains the recordings but for the row in which a blow comes."
+        meaning = "No known effect is missing; what is left may be when its blows come."
     page.print(f"[bold {colour}]{verdict}[/]: {meaning}")
     if not found.findings or found.verdict is Verdict.UNKNOWN:
         page.print(Padding(escape(found.reason), (0, 2)))
