@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from diagnosis.floor import Innovations, floor, innovations
+from diagnosis.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.force_probe import probe
 from diagnosis.shapes import Shape, shapes
 from diagnosis.where_it_fails import Views, summary, views
@@ -94,10 +94,11 @@ class Adequacy:
 
 
 def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
-    """Of the model as it was and as it became; `gained` in log likelihood."""
-    before = over_floor(first)
+    """Of the model as it was and as it became, both beside the disturbance that the latter leaves; `gained` in log
+    likelihood."""
+    before = over_floor(first, last)
     try:
-        task, values = last.problem, last.values
+        task, values = shaken_as(last.problem, last.values, last)
         least = floor(task, values)
         left = innovations(task, values, least)
     except EstimationError:
@@ -109,9 +110,11 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
     return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained, struck)
 
 
-def over_floor(fitted: Fit) -> float:
-    """Innovation energy over the floor; without end where no predictor is stable."""
+def over_floor(fitted: Fit, best: Fit) -> float:
+    """Innovation energy over the floor, beside the disturbance that the fit `best` leaves; without end where no
+    predictor is stable."""
     try:
-        return innovations(fitted.problem, fitted.values, floor(fitted.problem, fitted.values)).ratio
+        task, values = shaken_as(fitted.problem, fitted.values, best)
+        return innovations(task, values, floor(task, values)).ratio
     except EstimationError:
         return float("inf")

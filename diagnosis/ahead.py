@@ -47,7 +47,7 @@ def on(fit: Fit, task: Problem) -> Fit:
     friction would not let it go.
     """
     weights = np.linalg.inv(np.linalg.cholesky(fit.covariance))
-    task = replace(task, substeps=max(task.substeps, fit.problem.substeps))
+    task = task.like(fit.problem)
     moments = replace(task, segments=tuple(map(_beginning, task.segments)))
     common = fit.minimum.common[: len(task.free)]
     amplitudes = {name for each in task.model.effects for name in each.amplitudes}

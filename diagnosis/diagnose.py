@@ -19,11 +19,10 @@ from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
-from diagnosis.ready import ready
+from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
-from diagnosis.timed import untimed
 from diagnosis.workspace import Workspace
 from estimators.contract import Status
 from estimators.methods.prediction_error import result
@@ -78,10 +77,11 @@ def diagnose(
     tell("looking for what has no name", 0.95)
     rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
     steps = [base, *fits]
-    before = rest.before if bare is base else over_floor(base.fit)
-    after = rest.after if steps[-1] is last else over_floor(steps[-1].fit)  # `last` may have one without a name
+    before = rest.before if bare is base else over_floor(base.fit, last.fit)
+    # `last` may have one without a name.
+    after = rest.after if steps[-1] is last else over_floor(steps[-1].fit, last.fit)
     found = _verdict(steps, findings, screens, rest, (before, after), workspace)
-    return found if found.repaired is None else replace(found, repaired=untimed(known, found.repaired))
+    return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
 
 
 def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:

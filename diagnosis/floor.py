@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from diagnosis.process_noise import shown_shares
 from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
+from estimators.disturbance import stated
 from estimators.gauss_newton import Block, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
 from estimators.white_noise import white_variance
+from models.model import State
 
 Array = NDArray[np.float64]
 
@@ -184,6 +186,27 @@ def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] 
         spacing=noise.spacing,
         process_shares=shares,
     )
+
+
+def shaken_as(task: Problem, values: Array, of: Fit) -> tuple[Problem, Array]:
+    """`task` and parameter values (np,) with the disturbances that the fit `of` found as what they are.
+
+    A disturbance is what the best hypothesis leaves: another model of the same record is not shaken more, whatever its
+    own fit had to take for one.
+    """
+    known = {state.name: float(spread) for state, spread in _starts(of.problem) if state.correlation_time}
+    spread = np.array([known.get(state.name, float(each)) for state, each in _starts(task)])
+    values = values.copy()
+    for state in of.problem.model.base_states:
+        if state.correlation_time in task.kernel.parameters:
+            place = of.problem.kernel.index(state.correlation_time)
+            values[task.kernel.index(state.correlation_time)] = of.values[place]
+    return replace(task, model=stated(task.model, of), spread=spread), values
+
+
+def _starts(task: Problem) -> list[tuple[State, float]]:
+    """The states whose start is fitted, and how far off it may be."""
+    return list(zip([task.model.states[place] for place in task.own], task.spread.tolist(), strict=True))
 
 
 def innovations(task: Problem, values: Array, floor: Floor) -> Innovations:

@@ -116,7 +116,7 @@ def _apart(one: float, other: float) -> bool:
 
 
 def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, float], workspace: Workspace) -> QuickFit:
-    task = workspace.problem(with_effect(model, candidate, start))
+    task = workspace.problem(with_effect(model, candidate, start)).like(base.problem)
     size = len(base.problem.free)
     gain = np.zeros((len(task.kernel.states), len(task.kernel.outputs)))
     gain[: len(base.gain)] = base.gain

@@ -27,10 +27,9 @@ from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
 from diagnosis.floor import Floor, floor, innovation_ratio
 from diagnosis.freed import freed
 from diagnosis.held_out import split
-from diagnosis.ready import ready
+from diagnosis.ready import ready, unready
 from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.screen import Score, Screen, screen
-from diagnosis.timed import untimed
 from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
@@ -97,7 +96,7 @@ def repair(
         found = _repair(rows, effect, there, unseen, at, support, told)
         return replace(found, model=as_recorded_rows(model, found.model))
     found = _repair(ready(model, recordings), effect, recordings, held_out, at, support, told)
-    return replace(found, model=untimed(model, found.model))
+    return replace(found, model=unready(model, found.model))
 
 
 def _repair(

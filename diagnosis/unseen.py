@@ -261,8 +261,7 @@ def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: flo
 
 
 def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:
-    task = problem(fitted.problem.model, [part.whole], support=support)
-    return replace(task, substeps=max(task.substeps, fitted.problem.substeps))
+    return problem(fitted.problem.model, [part.whole], support=support).like(fitted.problem)
 
 
 def _by_blocks(part: Fold, task: Problem, rows: Sequence[Array]) -> Array:

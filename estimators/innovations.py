@@ -24,10 +24,12 @@ from models.segment import Segment
 
 Array = NDArray[np.float64]
 
-SPREAD = 1.0
-"""Standard deviation, in natural logarithms, of the prior on a noise: a factor of 2.7."""
+SENSOR_SPREAD = 1.0
+"""Standard deviation, in natural logarithms, of the prior on a sensor's noise: a factor of 2.7."""
 WIDEST = 6.0
-"""Natural logarithm by which a noise may differ from what the model says: a factor of 400."""
+"""Natural logarithm by which a noise may differ from what the model says: a factor of 400, or this, in SPREADS."""
+SPREADS = 3.0
+"""Times its spread by which a noise that is hardly known may differ."""
 STEP = 1e-4
 """Share of its typical size by which an argument of the gain is moved for a derivative."""
 FLOOR = 1e-6
@@ -51,6 +53,8 @@ class NoiseModel:
     loud: tuple[int, ...]
     process_place: tuple[int, ...]
     sensor_place: tuple[int, ...]
+    spread: Array
+    """Standard deviation of each logarithm before a record is seen, (q,)."""
     integrated: Array
     """Which output's noise is integrated in which state, (nx, ny) of 0 and 1."""
     rest: Segment
@@ -75,6 +79,8 @@ class NoiseModel:
         ]
         process_place = _places([states[place].name for place in noisy], same, first=0)
         sensor_place = _places([outputs[place].name for place in loud], same, first=len(set(process_place)))
+        spread = np.full(len({*process_place, *sensor_place}), SENSOR_SPREAD)
+        spread[list(process_place)] = [states[place].noise_spread for place in noisy]
         return cls(
             problem=problem,
             spacing=spacing,
@@ -84,6 +90,7 @@ class NoiseModel:
             loud=tuple(loud),
             process_place=process_place,
             sensor_place=sensor_place,
+            spread=spread,
             integrated=np.array([[float(state.noise_of == output.name) for output in outputs] for state in states]),
             rest=at_rest(problem.kernel, problem.segments, spacing),
             copies=tuple(place for place, each in enumerate(outputs) if same.get(each.name, each.name) != each.name),
@@ -93,7 +100,17 @@ class NoiseModel:
     @property
     def size(self) -> int:
         """How many logarithms there are, q."""
-        return len({*self.process_place, *self.sensor_place})
+        return len(self.spread)
+
+    @property
+    def widest(self) -> Array:
+        """The most that a logarithm may be, to either side, (q,)."""
+        return np.maximum(WIDEST, SPREADS * self.spread)
+
+    def logarithm_of(self, state: str) -> int | None:
+        """Place of the logarithm of the process noise of `state`; None where it is known, or none."""
+        names = [self.problem.model.states[place].name for place in self.noisy]
+        return self.process_place[names.index(state)] if state in names else None
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
         """The filter gain (nx, ny) at parameter values (np,); None where there is no stable one."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.gauss_newton import Expansion, Normal
-from estimators.innovations import SPREAD, NoiseModel
+from estimators.innovations import NoiseModel
 from estimators.problem import Problem
 from models.kernel import ELSEWHERE
 
@@ -43,6 +43,19 @@ class Seen(Expansion):
 
 
 @dataclass(frozen=True, slots=True)
+class LongRun:
+    """How far off initial states may be, `spread` (k,), where that is what a disturbance is in the long run.
+
+    `logarithm`: sum of the logarithms of these spreads. `entries`: (which of the k, which unknown, derivative of the
+    logarithm of its spread by that).
+    """
+
+    spread: Array
+    logarithm: float
+    entries: tuple[tuple[int, int, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Likelihood:
     """V of parameters and logarithms of the noise, (p + q,): `prior` is 1/variance of these about `centre`."""
 
@@ -56,7 +69,7 @@ class Likelihood:
         """`deviations` (p,) are the standard deviations known before, 0 where there is none."""
         noise = NoiseModel.of(task)
         known = deviations > 0.0
-        prior = np.concatenate((np.where(known, deviations, np.inf) ** -2.0, np.full(noise.size, SPREAD**-2)))
+        prior = np.concatenate((np.where(known, deviations, np.inf) ** -2.0, noise.spread**-2))
         return cls(task, noise, np.concatenate((task.start, np.zeros(noise.size))), prior)
 
     def __call__(self, common: Array, own: Sequence[Array]) -> Seen | None:
@@ -83,7 +96,8 @@ class Likelihood:
         order = np.r_[0:size, len(places) : len(places) + noise.size, size : len(places)]
         by_gain = np.concatenate((slopes[:, order], np.zeros((gain.size, len(starts)))), axis=1)
         squares, moments, ends = np.zeros((gain.shape[1],) * 2), [], []
-        spread = np.array([task.model.states[state].initial_std for state in task.own])
+        long_run = self.long_run(values, common[size:])
+        spread = long_run.spread
         for segment, initial, part in zip(task.segments, task.initials, own, strict=False):
             start = initial.copy()
             start[list(task.own)] = part
@@ -106,9 +120,29 @@ class Likelihood:
         if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > RUNAWAY:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
-        normals = tuple(_weighted(*moment, weights, end, spread) for moment, end in zip(moments, ends, strict=True))
+        normals = tuple(
+            _weighted(*moment, weights, end, long_run) for moment, end in zip(moments, ends, strict=True)
+        )
         cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(float(end @ end) for end in ends)
-        return Seen(cost, normals, gain, covariance)
+        return Seen(cost + len(ends) * long_run.logarithm, normals, gain, covariance)
+
+    def long_run(self, values: Array, logarithms: Array) -> LongRun:
+        """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
+        task, spread, logarithm, entries = self.task, self.task.spread.copy(), 0.0, []
+        for number, place in enumerate(task.own):
+            state = task.model.states[place]
+            if not state.correlation_time:
+                continue
+            time = task.kernel.index(state.correlation_time)
+            noise = self.noise.logarithm_of(state.name)
+            grown = 0.0 if noise is None else float(logarithms[noise])
+            spread[number] = state.process_noise * np.exp(grown) * np.sqrt(0.5 * values[time])
+            logarithm += float(np.log(spread[number] / task.spread[number]))
+            if time in task.free:
+                entries.append((number, task.free.index(time), 0.5 / float(values[time])))
+            if noise is not None:
+                entries.append((number, len(task.free) + noise, 1.0))
+        return LongRun(spread, logarithm, tuple(entries))
 
     @property
     def _floor(self) -> Array:
@@ -123,11 +157,11 @@ class Likelihood:
         return np.asarray(known**2 + alike**2)
 
 
-def _weighted(products: Array, pull: Array, weights: Array, end: Array, spread: Array) -> Normal:
+def _weighted(products: Array, pull: Array, weights: Array, end: Array, long_run: LongRun) -> Normal:
     """The normal equations of a stretch.
 
     `products` (ny * c, ny * c) are of its columns, `pull` (ny * c, ny) of these with its errors; the last columns are
-    the initial state's, which is off by `end` (k,) times `spread`.
+    the initial state's, which is off by `end` (k,) times its spread in the `long_run`.
     """
     outputs = len(weights)
     columns = len(pull) // outputs
@@ -135,6 +169,9 @@ def _weighted(products: Array, pull: Array, weights: Array, end: Array, spread: 
     matrix = np.einsum("jakb,jk->ab", four, weights)
     vector = -np.einsum("jak,jk->a", pull.reshape(outputs, columns, outputs), weights)
     own = range(columns - len(end), columns)
-    matrix[own, own] += spread**-2
-    vector[own] += end / spread
-    return Normal(matrix, vector)
+    off = np.zeros((len(end), columns))
+    off[np.arange(len(end)), list(own)] = 1.0 / long_run.spread
+    for number, unknown, slope in long_run.entries:
+        off[number, unknown] = -end[number] * slope
+        vector[unknown] += slope
+    return Normal(matrix + off.T @ off, vector + off.T @ end)

@@ -29,7 +29,8 @@ FINEST = 0.35
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """`free` are the places of the estimated parameters, `own` the states whose start each stretch fits for itself."""
+    """`free` are the places of the estimated parameters, `own` the states whose start each stretch fits for itself, and
+    `spread` (k,) how far off these may be."""
 
     model: Model
     kernel: Kernel
@@ -38,6 +39,7 @@ class Problem:
     own: tuple[int, ...]
     initials: tuple[Array, ...]
     substeps: int
+    spread: Array
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -87,6 +89,11 @@ class Problem:
         """With steps as short as the model is fast at `common`: friction that starts at zero makes it stiff later."""
         return replace(self, substeps=max(self.substeps, _substeps(self.kernel, self.values(common), self.segments)))
 
+    def like(self, other: Problem) -> Problem:
+        """With steps as short as those of `other`, and as sure of the starts of its states, which come first here."""
+        spread = np.concatenate((other.spread, self.spread[len(other.spread) :]))
+        return replace(self, substeps=max(self.substeps, other.substeps), spread=spread)
+
     def evaluate(
         self,
         common: Array,
@@ -110,7 +117,7 @@ class Problem:
         starts = tuple(len(self.kernel.parameters) + state for state in self.own)
         gains = range(len(slopes)) if slopes is not None else ()
         active = (*self.free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
-        spread = np.array([self.model.states[state].initial_std for state in self.own])
+        spread = self.spread
         for segment, initial, part in zip(self.segments, self.initials, own, strict=True):
             start = initial.copy()
             start[list(self.own)] = part
@@ -172,7 +179,8 @@ def problem(
     kernel = compile_model(model, progress=progress)
     initials = tuple(initial_state(model, segment) for segment in data)
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
-    return Problem(model, kernel, tuple(data), free, own, initials, _substeps(kernel, kernel.vector(), data))
+    spread = np.array([model.states[place].initial_std for place in own])
+    return Problem(model, kernel, tuple(data), free, own, initials, _substeps(kernel, kernel.vector(), data), spread)
 
 
 def _substeps(kernel: Kernel, values: Array, data: Sequence[Segment]) -> int:

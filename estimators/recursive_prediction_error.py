@@ -148,7 +148,8 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
     fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, kernel.vector(), (rest,))))))
     substeps = int(np.clip(np.ceil(period * fastest / FINEST), 1, 50))
-    return Problem(model, kernel, (rest,), free, own, (), substeps)
+    spread = np.array([model.states[place].initial_std for place in own])
+    return Problem(model, kernel, (rest,), free, own, (), substeps, spread)
 
 
 def _computable(model: Model) -> Model:

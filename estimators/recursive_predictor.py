@@ -32,7 +32,7 @@ from estimators.contract import Estimate
 from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
-from estimators.innovations import SPREAD, WIDEST, NoiseModel
+from estimators.innovations import NoiseModel
 from estimators.logarithms import is_known_roughly
 from estimators.methods.prediction_error import FLOOR
 from estimators.problem import Problem
@@ -124,7 +124,7 @@ class RecursivePredictor:
             *problem.uncertain,
             *(parameters + states + entry for entry in gains),
         )
-        spread = [model.states[place].initial_std for place in problem.own]
+        spread = problem.spread
         held = [model.parameters[place].std for place in problem.uncertain]
         self._others = np.concatenate((spread, held))
         self._own = slice(free, free + len(spread))
@@ -132,8 +132,8 @@ class RecursivePredictor:
         self._start, (self._lower, self._upper) = problem.start, problem.bounds
         self._scale = np.where(self._roughly, LOGARITHM * self._start, problem.scale)
         known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
-        widest = np.full(logarithms, WIDEST)
-        prior = np.concatenate(((self._scale / known) ** 2, np.full(logarithms, SPREAD**-2)))
+        widest, spread_of_noise = (self._noise.widest, self._noise.spread) if self._noise else (np.zeros(0), np.zeros(0))
+        prior = np.concatenate(((self._scale / known) ** 2, spread_of_noise**-2))
         self._prior = np.concatenate((prior, np.ones(len(spread) + len(held))))
         self._regression = RecursiveGaussNewton(
             prior,

@@ -74,7 +74,10 @@ class State:
     white noise on the derivative, unit/sqrt(s), where its estimation starts, or, with `noise_known`, what it is; 0 for
     none. `noise_of` names an output whose sensor noise is integrated in this state: what a filter makes of its sensor,
     a trapezoid a row. `error_of` names one that a filter makes, of whose error this state is a part: where a record
-    shows that no filter made it, the state fades within a second, and nothing that moves makes it.
+    shows that no filter made it, the state fades within a second, and nothing that moves makes it. `noise_spread`:
+    standard deviation of the natural logarithm of the noise about `process_noise`, before a record is seen.
+    `correlation_time` names the parameter (s) with which the state fades where it is a random disturbance
+    (models.disturbance): it then begins as it is in the long run, not within `initial_std`.
     """
 
     name: str
@@ -86,6 +89,8 @@ class State:
     noise_known: bool = False
     noise_of: str = ""
     error_of: str = ""
+    noise_spread: float = 1.0
+    correlation_time: str = ""
     meaning: str = ""
 
 
@@ -133,11 +138,28 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True)
+class Disturbance:
+    """What is known before of the random force at a joint, first order (models.disturbance).
+
+    `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are where their estimation starts, or, where it
+    is `known`, what they are; 0: by the joint's scales. The correlation time is sought between `shortest` and `longest`
+    (s), by default from two rows to a tenth of the record.
+    """
+
+    std: float = 0.0
+    correlation_time: float = 0.0
+    known: bool = False
+    shortest: float = 0.0
+    longest: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
-    """A degree of freedom where forces or torques enter: inertia * rate' = load + effects.
+    """A degree of freedom where forces or torques enter: inertia * rate' = load + effects + disturbance.
 
     The equations use `NAME_force` for the right side. Scales are typical sizes, with which effects that know nothing
     of the machine choose starts and bounds; `smooth_rate` is the rate below which a sign() is drawn as a slope.
+    `disturbance`: the random force that every real machine has; None for none.
     """
 
     name: str
@@ -151,6 +173,7 @@ class Joint:
     coordinate_scale: float
     rate_scale: float
     smooth_rate: float
+    disturbance: Disturbance | None = Disturbance()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
 from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.gauss_newton import Minimum, common_information, descend
-from estimators.innovations import WIDEST, NoiseModel
+from estimators.innovations import NoiseModel
 from estimators.likelihood import FLOOR as FLOOR
 from estimators.likelihood import Likelihood, Seen
 from estimators.logarithms import InLogarithms
@@ -175,9 +175,8 @@ def fit(
     size = len(task.free)
     likelihood = Likelihood.of(task, np.array([parameter.std if prior else 0.0 for parameter in task.parameters]))
     noises = np.ones(likelihood.noise.size)
-    lower, upper = (
-        np.concatenate((each, sign * WIDEST * noises)) for each, sign in zip(task.bounds, (-1, 1), strict=True)
-    )
+    widest = likelihood.noise.widest
+    lower, upper = (np.concatenate((each, sign * widest)) for each, sign in zip(task.bounds, (-1, 1), strict=True))
     common, own = likelihood.centre, task.own_start
     if near is not None:
         common = np.concatenate((task.start, near.minimum.common[len(near.problem.free) :]))
@@ -217,7 +216,8 @@ def fit(
         if finer.substeps == task.substeps:
             gain = likelihood.noise.gain(task.values(common[:size]), common[size:])
             gain = there.gain if gain is None else gain
-            return Fit(task, minimum, gain, there.covariance, likelihood.prior, tuple(steps))
+            spread = likelihood.long_run(task.values(common[:size]), common[size:]).spread
+            return Fit(replace(task, spread=spread), minimum, gain, there.covariance, likelihood.prior, tuple(steps))
         task = finer
         likelihood = replace(likelihood, task=task)
 

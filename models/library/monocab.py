@@ -133,7 +133,7 @@ def _joint(trim_position: str, trim_acceleration: str) -> Joint:
     )
 
 
-def _gimbals(command: str, *, commanded: bool = True) -> Actuator:
+def _gimbals(command: str) -> Actuator:
     return Actuator(
         name="gimbals",
         command=command,
@@ -143,7 +143,6 @@ def _gimbals(command: str, *, commanded: bool = True) -> Actuator:
         gain="angular_momentum",
         command_scale=0.1,
         angle_scale=0.3,
-        commanded=commanded,
     )
 
 
@@ -166,7 +165,7 @@ MONOCAB_ROLL = Model(
         *_FILTER,
     ),
     joints=(_joint("trim_position", "trim_rate_slope"),),
-    actuators=(_gimbals("precession_rate", commanded=False),),
+    actuators=(_gimbals("precession_rate"),),
     sensors=(_IMU,),
 )
 

@@ -1,0 +1,166 @@
+"""The random disturbance that a fit found at each joint (models.disturbance): its RMS and its correlation time.
+
+    std = q sqrt(correlation_time / 2)
+
+where the logarithm of q is among the noises that are estimated, and the correlation time among the parameters; the
+covariance of both gives the standard deviations (delta method). Where a record shows none, its RMS is said to be less
+than a bound.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.fit_result import inverse
+from estimators.innovations import NoiseModel
+from models.model import Model
+
+if TYPE_CHECKING:
+    from estimators.methods.prediction_error import Fit
+
+Array = NDArray[np.float64]
+
+SHOWN = 0.5
+"""Standard deviation of the logarithm of the RMS above which a record shows no disturbance, but bounds it."""
+BOUND = 2.0
+"""Standard deviations of the logarithm above the estimate, of that bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceEstimate:
+    """A first-order random force at `joint`, in `unit`: RMS `std` and `correlation_time` (s), each with the standard
+    deviation of its error.
+
+    Where the record shows none (`shown` is False), `std` is a bound that it is less than, and its error and the
+    correlation time are None. What is `known` was stated, and has no error.
+    """
+
+    joint: str
+    unit: str
+    std: float
+    std_error: float | None
+    correlation_time: float | None
+    correlation_time_error: float | None
+    shown: bool = True
+    known: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "unit": self.unit,
+            "rms": self.std,
+            "rms_std": self.std_error,
+            "correlation_time": self.correlation_time,
+            "correlation_time_std": self.correlation_time_error,
+            "shown": self.shown,
+        }
+
+    def __str__(self) -> str:
+        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`."""
+        if not self.shown:
+            return f"none shows; less than {self.std:.2g} {self.unit} RMS"
+        if self.known or self.std_error is None or self.correlation_time_error is None:
+            return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, as stated"
+        return (
+            f"{with_error(self.std, self.std_error)} {self.unit} RMS,"
+            f" correlation time {with_error(self.correlation_time or 0.0, self.correlation_time_error)} s"
+        )
+
+
+def with_error(value: float, std: float) -> str:
+    """`8.1 ± 0.4`: two digits of the standard deviation where its first is a 1, one otherwise, and as many places of
+    the value."""
+    if not (math.isfinite(std) and std > 0.0):
+        return f"{value:.3g}"
+    first = math.floor(math.log10(std))
+    places = -first + (1 if std / 10.0**first < 2.0 else 0)
+    if places < 0:
+        scale = 10.0**-places
+        return f"{round(value / scale) * scale:.0f} ± {round(std / scale) * scale:.0f}"
+    return f"{value:.{places}f} ± {std:.{places}f}"
+
+
+def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
+    """Of each joint that has one, in the model's order."""
+    task, noise = fitted.problem, NoiseModel.of(fitted.problem)
+    size, covariance = len(task.free), inverse(fitted.minimum.information)
+    found = []
+    for joint in task.model.joints:
+        for state in task.model.base_states:
+            if not state.correlation_time or state.name not in joint.load.split():
+                continue
+            time_place = task.kernel.index(state.correlation_time)
+            time = float(fitted.values[time_place])
+            number = noise.logarithm_of(state.name)
+            grown = 0.0 if number is None else float(fitted.minimum.common[size + number])
+            std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time)
+            # Derivatives of the logarithms of both by the unknowns.
+            by_std, by_time = np.zeros(len(covariance)), np.zeros(len(covariance))
+            if number is not None:
+                by_std[size + number] = 1.0
+            if time_place in task.free:
+                place = task.free.index(time_place)
+                by_std[place], by_time[place] = 0.5 / time, 1.0 / time
+            error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
+            shown = number is None or error < SHOWN
+            found.append(
+                DisturbanceEstimate(
+                    joint=joint.name,
+                    unit=joint.force_unit,
+                    std=std if shown else std * math.exp(BOUND * error),
+                    std_error=std * error if shown and number is not None else None,
+                    correlation_time=time if shown else None,
+                    correlation_time_error=time * time_error if shown and time_place in task.free else None,
+                    shown=shown,
+                    known=number is None,
+                )
+            )
+    return tuple(found)
+
+
+def stated(model: Model, fitted: Fit) -> Model:
+    """`model` with the disturbances of `fitted` as what is known of them."""
+    known = densities(fitted)
+    values = dict(zip(fitted.problem.kernel.parameters, fitted.values.tolist(), strict=True))
+    times = {each.correlation_time for each in model.base_states if each.name in known}
+    states = tuple(
+        replace(each, process_noise=known[each.name], noise_known=True) if each.name in known else each
+        for each in model.base_states
+    )
+    parameters = tuple(
+        replace(each, value=values[each.name], estimated=False, std=0.0) if each.name in times else each
+        for each in model.base_parameters
+    )
+    return replace(model, base_states=states, base_parameters=parameters)
+
+
+def densities(fitted: Fit) -> Mapping[str, float]:
+    """By state, the fitted root q of the density of the white noise that drives each disturbance, unit/sqrt(s)."""
+    task, noise = fitted.problem, NoiseModel.of(fitted.problem)
+    found = {}
+    for state in task.model.base_states:
+        if state.correlation_time:
+            number = noise.logarithm_of(state.name)
+            grown = 0.0 if number is None else float(fitted.minimum.common[len(task.free) + number])
+            found[state.name] = state.process_noise * math.exp(grown)
+    return found
+
+
+def is_of_disturbance(model: Model) -> frozenset[str]:
+    """Names of the parameters of `model` that are a disturbance's, and not the machine's."""
+    return frozenset(each.correlation_time for each in model.base_states if each.correlation_time)
+
+
+def in_words(found: Sequence[DisturbanceEstimate]) -> str:
+    """A sentence, empty where nothing is known."""
+    shown = [each for each in found if each.shown] or list(found)
+    if not shown:
+        return ""
+    where = len(found) > 1
+    return "; ".join(f"disturbance{f' at {each.joint}' if where else ''}: {each}" for each in shown)

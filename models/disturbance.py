@@ -1,0 +1,120 @@
+"""The random disturbance at the joints of a machine: wind, rail, cables and people push every real one.
+
+    d' = -d / correlation_time + w,    std^2 = q^2 correlation_time / 2
+
+is a first-order (Ornstein-Uhlenbeck) random force d beside a joint's load; w is white, of density q^2. It fades within
+`correlation_time` s and has the RMS `std` in the long run. White process noise is its limit for short correlation
+times, a drift that for long ones. Both numbers are estimated with the parameters, by maximum likelihood.
+`disturbed` puts it into a model that is about to meet a record. Source: Gelb, "Applied optimal estimation" (1974),
+section 3.8 (Gauss-Markov processes).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.expressions import names_in
+from models.model import Disturbance, Joint, Model, Parameter, State
+from telemetry.recording import Recording
+
+SMALL = 0.02
+"""Share of a joint's typical force from which the estimation of its disturbance's RMS starts."""
+SPREAD = 3.0
+"""Standard deviation of the natural logarithm of that RMS: of a disturbance no more than the order of magnitude is
+known before, and that to a factor of twenty."""
+ROUGHLY = 10.0
+"""The standard deviation of the correlation time before a record is seen, in multiples of where its estimation starts."""
+LEAST_ROWS = 2.0
+"""Rows of the shortest correlation time: what fades faster is white."""
+LEAST_TIMES = 10.0
+"""Correlation times that a record holds at least: of what fades more slowly it does not show that it is random, and
+what only drifts is not."""
+PREFIX = "disturbance_"
+
+
+def state_of(joint: str) -> str:
+    """Name of the state that is the disturbance at `joint`."""
+    return f"{PREFIX}{joint}"
+
+
+def time_of(joint: str) -> str:
+    """Name of the parameter that is its correlation time, s."""
+    return f"{PREFIX}{joint}_time"
+
+
+def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
+    """`model` with a disturbance at each joint that says so, for records as long and as fast as `recordings`.
+
+    Where a joint has a random force of the model's own, a state that only noise drives, that is its disturbance.
+    """
+    times = [each.timestamp_ns for each in recordings if len(each.timestamp_ns) > 1]
+    steps = [float(np.median(np.diff(each))) * 1e-9 for each in times]
+    longest = max((float(each[-1] - each[0]) * 1e-9 for each in times), default=math.inf)
+    for joint in model.joints:
+        if joint.disturbance is not None and not _has_own(model, joint):
+            model = _with(model, joint, joint.disturbance, max(steps, default=0.0), longest)
+    return model
+
+
+def undisturbed(model: Model, fitted: Model) -> Model:
+    """`fitted`, which came of what `disturbed` made of `model`, without the disturbances: they are of a record."""
+    states = {each.name for each in fitted.base_states if each.correlation_time}
+    times = {each.correlation_time for each in fitted.base_states if each.correlation_time}
+    joints = {each.name: each for each in model.joints}
+    return replace(
+        fitted,
+        base_states=tuple(each for each in fitted.base_states if each.name not in states),
+        base_parameters=tuple(each for each in fitted.base_parameters if each.name not in times),
+        joints=tuple(replace(each, load=joints[each.name].load) for each in fitted.joints),
+    )
+
+
+def _has_own(model: Model, joint: Joint) -> bool:
+    """Whether a state of the model that nothing but noise drives pushes at `joint`, or a disturbance is there already."""
+    parameters = {each.name for each in model.base_parameters}
+    for state in model.base_states:
+        if state.process_noise > 0.0 and names_in(state.derivative) <= {state.name, *parameters}:
+            if state.name in names_in(joint.load):
+                return True
+    return False
+
+
+def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: float) -> Model:
+    usual = joint.coordinate_scale / joint.rate_scale
+    shortest = max(known.shortest, LEAST_ROWS * step)
+    most = max(min(known.longest, longest / LEAST_TIMES), 2.0 * shortest)
+    time = float(np.clip(known.correlation_time or usual, shortest, most)) if not known.known else known.correlation_time
+    std = known.std or SMALL * joint.force_scale
+    state = State(
+        name=state_of(joint.name),
+        unit=joint.force_unit,
+        derivative=f"-{state_of(joint.name)} / {time_of(joint.name)}",
+        initial_std=std,
+        process_noise=std * math.sqrt(2.0 / time),
+        noise_known=known.known,
+        noise_spread=SPREAD,
+        correlation_time=time_of(joint.name),
+        meaning=f"random force at {joint.name}",
+    )
+    parameter = Parameter(
+        name=time_of(joint.name),
+        unit="s",
+        value=time,
+        std=0.0 if known.known else ROUGHLY * time,
+        lower=0.0 if known.known else shortest,
+        upper=math.inf if known.known else most,
+        estimated=not known.known,
+        meaning=f"correlation time of the disturbance at {joint.name}",
+    )
+    load = f"{joint.load} + {state.name}"
+    joints = tuple(replace(each, load=load) if each is joint else each for each in model.joints)
+    return replace(
+        model,
+        base_states=(*model.base_states, state),
+        base_parameters=(*model.base_parameters, parameter),
+        joints=joints,
+    )
