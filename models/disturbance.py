@@ -112,9 +112,11 @@ def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: 
     )
     load = f"{joint.load} + {state.name}"
     joints = tuple(replace(each, load=load) if each is joint else each for each in model.joints)
+    # White noise on the joint's own rate is the same for short correlation times: one of the two is enough.
+    states = tuple(replace(each, process_noise=0.0) if each.name == joint.rate else each for each in model.base_states)
     return replace(
         model,
-        base_states=(*model.base_states, state),
+        base_states=(*states, state),
         base_parameters=(*model.base_parameters, parameter),
         joints=joints,
     )
