@@ -27,6 +27,7 @@ SHORT = 1.0
 axis with a pole at 5 rad/s under feedback, disturbed by white force noise of 0.5 N/sqrt(Hz) beside pushes of 7 N (six
 records of 20 s, tests/unstable_plant.py): inertia 7 % too large with windows of 2 / pole, 12 % with 4.5 / pole;
 prediction error is off by 0.5 %, within its scatter."""
+MEAN = " (mean over the channels)"
 ALIKE, OWN = "alike", "own"
 """How a method's fit was measured: by the one predictor that all share, or by the method itself."""
 
@@ -151,15 +152,15 @@ def _chosen(best: _Candidate, left: list[_Candidate], missed: list[_Candidate]) 
         )
     others = [each for each in left if each is not best]
     if not others:
-        return f"it is the only method that is sound here and gives a usable model; {best.told}"
+        return f"it is the only method that is sound here and gives a usable model; {best.told}{MEAN}"
     compared = [each.fit for each in left if each.alike and each.fit is not None]
     if best.alike and best.fit is not None:
         if max(compared) > best.fit:
             return (
-                f"it is sound here and {best.told.removeprefix('it ')}, as well as any within {AS_GOOD:g} %; of these"
-                " it is the most precise one as a rule"
+                f"it is sound here and {best.told.removeprefix('it ')}{MEAN}, as well as any within {AS_GOOD:g} %;"
+                " of these it is the most precise one as a rule"
             )
-        return f"it is sound here and predicts best of the sound methods: {best.fit:.1f} %"
+        return f"it is sound here and predicts best of the sound methods: {best.fit:.1f} %{MEAN}"
     return f"it is sound here and the most precise one as a rule; the fits were not measured alike, {best.told}"
 
 

@@ -98,7 +98,7 @@ export class Identify {
   choice(result, methods) {
     const others = methods.filter(([, each]) => each.not_chosen).map(([name, each]) => h("li", {}, `${name}: ${each.not_chosen}`));
     return h("div", { id: "methods-choice" },
-      h("p", {}, h("strong", {}, result.best ? `To rely on: ${result.best}` : "No method to rely on"), `: ${result.best_reason ?? ""}`),
+      h("p", {}, h("strong", {}, result.best ? `To rely on: ${result.best}` : "No method to rely on")), h("p", {}, result.best_reason ?? ""),
       others.length ? h("details", {}, h("summary", {}, "Why not the others"), h("ul", {}, others)) : "");
   }
 
