@@ -49,7 +49,9 @@ class Subject:
     @property
     def is_roll(self) -> bool:
         """Whether the model is the MONOCAB's balance with no more than a static torque."""
-        return self.model.name.startswith("monocab") and {e.name for e in self.model.effects} <= {"static_torque"}
+        names = {parameter.name for parameter in self.model.parameters}
+        plain = {effect.name for effect in self.model.effects} <= {"static_torque"}
+        return self.model.name.startswith("monocab") and plain and names >= {"inertia", "gravity_stiffness"}
 
 
 def measure(entries: Mapping[str, dict[str, Any]], subject: Subject, recordings: Sequence[Recording]) -> float | None:
