@@ -72,7 +72,8 @@ class Estimate:
     `status` is OK when every parameter asked for is; otherwise that of the first one that is not, with its reason.
     `correlation` is that of the parameters' errors, by pairs of names in the order of `parameters`, shape (n, n), NaN
     where one is not known. `fit_percent` tells by channel how well the model with these parameters predicts.
-    `bounds_hit` names parameters whose best value would be physically impossible. `seconds` is what it took.
+    `bounds_hit` names parameters whose best value would be physically impossible. `seconds` is what it took. `window` s
+    is the longest simulation without correction, None for a method that does not simulate.
     """
 
     method: str
@@ -85,6 +86,7 @@ class Estimate:
     correlation: NDArray[np.float64] | None = None
     bounds_hit: tuple[str, ...] = ()
     seconds: float = 0.0
+    window: float | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -124,6 +126,7 @@ class Estimate:
             "correlation": self._correlation_json(),
             "bounds_hit": list(self.bounds_hit),
             "seconds": self.seconds,
+            "window": self.window,
         }
 
     def _correlation_json(self) -> dict[str, dict[str, float]]:

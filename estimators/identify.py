@@ -4,9 +4,11 @@ Each method gives a joint estimate over all recordings that it takes (estimators
 each by itself: the runs, whose scatter tells what one recording is worth. A method that fails, or takes none of the
 recordings, says so and does not stop the others.
 
-How well a method's values predict is measured alike for all: roll and roll rate half a second ahead of the measured
-state, over all recordings. This measure knows the MONOCAB's balance with a static torque and no other effect; for a
-model beyond that each method tells its own.
+How well a method's values predict is measured alike for all, over all recordings. For the MONOCAB's balance with a
+static torque and no other effect: roll and roll rate half a second ahead of the measured state. For any other model:
+what is measured, ahead of the filtered state by a horizon that follows from the model's time scale
+(estimators.common_fit). A method that does not give all values keeps its own measure. estimators.method_choice chooses
+by it.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ from estimators.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
 from estimators.contract import Estimate, EstimationError, Estimator, Status
 from estimators.logarithms import is_known_roughly
 from estimators.method_document import FAILED, Results, document, nothing
+from estimators.method_fits import Subject, measure
 from estimators.method_table import METHODS, Domain, Method, experiment_of, unsuited
-from estimators.prediction import free_motion, predict, sensor_noise
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
 from estimators.torque_balance import Method as BalanceMethod
@@ -35,9 +37,6 @@ from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError, UprightError
 from telemetry.recording import Recording
 
-FIT_HORIZON = 0.5
-"""s ahead that fit_percent tells of."""
-FIT_CHANNELS = ("roll", "roll_rate")
 RECURSIVE_FITS = ("recursive_output_error", "recursive_prediction_error")
 REGRESSIONS = ("least_squares", "instrumental_variables")
 COMPILED = ("output_error", "output_error_simplex", "prediction_error", *RECURSIVE_FITS)
@@ -49,34 +48,6 @@ NOMINAL: dict[str, tuple[str, tuple[str, ...]]] = {
 
 Progress = Callable[[str, str, int, int], None]
 """Told the method, the recording, how many fits are done, and of how many."""
-Measure = Callable[[Mapping[str, Any]], dict[str, float]]
-"""From a method's entry to its fit_percent."""
-
-
-@dataclass(frozen=True, slots=True)
-class Subject:
-    """What is identified: a model with its start values, and what the vehicle file says of the vehicle.
-
-    `parameters` and `deviations` are CAD values and their standard deviations, by name; `support` rad is the roll angle
-    at which the supports carry, None for a vehicle without any; `bandwidth` rad/s of the filter of the regressions,
-    None for their own.
-    """
-
-    model: Model
-    parameters: Mapping[str, float]
-    deviations: Mapping[str, float]
-    support: float | None
-    bandwidth: float | None = None
-
-    @property
-    def values(self) -> dict[str, float]:
-        """All values before the identification."""
-        return {**self.parameters, **self.model.values}
-
-    @property
-    def is_roll(self) -> bool:
-        """Whether the model is the MONOCAB's balance with no more than a static torque."""
-        return self.model.name.startswith("monocab") and {e.name for e in self.model.effects} <= {"static_torque"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +107,6 @@ def identify(
     left_out = {name: [""] * len(recordings) if every else unsuited(METHODS[name], experiments) for name in chosen}
     tasks = plan(recordings, left_out)
     found: Results = {}
-    measure = _measure(recordings, subject)
     try:
         if any(task.method.name in COMPILED for task in tasks):
             progress("compiling", model.name, 0, len(tasks))
@@ -144,12 +114,14 @@ def identify(
         for done, task in enumerate(tasks):
             name = task.method.name
             progress(name, task.label, done, len(tasks))
-            entry = run(task, subject, recordings)
-            if measure is not None and task.method.domain is not Domain.DRIVES:
-                entry["fit_percent"] = measure(entry)
-            found[name, task.recordings] = entry
+            found[name, task.recordings] = run(task, subject, recordings)
     except KeyboardInterrupt:
         pass
+    taken = {name: tuple(place for place, why in enumerate(reasons) if not why) for name, reasons in left_out.items()}
+    joint = {name: found[name, places] for name, places in taken.items() if (name, places) in found}
+    horizon = measure(
+        {name: each for name, each in joint.items() if METHODS[name].rank is not None}, subject, recordings
+    )
     return document(
         recordings,
         experiments,
@@ -157,7 +129,7 @@ def identify(
         found,
         before=_before(subject),
         vehicle={name: (value, subject.deviations.get(name, 0.0)) for name, value in parameters.items()},
-        alike=measure is not None,
+        horizon=horizon,
         cancelled=len(found) < len(tasks),
     )
 
@@ -242,25 +214,3 @@ def _before(subject: Subject) -> dict[str, dict[str, Any]]:
     values = {p.name: subject.parameters.get(p.name, p.value) for p in sought}
     stds = {p.name: subject.deviations.get(p.name, p.std) for p in sought}
     return {p.name: {"value": values[p.name], "std": stds[p.name], "unit": p.unit} for p in sought if values[p.name]}
-
-
-def _measure(
-    recordings: Sequence[Recording], subject: Subject
-) -> Callable[[Mapping[str, Any]], dict[str, float]] | None:
-    """The fit that is measured alike for all methods; None where there is no such for this model."""
-    if not subject.is_roll or subject.support is None:
-        return None
-    try:
-        stretches = [stretch for recording in recordings for stretch in free_motion(recording, subject.support)]
-        noise = sensor_noise(stretches)
-    except UprightError:
-        return lambda entry: {}
-
-    def percent(entry: Mapping[str, Any]) -> dict[str, float]:
-        known = {name: p["value"] for name, p in entry["parameters"].items() if p["value"] is not None}
-        if not known.keys() >= {"inertia", "gravity_stiffness"}:
-            return {}
-        prediction = predict(stretches, {**subject.values, **known}, FIT_HORIZON, noise)
-        return {} if prediction is None else {channel: prediction.fit_percent(channel) for channel in FIT_CHANNELS}
-
-    return percent

@@ -1,4 +1,4 @@
-"""From single fits to the document of `identify --json`: joint estimates, runs and their mean, which predicts best."""
+"""From single fits to the document of `identify --json`: joint estimates, runs and their mean, which to rely on."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from statistics import fmean, stdev
 from typing import Any
 
 from estimators.contract import Estimate, ParameterEstimate, Status
+from estimators.method_choice import OWN, choose
 from estimators.method_table import METHODS, Domain, Experiment
 from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
 from telemetry.recording import Recording
@@ -14,28 +15,22 @@ from telemetry.recording import Recording
 FAILED, NOT_SUITED, CANCELLED = "failed", "not_suited", "cancelled"
 """What a method's status can be, besides those of an estimate."""
 
-PREFERRED = (
-    "prediction_error",
-    "output_error",
-    "output_error_simplex",
-    "instrumental_variables",
-    "recursive_prediction_error",
-    "recursive_instrumental_variables",
-    "recursive_output_error",
-    "least_squares",
-    "recursive_least_squares",
-)
-"""Those without a bias first, and of these the surest. What the frequency domain gives lacks the static torque."""
-AS_GOOD = 1.0
-"""Percent of fit that are no difference: the sensors' noise at the start of each prediction makes as much."""
-
 Results = dict[tuple[str, tuple[int, ...]], dict[str, Any]]
 """By method and the places of its recordings: an estimate, JSON-ready."""
 
 
 def nothing(status: str, reason: str) -> dict[str, Any]:
     """The entry of a method without a result."""
-    return {"parameters": {}, "fit_percent": {}, "seconds": 0.0, "status": status, "reason": reason}
+    return {
+        "parameters": {},
+        "fit_percent": {},
+        "fit_measured": OWN,
+        "pole": None,
+        "window": None,
+        "seconds": 0.0,
+        "status": status,
+        "reason": reason,
+    }
 
 
 def document(
@@ -46,20 +41,27 @@ def document(
     *,
     before: Mapping[str, Mapping[str, Any]],
     vehicle: Mapping[str, tuple[float, float]],
-    alike: bool,
+    horizon: float | None,
     cancelled: bool,
 ) -> dict[str, Any]:
     """The whole document.
 
     `left_out`: by method, for each recording, why it is not taken, "" where it is. `before`: value, std and unit of
     what is sought, as the vehicle file or the model has it; `vehicle`: value and std of all that the file has.
-    `alike`: fit_percent is the same measure for all methods.
+    `horizon` s ahead that the fits tell of which were measured alike; None where none was.
     """
     methods = {
         name: {"domain": METHODS[name].domain.value, **_method(name, recordings, reasons, found)}
         for name, reasons in left_out.items()
     }
-    best = best_method(methods, alike)
+    # Every experiment of the service is recorded under control, and so is what is unstable.
+    closed_loop = any(each.excitation for each in experiments) or any(
+        (entry.get("pole") or 0.0) > 0.0 for entry in methods.values()
+    )
+    choice = choose(methods, closed_loop=closed_loop)
+    best = choice.best
+    for name, entry in methods.items():
+        entry["unsound"], entry["not_chosen"] = choice.unsound[name], choice.not_chosen[name]
     for entry in methods.values():
         if entry["domain"] == Domain.DRIVES:
             entry["parameters"] |= _apparent_inertia(entry["parameters"], methods.get(best, {}), vehicle)
@@ -67,7 +69,14 @@ def document(
     return {
         "methods": methods,
         "best": best,
-        "fit_measured_alike": alike,
+        "best_reason": choice.reason,
+        "fit_measured_alike": horizon is not None
+        and not any(
+            entry.get("fit_measured") == OWN and entry["fit_percent"]
+            for entry in methods.values()
+            if entry["domain"] != Domain.DRIVES
+        ),
+        "fit_horizon": horizon,
         "before": {name: dict(entry) for name, entry in before.items()},
         "recordings": [
             {"recording": recording.source, "experiment": str(experiment)}
@@ -75,18 +84,6 @@ def document(
         ],
         "cancelled": cancelled,
     }
-
-
-def best_method(methods: Mapping[str, Mapping[str, Any]], alike: bool = True) -> str:
-    """The method to rely on, "" where none knows: the first of PREFERRED that predicts as well as any, within AS_GOOD.
-
-    Fits that are not measured `alike` cannot be compared: then it is the first that knows all that it is asked.
-    """
-    fits = {name: methods[name]["fit_percent"] for name in PREFERRED if name in methods}
-    if not alike:
-        return next((name for name in fits if methods[name]["status"] == Status.OK), "")
-    known = {name: fmean(fit.values()) for name, fit in fits.items() if fit}
-    return next((name for name in known if known[name] >= max(known.values()) - AS_GOOD), "")
 
 
 def _method(name: str, recordings: Sequence[Recording], reasons: Sequence[str], found: Results) -> dict[str, Any]:

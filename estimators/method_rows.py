@@ -98,6 +98,22 @@ def _number(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
+def sentence(text: str) -> str:
+    """`text` with a capital at its start and a stop at its end."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def others(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Why each of the methods that give values is not the one to rely on; those with the same reason together."""
+    said: dict[str, list[str]] = {}
+    for name, entry in methods.items():
+        known = any(told["value"] is not None for told in entry["parameters"].values())
+        if known and entry.get("not_chosen"):
+            said.setdefault(entry["not_chosen"], []).append(name)
+    for reason, names in said.items():
+        yield f"{', '.join(names)}: {reason}"
+
+
 def remarks(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     """What is to be said of single methods; those of which the same is to be said, together."""
     said: dict[tuple[str, str], list[str]] = {}

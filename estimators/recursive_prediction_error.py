@@ -117,7 +117,9 @@ class RecursivePredictionError:
         predictor = self._predictor
         if predictor is None or predictor.span < SHORTEST_SPAN:
             return self._no_result(0.0 if predictor is None else predictor.span)
-        estimate = replace(predictor.estimate(self.method), samples=predictor.rows, span=predictor.span)
+        estimate = predictor.estimate(self.method)
+        window = WINDOW if self._method is Method.OUTPUT_ERROR else None
+        estimate = replace(estimate, samples=predictor.rows, span=predictor.span, window=window)
         if not predictor.lost:
             return estimate
         lost = f"the predictor lost the vehicle {predictor.lost} times and began anew at the measurement"

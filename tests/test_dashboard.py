@@ -538,6 +538,10 @@ def test_methods_stand_side_by_side(asked: None, watched: Watched) -> None:
     inertia = watched.page.locator("#methods table").filter(has_text="inertia").first
     expect(inertia).to_be_visible(timeout=120_000)
     assert inertia.locator("tbody tr").count() == len(METHODS)
+    choice = watched.page.locator("#methods-choice")
+    expect(choice).to_contain_text("To rely on: ")
+    expect(choice).to_contain_text("it is sound here")
+    expect(choice).to_contain_text("Why not the others")
     for method in METHODS:
         row = inertia.get_by_role("row").filter(has=watched.page.get_by_role("rowheader", name=method, exact=True))
         # Without the friction a model of the roll motion explains it by another inertia, but not by any.

@@ -20,7 +20,6 @@ import estimators
 from diagnosis.method_figure import method_figure, save_methods
 from estimators.contract import EstimationError
 from estimators.identify import identify, nominal_model, plan, with_values
-from estimators.method_document import best_method
 from estimators.method_table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
 from models.model import ModelError
 from models.model_file import ModelFile, write
@@ -100,10 +99,14 @@ def test_the_document_is_json_of_the_agreed_form(document: dict[str, Any]) -> No
     json.dumps(document, allow_nan=False)
     assert list(document["methods"]) == ASKED
     assert document["best"] == "prediction_error"
+    assert "sound" in document["best_reason"]
+    assert document["fit_horizon"] == 0.5
     assert not document["cancelled"]
     assert document["before"]["inertia"] == {"value": 1450.0, "std": 200.0, "unit": "kg m^2"}
     for name, entry in document["methods"].items():
-        assert {"parameters", "fit_percent", "seconds", "status", "reason", "runs", "mean", "domain"} <= entry.keys()
+        keys = {"parameters", "fit_percent", "seconds", "status", "reason", "runs", "mean", "domain", "unsound"}
+        assert keys <= entry.keys()
+        assert (entry["not_chosen"] == "") == (name == "prediction_error")
         for parameter in entry["parameters"].values():
             assert {"value", "std", "unit", "identifiable"} <= parameter.keys()
             assert parameter["identifiable"] == (parameter["value"] is not None)
@@ -254,20 +257,12 @@ def test_a_model_of_another_kind_is_given_to_the_methods_that_can_have_any(recor
     asked = identify(recordings[:1], {}, SUPPORT, model=model, progress=interrupt)["methods"]
     assert not {METHODS[name].domain for name in asked} & {Domain.RECURSIVE, Domain.DRIVES}
     document = identify(recordings[:1], {}, SUPPORT, ["least_squares"], model=model)
-    assert not document["fit_measured_alike"]
+    assert document["fit_measured_alike"]
+    # 1.5 over the pole of 3 rad/s.
+    assert 0.3 < document["fit_horizon"] < 0.7
+    assert document["methods"]["least_squares"]["fit_percent"].keys() == {"roll", "roll_rate"}
     assert "viscous_friction.coefficient" in document["methods"]["least_squares"]["parameters"]
     assert document["before"]["inertia"]["value"] == 1450.0
-
-
-def test_the_method_to_rely_on_has_no_bias_and_predicts_as_well_as_any() -> None:
-    def entry(fit: float, status: str = "ok") -> dict[str, Any]:
-        return {"status": status, "fit_percent": {"roll": fit}}
-
-    methods = {"least_squares": entry(90.4), "output_error": entry(90.0), "prediction_error": entry(80.0)}
-    assert best_method(methods) == "output_error"
-    assert best_method({"least_squares": entry(95.0), "output_error": entry(90.0)}) == "least_squares"
-    assert best_method({"output_error": {"status": "failed", "fit_percent": {}}}) == ""
-    assert best_method(methods, alike=False) == "prediction_error"
 
 
 def test_the_picture_has_a_panel_a_parameter_and_every_method(document: dict[str, Any], tmp_path: Path) -> None:

@@ -139,8 +139,8 @@ class TestTheCommands:
             "\n", ""
         )
         page = Page(report.read_text())
-        assert "To rely on: least_squares" in page.text
-        assert "Measured against predicted" in page.text
+        assert "No method to rely on" in page.text
+        assert "run prediction_error" in page.text
 
     @pytest.mark.parametrize("command", ["compare", "identify"])
     def test_a_folder_that_is_not_there_is_told_before_the_work(self, command: str, file: Path) -> None:

@@ -12,7 +12,16 @@ from diagnosis.report.drawing import file_name
 from diagnosis.report.page import Provenance, compared_figures, render
 from estimators.contract import EstimationError
 from estimators.method_document import CANCELLED
-from estimators.method_rows import Columns, joint_columns, mean_columns, remarks, shown_parameters, value_text
+from estimators.method_rows import (
+    Columns,
+    joint_columns,
+    mean_columns,
+    others,
+    remarks,
+    sentence,
+    shown_parameters,
+    value_text,
+)
 from estimators.method_table import Domain
 
 WIDE, LOW = 10.0, 0.75
@@ -55,6 +64,9 @@ def write_identification(
         model=model,
         recordings=recordings,
         best=document["best"],
+        best_reason=sentence(document["best_reason"]),
+        others=list(others(begun)),
+        fit_note=_fit_note(document),
         estimates=list(_estimates(document)),
         figure=_figure(document, truth or {}),
         tables=list(_tables(document, begun, truth or {})),
@@ -69,6 +81,13 @@ def write_identification(
         why=why,
         file_name=file_name,
     )
+
+
+def _fit_note(document: Mapping[str, Any]) -> str:
+    """What the column of the fit says."""
+    if not document["fit_measured_alike"]:
+        return "Own fit: each method's own measure of the channel that it explains worst; they cannot be compared."
+    return f"Fit: how well the channel that is predicted worst is predicted {document['fit_horizon']:.2g} s ahead."
 
 
 def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:

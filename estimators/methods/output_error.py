@@ -189,7 +189,7 @@ def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began:
         lower, upper = task.bounds
         at_bound = (minimum.common <= lower) | (minimum.common >= upper)
         minimum = replace(minimum, converged=True, at_bound=at_bound)
-    return assemble(
+    estimate = assemble(
         task,
         method,
         minimum,
@@ -198,6 +198,7 @@ def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began:
         fit_percent=simulated_percent(task, minimum),
         seconds=stopwatch() - began,
     )
+    return replace(estimate, window=max(segment.duration for segment in task.segments))
 
 
 def _score_covariance(scores: Sequence[Array]) -> Array:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estimators.method_document import CANCELLED
-from estimators.method_rows import Columns, joint_columns, mean_columns, remarks, value_text
+from estimators.method_rows import Columns, joint_columns, mean_columns, others, remarks, sentence, value_text
 from estimators.method_table import Domain
 from service.cli.output import page
 
@@ -30,10 +30,17 @@ def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> No
     for name, entry in begun.items():
         if entry["domain"] == Domain.DRIVES and entry["parameters"]:
             _print_drives(name, entry)
-    if document["best"]:
-        page.print(f"\nTo rely on: [bold]{document['best']}[/bold]")
-    for text in remarks(document["methods"]):
-        page.print(Padding(Text(text), (0, 0, 0, 2)))
+    page.print(f"\nTo rely on: [bold]{document['best'] or 'none of these methods'}[/bold]")
+    page.print(Padding(Text(sentence(document["best_reason"])), (0, 0, 0, 2)))
+    for title, texts in (
+        ("Why not the others", others(methods)),
+        ("What the methods could not tell", remarks(document["methods"])),
+    ):
+        lines = list(texts)
+        if lines:
+            page.print(f"\n{title}")
+        for text in lines:
+            page.print(Padding(Text(text), (0, 0, 0, 2)))
 
 
 def _print_tables(title: str, groups: Sequence[Columns]) -> None:

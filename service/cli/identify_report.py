@@ -52,7 +52,7 @@ def _compared(
     """The model before and with the estimates to rely on, against all recordings; or why that cannot be."""
     best = document["best"]
     if not best:
-        return [], "No method gives a model to hold against the recordings."
+        return [], "There is no method to rely on, so no model is compared with the recordings."
     known = {parameter.name for parameter in model.parameters}
     found = document["methods"][best]["parameters"]
     values = {name: each["value"] for name, each in found.items() if name in known and each["value"] is not None}

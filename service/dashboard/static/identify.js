@@ -91,7 +91,15 @@ export class Identify {
     if (!result) return;
     const methods = Object.entries(result.methods ?? {});
     const names = [...new Set(methods.flatMap(([, each]) => Object.keys(each.parameters ?? {})))];
-    fill(this.answer, names.map((parameter) => this.figure(parameter, methods)));
+    fill(this.answer, this.choice(result, methods), names.map((parameter) => this.figure(parameter, methods)));
+  }
+
+  // Which method to rely on, why, and why not the others.
+  choice(result, methods) {
+    const others = methods.filter(([, each]) => each.not_chosen).map(([name, each]) => h("li", {}, `${name}: ${each.not_chosen}`));
+    return h("div", { id: "methods-choice" },
+      h("p", {}, h("strong", {}, result.best ? `To rely on: ${result.best}` : "No method to rely on")), h("p", {}, result.best_reason ?? ""),
+      others.length ? h("details", {}, h("summary", {}, "Why not the others"), h("ul", {}, others)) : "");
   }
 
   // As in the paper's figure 3: a row a method, its value with a 95 % bar, on one scale.
