@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
+from simulation.disturbance import Disturbance
 from simulation.hidden import MONOCAB, Registry, sizes_of
 from telemetry.samples import Vector3
 
@@ -172,6 +173,8 @@ class SimulationConfig:
     hidden: Mapping[str, float | None] = field(default_factory=dict)
     onsets: Mapping[str, float] = field(default_factory=dict)
     """s after the first SYNC at which a hidden effect sets in; those that are not named are there from the start."""
+    disturbance: Disturbance | None = None
+    """The random torque on the axis that the vehicle falls about; None: there is none."""
 
     @property
     def sizes(self) -> dict[str, float]:
