@@ -29,6 +29,11 @@ class Truth(Protocol):
         ...
 
     @property
+    def falling_inertia(self) -> float:
+        """kg m^2 that a torque about the axis it falls about accelerates, near upright."""
+        ...
+
+    @property
     def registry(self) -> Registry:
         """What this kind of vehicle can hide."""
         ...
@@ -82,6 +87,10 @@ class PlantTruth:
     """m/s^2."""
     encoder_increments_per_turn: int = 1 << 20
     """Of the motor encoders, inside the drives."""
+
+    @property
+    def falling_inertia(self) -> float:
+        return self.inertia
 
     @property
     def registry(self) -> Registry:

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import hidden_effects_stand_in as stand_in
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from service import virtual_vehicle
 from service.cli import app
+from service.hidden_effects.by_disturbance import thirds
+from service.hidden_effects.cases import Case
+from service.hidden_effects.disturbances import Drawn, Multiple, parse_disturbances, sensor_floor
+from service.hidden_effects.summary import summarise
+from service.hidden_effects.trial import Bench, virtual
+from service.hidden_effects.trial import run as run_case
+from service.hidden_effects.vehicles import drawn
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.closed_loop import ClosedLoopRun, Measured, simulate_closed_loop
-from simulation.config import SimulationConfig
+from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from simulation.disturbance import Disturbance, RandomTorque
 from simulation.hidden import MONOCAB, UnknownEffectError, parse_disturbance, parse_hidden
 from simulation.plant import Plant
 from simulation.twsbr.hidden import TWSBR
 from simulation.twsbr.plant import TwsbrPlant
 from simulation.twsbr.truth import TwsbrTruth
+from telemetry.recording import Recording
 
 STEP = 1.0 / 3000.0
 """s, the plant's at 250 Hz."""
@@ -236,3 +249,143 @@ def test_the_commands_refuse_one_that_cannot_be(words: list[str]) -> None:
     said = CliRunner().invoke(app, [*words, "--hide", "disturbance=8,x"])
     assert said.exit_code != 0
     assert isinstance(said.exception, UnknownEffectError) or "is no disturbance" in said.output
+
+
+# --- in the benchmark
+
+
+def floor(correlation_time: float) -> float:
+    return sensor_floor(PlantTruth(), ImuNode(), correlation_time)
+
+
+@pytest.mark.parametrize("truth", [PlantTruth(), TwsbrTruth()])
+def test_the_sensor_floor_is_what_the_gyro_alone_makes(truth: PlantTruth | TwsbrTruth) -> None:
+    """The slope of its white noise by least squares, over many windows of one correlation time each."""
+    imu, correlation_time, count = ImuNode(), 0.4, 4000
+    time = np.arange(100) * correlation_time / 100
+    deviation = imu.angular_rate_density * math.sqrt(0.5 / (time[1] - time[0]))
+    noise = np.random.default_rng(3).normal(0.0, deviation, (count, len(time)))
+    centred = time - time.mean()
+    torques = truth.falling_inertia * noise @ centred / float(centred @ centred)
+    expected = sensor_floor(truth, imu, correlation_time)
+    assert float(np.std(torques)) == pytest.approx(expected, rel=MOST * math.sqrt(0.5 / count))
+
+
+def test_the_inertia_that_a_torque_on_the_tilt_accelerates() -> None:
+    """Against the robot itself, let go upright with open bridges."""
+    level = 1.0e-3 / TWSBR.listed["static_torque"].size
+    plant = TwsbrPlant(SimulationConfig(plant=TwsbrTruth(), hidden={"static_torque": level}))
+    plant.place(0.0)
+    plant.advance(2)
+    assert 1.0e-3 * plant.time / plant.tilt_rate == pytest.approx(TwsbrTruth().falling_inertia, rel=0.01)
+
+
+def test_a_drawn_one_is_log_uniform_and_follows_from_the_seed() -> None:
+    found = [Drawn().of(seed, floor) for seed in range(400)]
+    assert found[7] == Drawn().of(7, floor)
+    for values, (low, high) in (
+        ([each.rms for each in found], (2.0, 20.0)),
+        ([each.correlation_time for each in found], (0.05, 3.0)),
+    ):
+        shares = np.log(np.array(values) / low) / math.log(high / low)
+        assert shares.min() >= -1e-5
+        assert shares.max() <= 1.0 + 1e-5
+        # Kolmogorov and Smirnov: beyond 1.95 / sqrt(n) are 0.1 % of uniform samples.
+        ranks = (np.arange(len(shares)) + 0.5) / len(shares)
+        assert float(np.max(np.abs(np.sort(shares) - ranks))) < 1.95 / math.sqrt(len(shares))
+    middle = Drawn().of(None, floor)
+    assert (middle.rms, middle.correlation_time) == pytest.approx((math.sqrt(40.0), math.sqrt(0.15)), rel=1e-5)
+
+
+def test_a_multiple_of_the_floor_is_the_same_in_every_record() -> None:
+    asked = parse_disturbances("10,0.3", Drawn())
+    assert asked == Multiple(10.0, 0.3)
+    assert asked.of(1, floor) == asked.of(None, floor)
+    assert asked.of(1, floor).rms == pytest.approx(10.0 * 1650.0 * 3.5e-5 * math.sqrt(6.0 / 0.3**3), rel=1e-5)
+    assert parse_disturbances("none", Drawn()) is None
+    assert parse_disturbances(None, Drawn()) == Drawn()
+
+
+@pytest.mark.parametrize("text", ["", "10", "10,0", "-1,0.3", "a,b", "10,0.3,1", "nan,1"])
+def test_a_multiple_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"RMS,CORRELATION_TIME, both above 0, .* as in 10,0\.3, nor none"):
+        parse_disturbances(text, Drawn())
+    shown = CliRunner().invoke(
+        app, ["benchmark", "hidden-effects", "--disturbance", text], env={"COLUMNS": "300", "TERM": "dumb"}
+    )
+    assert shown.exit_code == 2
+    assert "RMS,CORRELATION_TIME" in shown.output
+
+
+CASES = [Case(("coulomb_friction",), 2.0, noise, "multisine", number) for noise in (1.0, 3.0) for number in range(2)]
+
+
+def test_the_line_of_a_case_says_what_shook_it() -> None:
+    """Another one in each case, the same in both records of a case, and a floor that goes with the sensors' noise."""
+    asked: list[str] = []
+
+    def keep(*case: Any) -> Recording:
+        asked.append(stand_in.labelled(*case).metadata["disturbance"])
+        return stand_in.labelled(*case)
+
+    bench = Bench(methods={}, record=keep, disturbances=Drawn())
+    lines = [run_case(case, bench, {"coulomb_friction": 1.0}) for case in CASES]
+    told = [line["disturbance"] for line in lines]
+    assert len({each["rms"] for each in told}) == len(CASES)
+    assert asked[0::2] == asked[1::2]
+    assert asked[::2] == [str(Disturbance(each["rms"], each["correlation_time"])) for each in told]
+    for case, each in zip(CASES, told, strict=True):
+        least = case.noise * floor(each["correlation_time"])
+        assert each["over_floor"] == pytest.approx(each["rms"] / least)
+    reference = run_case(CASES[0].reference, bench, {})
+    assert reference["disturbance"]["rms"] == pytest.approx(math.sqrt(40.0), rel=1e-5)
+
+
+def test_with_none_the_conditions_and_records_are_those_of_before() -> None:
+    still = Bench(methods={}, record=stand_in.labelled)
+    assert still.conditions == "monocab_roll, 30 s, vehicles as far off as their file says"
+    assert replace(still, disturbances=Drawn()).conditions.endswith("2 to 20 N m RMS and 0.05 to 3 s")
+    assert replace(still, disturbances=Multiple(10.0, 0.3)).conditions.endswith("of 10 sensor floors and 0.3 s")
+    line = run_case(CASES[0], still, {"coulomb_friction": 1.0})
+    assert line["disturbance"] is None
+    one, other = (
+        virtual("hold", {"coulomb_friction": 2.0}, 1.0, 3.0, 7, drawn(7), *rest)
+        for rest in ((), (Disturbance(8, 0.3),))
+    )
+    assert "disturbance" not in one.source
+    assert "disturbance=8,0.3" in other.source
+    assert not np.array_equal(one.values["roll"], other.values["roll"])
+
+
+def line_of(rms: float | None, verdict: str, **changes: Any) -> dict[str, Any]:
+    told = {"verdict": verdict, "found": [], "covered": {}, "seconds": 1.0, "error": ""}
+    line = {"key": f"{rms}", "kind": "nothing", "effects": [], "size": 0.0, "noise": 1.0, "excitation": "hold"}
+    line |= {"status": "ok", "conditions": "x", "methods": {"m": told}}
+    if rms is not None:
+        line["disturbance"] = {"rms": rms, "correlation_time": 0.3, "over_floor": 1.0}
+    return {**line, **changes}
+
+
+def test_the_figures_are_shown_by_thirds_of_the_rms() -> None:
+    lines = [line_of(rms, "unknown" if rms > 12.0 else "adequate") for rms in (20.0, 2.0, 3.0, 6.0, 9.0, 18.0)]
+    summary = summarise(lines)
+    alarms = summary.methods["m"].false_alarms_by_disturbance
+    assert {part: (figure.count, figure.of) for part, figure in alarms.items()} == {
+        "2 to 3 N m": (0, 2),
+        "6 to 9 N m": (0, 2),
+        "18 to 20 N m": (2, 2),
+    }
+    assert list(summary.to_json()["methods"]["m"]["false_alarms_by_disturbance"]) == list(alarms)
+    assert list(thirds([line_of(8.6, "adequate"), line_of(None, "adequate")])) == ["none", "8.6 N m"]
+
+
+def test_a_file_of_before_is_read_and_shown_as_ever(tmp_path: Path) -> None:
+    old = line_of(None, "adequate")
+    path = tmp_path / "old.jsonl"
+    path.write_text(json.dumps(old) + "\n")
+    shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path)])
+    assert shown.exit_code == 0, shown.output
+    assert "shaken" not in shown.output
+    path.write_text(json.dumps(line_of(8.6, "adequate")) + "\n")
+    shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path)])
+    assert "shaken by 8.6 N m" in shown.output
