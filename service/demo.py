@@ -22,6 +22,7 @@ from service.daemon import Daemon, Places
 from service.embedded_broker import EmbeddedBroker
 from service.vehicle_file import VehicleFile
 from service.virtual_serving import virtual_vehicle_beside
+from service.virtual_vehicle import usual_disturbance
 from telemetry.errors import UprightError
 
 BUS = "virtual:upright-demo"
@@ -76,7 +77,8 @@ async def _run(
         places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
         daemon = Daemon(vehicle, places, lock_step=True)
         shown = nullcontext() if port is None else _dashboard(vehicle, data, broker.websocket, port)
-        plant = virtual_vehicle_beside(vehicle, hide, seed, BUS, punctual=port is not None)
+        disturbance = usual_disturbance(vehicle)
+        plant = virtual_vehicle_beside(vehicle, hide, seed, BUS, punctual=port is not None, disturbance=disturbance)
         with shown, plant:
             serving = asyncio.create_task(daemon.run(), name="daemon")
             try:

@@ -202,10 +202,10 @@ def record(
 ) -> Recording:
     """Run an experiment of the vehicle file on the virtual vehicle, from rest to rest, and return its recording.
 
-    `hide` names effects that the virtual vehicle has and the models lack, with their level, as in "input_delay=2".
-    `seed` is that of the sensors' noise; the same seed gives the same bits. `duration` (s) replaces that of the
-    experiment. `configure` may change the virtual vehicle, such as the noise of its IMU. `progress` is told the share
-    that is over, 0 to 1.
+    `hide` names effects that the virtual vehicle has and the models lack, with their level, as in "input_delay=2", and
+    its random torque, as in "disturbance=8,0.3"; without that there is none. `seed` is that of the sensors' noise and
+    of the disturbance; the same seed gives the same bits. `duration` (s) replaces that of the experiment. `configure`
+    may change the virtual vehicle, such as the noise of its IMU. `progress` is told the share that is over, 0 to 1.
 
     Raises:
         VehicleFileError: the vehicle file cannot be used.

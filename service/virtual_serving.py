@@ -19,6 +19,7 @@ from drivers.bus_address import connect
 from service import virtual_vehicle
 from service.vehicle_sections import VehicleFile
 from simulation import runner
+from simulation.disturbance import Disturbance
 
 BUS = "virtual:upright-virtual"
 
@@ -48,14 +49,21 @@ class PunctualBus:
 
 @contextmanager
 def virtual_vehicle_beside(
-    vehicle: VehicleFile, hide: list[str], seed: int, bus: str = BUS, *, punctual: bool = True
+    vehicle: VehicleFile,
+    hide: list[str],
+    seed: int,
+    bus: str = BUS,
+    *,
+    punctual: bool = True,
+    disturbance: Disturbance | None = None,
 ) -> Iterator[None]:
     """The virtual vehicle on the in-process `bus`, for as long as the block lasts.
 
-    It keeps to the wall's clock, or where it need not be `punctual` runs as fast as the daemon answers.
+    It keeps to the wall's clock, or where it need not be `punctual` runs as fast as the daemon answers. It has the
+    random `disturbance` where `hide` says nothing of one.
     Raises UnknownEffectError for a `hide` that names no hidden effect.
     """
-    configuration = virtual_vehicle.configuration(vehicle, hide, seed)
+    configuration = virtual_vehicle.configuration(vehicle, hide, seed, disturbance=disturbance)
     stop = threading.Event()
 
     def simulate() -> None:

@@ -16,8 +16,9 @@ from drivers.cia402.config import find_eds
 from service.vehicle_sections import VehicleFile
 from simulation import runner
 from simulation.config import DriveNode, ImuNode, PlantTruth, SimulationConfig, Truth
+from simulation.disturbance import Disturbance
 from simulation.faults import Fault
-from simulation.hidden import parse_hidden
+from simulation.hidden import parse_disturbance, parse_hidden
 from simulation.runner import RunStatistics
 from simulation.twsbr.truth import TwsbrTruth
 
@@ -36,9 +37,28 @@ TWINS = {
 }
 
 
-def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> SimulationConfig:
+DISTURBED_BY_DEFAULT = False
+"""Whether a virtual vehicle that a person starts (demo, simulate, serve --virtual) has the disturbance of level 1 where
+`--hide` says nothing of it. Programs and tests ask for theirs."""
+
+
+def usual_disturbance(vehicle: VehicleFile) -> Disturbance | None:
+    """The random disturbance of a virtual vehicle that a person starts and says nothing of it."""
+    return TWINS[vehicle.vehicle.kind].truth.registry.disturbance if DISTURBED_BY_DEFAULT else None
+
+
+def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
+    """The random disturbance of a virtual vehicle that a person starts with `hide`. Raises UnknownEffectError."""
+    registry = TWINS[vehicle.vehicle.kind].truth.registry
+    return parse_disturbance(hide, registry, usual_disturbance(vehicle))[1]
+
+
+def configuration(
+    vehicle: VehicleFile, hide: list[str], seed: int, *, disturbance: Disturbance | None = None
+) -> SimulationConfig:
     """The virtual vehicle that speaks as this vehicle file says. Its physics are its own, not the file's CAD values.
 
+    It has the random `disturbance` where `hide` says nothing of one.
     Raises UnknownEffectError for a `hide` that names no hidden effect.
     """
     imu, twin = vehicle.imu, TWINS[vehicle.vehicle.kind]
@@ -72,7 +92,8 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         position=imu.position,
         latency=imu.latency,
     )
-    hidden, onsets = parse_hidden(hide, twin.truth.registry)
+    effects, disturbance = parse_disturbance(hide, twin.truth.registry, disturbance)
+    hidden, onsets = parse_hidden(effects, twin.truth.registry)
     return SimulationConfig(
         drives=drives,
         imu=node,
@@ -81,6 +102,7 @@ def configuration(vehicle: VehicleFile, hide: list[str], seed: int) -> Simulatio
         seed=seed,
         hidden=hidden,
         onsets=onsets,
+        disturbance=disturbance,
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
+from simulation.disturbance import Disturbance
 from simulation.hidden import MONOCAB, Registry, sizes_of
 from telemetry.samples import Vector3
 
@@ -25,6 +26,11 @@ class Truth(Protocol):
     @property
     def gravity(self) -> float:
         """m/s^2."""
+        ...
+
+    @property
+    def falling_inertia(self) -> float:
+        """kg m^2 that a torque about the axis it falls about accelerates, near upright."""
         ...
 
     @property
@@ -81,6 +87,10 @@ class PlantTruth:
     """m/s^2."""
     encoder_increments_per_turn: int = 1 << 20
     """Of the motor encoders, inside the drives."""
+
+    @property
+    def falling_inertia(self) -> float:
+        return self.inertia
 
     @property
     def registry(self) -> Registry:
@@ -172,6 +182,8 @@ class SimulationConfig:
     hidden: Mapping[str, float | None] = field(default_factory=dict)
     onsets: Mapping[str, float] = field(default_factory=dict)
     """s after the first SYNC at which a hidden effect sets in; those that are not named are there from the start."""
+    disturbance: Disturbance | None = None
+    """The random torque on the axis that the vehicle falls about; None: there is none."""
 
     @property
     def sizes(self) -> dict[str, float]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from simulation.disturbance import Disturbance
 from telemetry.errors import UprightError
 
 
@@ -127,6 +128,10 @@ LATE = frozenset(
 """Effects that can set in during a run: torques on the roll axis."""
 
 
+DISTURBANCE = "disturbance"
+"""What the random torque is called beside the effects."""
+
+
 @dataclass(frozen=True, slots=True)
 class Registry:
     """The effects that a kind of vehicle can hide: those that a catalogue has, those that none has, the late ones."""
@@ -135,18 +140,63 @@ class Registry:
     unlisted: Mapping[str, HiddenEffect]
     late: frozenset[str]
     """Names of those that can set in during a run."""
+    disturbance: Disturbance
+    """The random torque at level 1."""
 
     def find(self, name: str) -> HiddenEffect:
         """The effect `name`. Raises UnknownEffectError."""
         effect = self.listed.get(name) or self.unlisted.get(name)
         if effect is None:
-            raise UnknownEffectError(
-                name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {', '.join(self.listed)}."
-            )
+            there = ", ".join((*self.listed, DISTURBANCE))
+            raise UnknownEffectError(name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {there}.")
         return effect
 
 
-MONOCAB = Registry(HIDDEN, UNLISTED, LATE)
+MONOCAB = Registry(HIDDEN, UNLISTED, LATE, Disturbance(rms=8.0, correlation_time=0.3))
+"""The MONOCAB's. Its disturbance is what the alignment of a worn rail does to it at walking pace, 3 % of the gravity
+torque at 1 deg; the calculation, and what wind does, are in docs/explanation/disturbance.md."""
+
+
+def parse_disturbance(
+    arguments: Iterable[str], registry: Registry = MONOCAB, default: Disturbance | None = None
+) -> tuple[list[str], Disturbance | None]:
+    """The `arguments` that are not about the disturbance, for `parse_hidden`; and the disturbance that is asked for.
+
+    `disturbance` is level 1, `disturbance=LEVEL` a multiple of its RMS, `disturbance=RMS,CORRELATION_TIME` is in N m
+    and s; each may end in `@SECONDS`. None with `disturbance=0`; `default` where nothing is said of it. The last one
+    counts. Raises UnknownEffectError.
+    """
+    others: list[str] = []
+    found = default
+    for argument in arguments:
+        if argument.partition("@")[0].partition("=")[0] == DISTURBANCE:
+            found = _disturbance(argument, registry.disturbance)
+        else:
+            others.append(argument)
+    return others, found
+
+
+def _disturbance(argument: str, usual: Disturbance) -> Disturbance | None:
+    text, late, second = argument.partition("@")
+    _, separator, value = text.partition("=")
+    try:
+        numbers = [float(word) for word in value.split(",")] if separator else [1.0]
+        onset = float(second) if late else None
+        if len(numbers) == 1:
+            numbers = [usual.rms * numbers[0], usual.correlation_time]
+        rms, correlation_time = numbers
+        if rms == 0.0:
+            return None
+        return Disturbance(rms, correlation_time, onset)
+    except ValueError as error:
+        why = str(error) if str(error).startswith("the ") else f"{argument!r} is no disturbance"
+        example = f"{usual.rms:g},{usual.correlation_time:g}"
+        raise UnknownEffectError(
+            DISTURBANCE,
+            f"{why}.",
+            remedy=f"Give {DISTURBANCE}=LEVEL, or {DISTURBANCE}=RMS,CORRELATION_TIME in N m and s, both above 0, as in "
+            f"{DISTURBANCE}={example}, with @SECONDS for when it sets in; {DISTURBANCE}=0 switches it off.",
+        ) from None
 
 
 def parse_hidden(

@@ -45,6 +45,9 @@ class Machine(ABC):
         for _ in range(steps):
             self.step()
 
+    def restart_disturbance(self) -> None:  # noqa: B027 - a machine without a random part has nothing to restart
+        """Begin the random disturbance again: what follows depends on the seed alone."""
+
     @abstractmethod
     def step(self) -> None:
         """Integrate one step."""

@@ -1,7 +1,7 @@
 """The MONOCAB's roll motion with its gimbals and trim mass: the truth behind the bus.
 
     (inertia + m y^2) roll'' + m h y'' + 2 m y y' roll' = gravity_stiffness sin(roll) + m g y cos(roll) + gyroscopic
-                                                          + supports + rail friction + hidden effects
+                                                          + supports + rail friction + hidden effects + disturbance
     (m + drive mass) y'' + m h roll''                   = force + m g sin(roll) + m y roll'^2 - drag y'
 
 m is the trim mass at the height h, y its place to the right (Lagrange; `inertia` and `gravity_stiffness` contain the
@@ -17,6 +17,7 @@ from typing import ClassVar
 
 from simulation.config import DriveNode, PlantTruth, SimulationConfig
 from simulation.contact import Supports
+from simulation.disturbance import RandomTorque
 from simulation.gimbal import Gimbal
 from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
@@ -77,6 +78,7 @@ class Plant(Machine):
         self.roll_acceleration = 0.0
         self.gyroscopic_torque = 0.0
         self._effects = roll_effects(sizes, inertia=truth.inertia, onsets=config.onsets)
+        self._disturbance = RandomTorque(config.disturbance, step, config.seed) if config.disturbance else None
         self._inertia = truth.inertia * (1.0 - sizes.get("flexible_mode", 0.0))
         self._gravity_stiffness = truth.gravity_stiffness
         self._rail_friction = truth.rail_friction
@@ -113,6 +115,10 @@ class Plant(Machine):
         )
         return force, (rate, 0.0, 0.0)
 
+    def restart_disturbance(self) -> None:
+        if self._disturbance is not None:
+            self._disturbance.restart()
+
     def place(self, roll: float) -> None:
         """Let go of the vehicle at this roll angle, at rest."""
         self.roll = roll
@@ -146,6 +152,8 @@ class Plant(Machine):
         )
         for effect in self._effects:
             torque += effect.torque(self)
+        if self._disturbance is not None:
+            torque += self._disturbance.torque(self.event_clock)
         inertia = self._inertia + mass * trim.position * trim.position
         if trim.mode is AxisMode.BRAKED:
             trim.rate = self._trim_acceleration = 0.0

@@ -131,6 +131,7 @@ class VirtualVehicle:
         if is_sync and not self.synchronised:
             self.synchronised = True
             self.plant.event_origin = self.plant.time
+            self.plant.restart_disturbance()
             self.imu.reseed()
         for drive in self._drives:
             drive.receive(can_id, data)

@@ -20,6 +20,7 @@ from service.hidden_effects.answers import ADEQUATE, UNKNOWN, Answer
 from service.hidden_effects.cases import Grid
 from service.hidden_effects.trial import SUBJECT, Bench
 from service.hidden_effects.vehicles import Vehicle
+from simulation.disturbance import Disturbance
 from simulation.hidden import HIDDEN, UNLISTED
 from telemetry.channels import TABLES
 from telemetry.recording import Recording
@@ -37,11 +38,22 @@ SMALL = Grid(
 
 
 def labelled(
-    excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int, vehicle: Vehicle
+    excitation: str,
+    hidden: Mapping[str, float],
+    noise: float,
+    duration: float,
+    seed: int,
+    vehicle: Vehicle,
+    disturbance: Disturbance | None = None,
 ) -> Recording:
     """No record at all, only what is in it."""
     channels = TABLES["monocab"]
-    metadata = {"hidden": json.dumps(dict(hidden)), "seed": str(seed), "latency": repr(vehicle.latency)}
+    metadata = {
+        "hidden": json.dumps(dict(hidden)),
+        "seed": str(seed),
+        "latency": repr(vehicle.latency),
+        "disturbance": str(disturbance),
+    }
     return Recording(
         channels=channels,
         timestamp_ns=np.arange(2, dtype=np.int64),

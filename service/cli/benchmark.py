@@ -60,6 +60,13 @@ def hidden_effects(
         str | None, typer.Option(help="Experiments of the vehicle.", show_default="multisine,sweep,square,hold")
     ] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Records of each kind.", show_default="3")] = None,
+    disturbance: Annotated[
+        str | None,
+        typer.Option(
+            help="Random torque of every record: RMS,CORRELATION_TIME in multiples of the sensor floor and s, or none.",
+            show_default="drawn, 2 to 20 N m RMS and 0.05 to 3 s",
+        ),
+    ] = None,
     first: Annotated[
         int, typer.Option(min=0, help="Number of the first of them: others than before are records nobody has seen.")
     ] = 0,
@@ -113,7 +120,7 @@ def hidden_effects(
     if summary is not None:
         lines = results.read(summary)
     else:
-        bench = _bench(quick, baseline, model)
+        bench = _bench(quick, baseline, model, disturbance)
         grid = _grid(bench, quick, effects, sizes, noise, excitations, seeds, first)
         spread = machines(scheduler) if scheduler else processes(workers or os.cpu_count() or 1)
         try:
@@ -172,11 +179,12 @@ def _grid(
     )
 
 
-def _bench(quick: bool, baseline: list[str] | None, model: str) -> Bench:
-    """Raises BadParameter for an unknown baseline, ModelError for an unknown model."""
+def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str | None) -> Bench:
+    """Raises BadParameter for an unknown baseline or a disturbance that cannot be, ModelError for an unknown model."""
     from models.library import get
     from service.hidden_effects.answers import diagnosis
     from service.hidden_effects.baselines import BASELINES
+    from service.hidden_effects.disturbances import DRAWN, parse_disturbances
     from service.hidden_effects.trial import SUBJECT, Bench
 
     chosen = baseline if baseline is not None else [] if quick else list(BASELINES)
@@ -185,7 +193,11 @@ def _bench(quick: bool, baseline: list[str] | None, model: str) -> Bench:
             there = ", ".join((*BASELINES, NO_BASELINE))
             raise typer.BadParameter(f"{name!r} is none of {there}", param_hint="--baseline")
     methods = {name: BASELINES[name] for name in chosen if name != NO_BASELINE}
-    return Bench(methods={SUBJECT: diagnosis, **methods}, model=get(model).name)
+    try:
+        disturbances = parse_disturbances(disturbance, DRAWN["monocab"])
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--disturbance") from error
+    return Bench(methods={SUBJECT: diagnosis, **methods}, model=get(model).name, disturbances=disturbances)
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -49,15 +49,23 @@ def _rows(summary: Summary) -> Iterator[Row]:
         yield f"  at {size} detectable sizes", "", lambda merit, size=size: merit.right.get(size), True  # type: ignore[misc]
     for name in keys(lambda merit: merit.right_by_excitation):
         yield f"  with {name}", "", lambda merit, name=name: merit.right_by_excitation.get(name), True  # type: ignore[misc]
+    for name in keys(lambda merit: merit.right_by_disturbance):
+        yield f"  shaken by {name}", "", lambda merit, name=name: merit.right_by_disturbance.get(name), True  # type: ignore[misc]
     yield "  said to be unknown", "", lambda merit: merit.seen_unknown, True
+    for name in keys(lambda merit: merit.seen_unknown_by_disturbance):
+        yield f"    shaken by {name}", "", lambda merit, name=name: merit.seen_unknown_by_disturbance.get(name), True  # type: ignore[misc]
     yield "false alarms", "<= 1 %", lambda merit: merit.false_alarms_all, True
     for name in keys(lambda merit: merit.false_alarms):
         yield f"  with {name}", "", lambda merit, name=name: merit.false_alarms.get(name), True  # type: ignore[misc]
+    for name in keys(lambda merit: merit.false_alarms_by_disturbance):
+        yield f"  shaken by {name}", "", lambda merit, name=name: merit.false_alarms_by_disturbance.get(name), True  # type: ignore[misc]
     yield "not in the catalogue: called unknown", ">= 90 %", lambda merit: merit.unlisted_unknown, True
     yield "  given a name", "<= 5 %", lambda merit: merit.unlisted_misnamed, True
     yield "two effects: both found, seen", ">= 80 %", lambda merit: merit.both_seen, True
     for size in sorted(keys(lambda merit: merit.both), key=float):
         yield f"  at {size} detectable sizes", "", lambda merit, size=size: merit.both.get(size), True  # type: ignore[misc]
+    for name in keys(lambda merit: merit.both_by_disturbance):
+        yield f"  shaken by {name}", "", lambda merit, name=name: merit.both_by_disturbance.get(name), True  # type: ignore[misc]
     yield "held-out error closed, median", ">= 0.99", lambda merit: merit.held_out_closed, False
     yield "energy over floor after, median", "<= 1.01", lambda merit: merit.energy_over_floor, False
     yield "95 % intervals cover", "93 to 97 %", lambda merit: merit.covered, True

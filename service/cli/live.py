@@ -12,6 +12,7 @@ from service.cli.output import page, people
 
 if TYPE_CHECKING:
     from service.vehicle_file import VehicleFile
+    from simulation.disturbance import Disturbance
 
 VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
 BusOption = Annotated[
@@ -27,7 +28,8 @@ HideOption = Annotated[
     list[str] | None,
     typer.Option(
         "--hide",
-        help="EFFECT, EFFECT=LEVEL or EFFECT=LEVEL@SECONDS (when it sets in): a physical effect that the model lacks.",
+        help="EFFECT, EFFECT=LEVEL or EFFECT=LEVEL@SECONDS (when it sets in): a physical effect that the model lacks. "
+        "Likewise disturbance, or disturbance=RMS,CORRELATION_TIME (N m, s): a random torque; 0 is off.",
         show_default=False,
     ),
 ]
@@ -49,7 +51,7 @@ def demo(
         typer.Option("--experiment", help="Experiments to run.", show_default="step sweep; of twsbr: doublet square"),
     ] = None,
     data: DataOption = None,
-    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
+    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise and of the disturbance.")] = 1,
     dashboard: Annotated[
         bool, typer.Option("--dashboard", help="Show the page live, in real time, and go on until Ctrl-C.")
     ] = False,
@@ -68,6 +70,7 @@ def demo(
     from service.demo_story import STORIES
     from service.online_estimators import online_estimators
     from service.vehicle_file import load
+    from service.virtual_vehicle import asked_disturbance
 
     file = load(vehicle)
     given, story = file.parameters, STORIES[file.vehicle.kind]
@@ -105,6 +108,7 @@ def demo(
         )
 
     experiments, data = experiment or list(story.experiments), data or Path("recordings")
+    tell_disturbance(asked_disturbance(file, hide or []))
     run_demo(file, hide or [], experiments, data, seed, follow, tell, port=port if dashboard else None)
 
 
@@ -141,7 +145,7 @@ def simulate(
     fault: Annotated[
         list[str] | None, typer.Option("--fault", help="NAME@SECONDS: something that goes wrong.", show_default=False)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise.")] = 1,
+    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise and of the disturbance.")] = 1,
 ) -> None:
     """A virtual vehicle on a CAN bus, in real time: plant, servo inverters and IMU, each speaking its real protocol.
 
@@ -158,9 +162,11 @@ def simulate(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    configuration = virtual_vehicle.configuration(file, hide or [], seed)
+    disturbance = virtual_vehicle.asked_disturbance(file, hide or [])
+    configuration = virtual_vehicle.configuration(file, hide or [], seed, disturbance=disturbance)
     faults = parse_faults(fault or [], [drive.name for drive in file.drive])
     people.print(f"Virtual {file.vehicle.id} on {' and '.join(dict.fromkeys((drives, imu)))}. Ctrl-C ends it.")
+    tell_disturbance(disturbance)
     run = virtual_vehicle.run(configuration, drives, imu, stop=stop, faults=faults)
     people.print(f"{run.cycles} cycles, {run.late_cycles} late, {run.skipped_cycles} left out, {run.syncs} SYNCs.")
 
@@ -178,7 +184,7 @@ def serve(
         typer.Option("--virtual", help="With a virtual vehicle instead of a bus, at the pace of the wall's clock."),
     ] = False,
     hide: HideOption = None,
-    seed: Annotated[int, typer.Option(help="With --virtual: of the simulated sensors' noise.")] = 1,
+    seed: Annotated[int, typer.Option(help="With --virtual: of the sensors' noise and of the disturbance.")] = 1,
 ) -> None:
     """The daemon: balances and identifies the vehicle. Comes up disarmed; `upright experiment NAME` starts a run."""
     import asyncio
@@ -195,6 +201,7 @@ def serve(
     from service.daemon import Daemon, Places
     from service.vehicle_file import load
     from service.virtual_serving import BUS, virtual_vehicle_beside
+    from service.virtual_vehicle import asked_disturbance
 
     file = load(vehicle)
     if mqtt is not None:
@@ -222,8 +229,16 @@ def serve(
         people.print(f"Talk to it with `upright status` or `upright experiment NAME` (socket {places.socket}).")
         await daemon.run()
 
-    with virtual_vehicle_beside(file, hide or [], seed) if virtual else nullcontext():
+    disturbance = asked_disturbance(file, hide or []) if virtual else None
+    tell_disturbance(disturbance)
+    with virtual_vehicle_beside(file, hide or [], seed, disturbance=disturbance) if virtual else nullcontext():
         asyncio.run(run())
+
+
+def tell_disturbance(disturbance: Disturbance | None) -> None:
+    """Say with which random torque the virtual vehicle runs, where there is one."""
+    if disturbance is not None:
+        people.print(f"Random disturbance: {disturbance}. `--hide disturbance=0` switches it off.")
 
 
 def buses(vehicle: VehicleFile, options: list[str] | None) -> tuple[str, str]:

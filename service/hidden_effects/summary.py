@@ -16,6 +16,7 @@ from typing import Any
 from scipy.stats import binom, binomtest
 
 from service.hidden_effects.answers import ADEQUATE, INSUFFICIENT, MISSING, UNKNOWN
+from service.hidden_effects.by_disturbance import thirds
 from service.hidden_effects.cases import Kind
 from service.hidden_effects.results import methods_of
 from service.hidden_effects.trial import DETECTABLE, Line
@@ -70,19 +71,24 @@ def middle(values: Iterable[float | None]) -> Figure:
 @dataclass(frozen=True, slots=True)
 class Merit:
     """The figures of one method. `right` and `both` are by size, `false_alarms` and `right_by_excitation` by
-    excitation, `confusion` by hidden effect and what was named first."""
+    excitation, `confusion` by hidden effect and what was named first. Those `_by_disturbance` are by third of the
+    disturbance's RMS, and empty where nothing was shaken."""
 
     right_seen: Figure
     right: Mapping[str, Figure]
     right_by_excitation: Mapping[str, Figure]
+    right_by_disturbance: Mapping[str, Figure]
     seen_unknown: Figure
     """Of single effects that are seen, how often something unknown is said to be there: beside it or in its place."""
     false_alarms_all: Figure
+    seen_unknown_by_disturbance: Mapping[str, Figure]
     false_alarms: Mapping[str, Figure]
+    false_alarms_by_disturbance: Mapping[str, Figure]
     unlisted_unknown: Figure
     unlisted_misnamed: Figure
     both_seen: Figure
     both: Mapping[str, Figure]
+    both_by_disturbance: Mapping[str, Figure]
     held_out_closed: Figure
     energy_over_floor: Figure
     covered: Figure
@@ -155,6 +161,16 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
     def alarm(line: Line) -> bool:
         return told(line).get("verdict") in (MISSING, UNKNOWN)
 
+    def unknown(line: Line) -> bool:
+        return told(line).get("verdict") == UNKNOWN
+
+    parts = thirds(lines)
+
+    def shaken(chosen: Sequence[Line], true: Callable[[Line], bool]) -> dict[str, Figure]:
+        among = {id(line) for line in chosen}
+        asked = {part: [true(line) for line in of if id(line) in among] for part, of in parts.items()}
+        return {part: share(answers) for part, answers in asked.items() if answers}
+
     confusion: dict[str, Counter[str]] = {}
     for line in (*seen, *strange):
         confusion.setdefault(line["effects"][0], Counter())[_named(told(line), line["kind"])] += 1
@@ -162,13 +178,17 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         right_seen=share([right(line) for line in seen]),
         right=_by(one, _size, right),
         right_by_excitation=_by(seen, _excitation, right),
-        seen_unknown=share([told(line).get("verdict") == UNKNOWN for line in seen]),
+        right_by_disturbance=shaken(seen, right),
+        seen_unknown=share([unknown(line) for line in seen]),
+        seen_unknown_by_disturbance=shaken(seen, unknown),
         false_alarms_all=share([alarm(line) for line in nothing]),
         false_alarms=_by(nothing, _excitation, alarm),
-        unlisted_unknown=share([told(line).get("verdict") == UNKNOWN for line in strange]),
+        false_alarms_by_disturbance=shaken(nothing, alarm),
+        unlisted_unknown=share([unknown(line) for line in strange]),
         unlisted_misnamed=share([told(line).get("verdict") == MISSING for line in strange]),
         both_seen=share([both(line) for line in both_seen]),
         both=_by(two, _size, both),
+        both_by_disturbance=shaken(both_seen, both),
         held_out_closed=middle(told(line).get("held_out_closed") for line in (*seen, *both_seen)),
         energy_over_floor=middle(told(line).get("energy_over_floor") for line in (*nothing, *one, *two)),
         covered=share([each for line in (*one, *two) for each in told(line).get("covered", {}).values()]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,18 +15,20 @@ from models.library import get
 from models.model import Model
 from service.hidden_effects.answers import Answer, Method, diagnosis
 from service.hidden_effects.cases import Case, Kind
+from service.hidden_effects.disturbances import Disturbances, sensor_floor
 from service.hidden_effects.repair import Yardstick, closed, fitted
 from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import Vehicle, drawn
 from service.vehicle_file import load
-from simulation.config import SimulationConfig
+from simulation.config import ImuNode, SimulationConfig
+from simulation.disturbance import Disturbance
 from simulation.roll_effects import EVENT_TIME
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
-Record = Callable[[str, Mapping[str, float], float, float, int, Vehicle], Recording]
-"""Of excitation, levels of the hidden effects, noise, duration in s, seed and vehicle."""
+Record = Callable[[str, Mapping[str, float], float, float, int, Vehicle, Disturbance | None], Recording]
+"""Of excitation, levels of the hidden effects, noise, duration in s, seed, vehicle and random disturbance."""
 Line = dict[str, Any]
 """What the results file keeps of a case."""
 
@@ -37,23 +40,33 @@ WITHIN_95 = 1.959964
 
 
 def virtual(
-    excitation: str, hidden: Mapping[str, float], noise: float, duration: float, seed: int, vehicle: Vehicle
+    excitation: str,
+    hidden: Mapping[str, float],
+    noise: float,
+    duration: float,
+    seed: int,
+    vehicle: Vehicle,
+    disturbance: Disturbance | None = None,
 ) -> Recording:
     """A record of the virtual MONOCAB, its IMU `noise` times as noisy as the data sheet says."""
     from service.virtual_run import record
 
     def configured(configuration: SimulationConfig) -> SimulationConfig:
-        imu = configuration.imu
-        louder = replace(
-            imu,
-            angular_rate_density=noise * imu.angular_rate_density,
-            acceleration_std=noise * imu.acceleration_std,
-        )
+        louder = noisy(configuration.imu, noise)
         return vehicle.configured(replace(configuration, imu=louder))
 
     # Levels are told to six digits, as the plant gets them.
     hide = [f"{name}={level:.6g}" for name, level in hidden.items()]
+    if disturbance is not None:
+        hide.append(f"disturbance={disturbance.rms:.6g},{disturbance.correlation_time:.6g}")
     return record(vehicle.file, excitation, hide=hide, seed=seed, duration=duration, configure=configured)
+
+
+def noisy(imu: ImuNode, noise: float) -> ImuNode:
+    """`imu` with `noise` times its white noise."""
+    return replace(
+        imu, angular_rate_density=noise * imu.angular_rate_density, acceleration_std=noise * imu.acceleration_std
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +79,14 @@ class Bench:
     model: str = "monocab_roll"
     """One that lacks nothing where nothing is hidden. The gimbals' speed loops are more than the one lag that
     `monocab_reduced` has for them, so that there a clean record is not one with nothing missing."""
+    disturbances: Disturbances | None = None
+    """Of the records; None: nothing shakes them."""
 
     @property
     def conditions(self) -> str:
         """What must be the same for all lines of a file."""
-        return f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
+        alike = f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
+        return alike if self.disturbances is None else f"{alike}, {self.disturbances.conditions}"
 
     @property
     def nominal(self) -> Model:
@@ -114,14 +130,30 @@ def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
     line |= {"levels": hidden, "sizes": plant_sizes(hidden)}
     try:
         vehicle = drawn(case.seed("vehicle"))
-        recording = bench.record(case.excitation, hidden, case.noise, bench.duration, case.seed(), vehicle)
+        disturbance, line["disturbance"] = disturbance_of(case, bench, vehicle)
+        recording = bench.record(case.excitation, hidden, case.noise, bench.duration, case.seed(), vehicle, disturbance)
         other = None
         if case.kind is not Kind.NOTHING:
             seed = case.seed("held out")
-            other = bench.record(held_out(case.excitation), hidden, case.noise, bench.duration, seed, vehicle)
+            excitation = held_out(case.excitation)
+            other = bench.record(excitation, hidden, case.noise, bench.duration, seed, vehicle, disturbance)
     except UprightError as error:
         return {**line, "status": "not_recorded", "reason": str(error), "methods": {}}
     return {**line, "status": "ok", "reason": "", **_asked(case, bench, hidden, recording, other)}
+
+
+def disturbance_of(case: Case, bench: Bench, vehicle: Vehicle) -> tuple[Disturbance | None, Line | None]:
+    """What shakes the vehicle in the records of `case`, and what its line says of that.
+
+    The reference case stands for all: its disturbance is the middle of those that are drawn, so that the sizes that are
+    asked do not hang on one draw.
+    """
+    if bench.disturbances is None:
+        return None, None
+    floor = partial(sensor_floor, vehicle.plant, noisy(ImuNode(), case.noise))
+    found = bench.disturbances.of(None if case == case.reference else case.seed("disturbance"), floor)
+    over_floor = found.rms / floor(found.correlation_time)
+    return found, {"rms": found.rms, "correlation_time": found.correlation_time, "over_floor": over_floor}
 
 
 def _asked(

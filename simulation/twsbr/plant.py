@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from simulation.config import DriveNode, SimulationConfig
+from simulation.disturbance import RandomTorque
 from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
 from simulation.machine import Machine, Motion
@@ -47,6 +48,9 @@ class TwsbrPlant(Machine):
         self._supply = truth.supply_voltage
         self._sag = sizes.get("test_battery_sag", 0.0)
         self._tilt_effects = tilt_effects(sizes, onsets)
+        self._disturbance = (
+            RandomTorque(config.disturbance, self.step_size, config.seed) if config.disturbance else None
+        )
         self._wheel_effects = tuple(wheel_effects(sizes, onsets) for _ in range(2))
         self._gear_effects = tuple(gear_effects(sizes, onsets, self.step_size) for _ in range(2))
         self._drives: tuple[Drive, Drive] = ((0.0, 0.0), (0.0, 0.0))
@@ -81,6 +85,10 @@ class TwsbrPlant(Machine):
     def application(self, node: DriveNode, number: int) -> VoltageDrive:
         return VoltageDrive(node, self.motors[number])
 
+    def restart_disturbance(self) -> None:
+        if self._disturbance is not None:
+            self._disturbance.restart()
+
     def place(self, tilt: float) -> None:
         """Let go of the robot at this tilt, at rest; its wheels have rolled along without turning in their gears."""
         self.mechanics.held_upright = False
@@ -102,10 +110,13 @@ class TwsbrPlant(Machine):
         clock = self.event_clock
         self._drives = (self._geared(0, left.set_voltage(supply)), self._geared(1, right.set_voltage(supply)))
         tilt, time = self.tilt, self.time
+        on_tilt = sum([effect(tilt, time, clock) for effect in self._tilt_effects])
+        if self._disturbance is not None:
+            on_tilt += self._disturbance.torque(clock)
         self._held = (
             sum([effect(left, clock) for effect in self._wheel_effects[0]]),
             sum([effect(right, clock) for effect in self._wheel_effects[1]]),
-            sum([effect(tilt, time, clock) for effect in self._tilt_effects]),
+            on_tilt,
         )
         self.state = self.mechanics.integrate(self.state, self.step_size, *self._drives, self._held)
         self.steps += 1

@@ -74,6 +74,12 @@ class TwsbrTruth:
         return {**{name: float(getattr(self, name)) for name in (*alike, *also_alike)}, **renamed}
 
     @property
+    def falling_inertia(self) -> float:
+        from simulation.twsbr.mechanics import Mechanics
+
+        return Mechanics(self).free_tilt_inertia
+
+    @property
     def registry(self) -> Registry:
         return TWSBR
 

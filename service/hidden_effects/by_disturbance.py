@@ -1,0 +1,38 @@
+"""The lines of a results file by how strongly their records were shaken: in thirds of the RMS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from service.hidden_effects.disturbances import NONE
+from service.hidden_effects.trial import Line
+
+FEW = 3
+"""Values of the RMS up to which each is told by itself."""
+
+
+def thirds(lines: Sequence[Line]) -> dict[str, list[Line]]:
+    """The lines by disturbance, the weakest first: those without one, then as many lines in each third.
+
+    Empty where no line has a disturbance, as in the files of versions that had none.
+    """
+    shaken = sorted((line for line in lines if line.get("disturbance")), key=_rms)
+    if not shaken:
+        return {}
+    still = [line for line in lines if not line.get("disturbance")]
+    parts = {NONE: still} if still else {}
+    values = sorted({_rms(line) for line in shaken})
+    if len(values) <= FEW:
+        return parts | {f"{value:.3g} N m": [line for line in shaken if _rms(line) == value] for value in values}
+    bounds = [0, *(int(bound) for bound in np.round(np.array([1.0, 2.0]) / 3.0 * len(shaken))), len(shaken)]
+    for begin, end in pairwise(bounds):
+        third = shaken[begin:end]
+        parts[f"{_rms(third[0]):.3g} to {_rms(third[-1]):.3g} N m"] = third
+    return parts
+
+
+def _rms(line: Line) -> float:
+    return float(line["disturbance"]["rms"])

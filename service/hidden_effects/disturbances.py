@@ -1,0 +1,113 @@
+"""Which random disturbance the record of a case has: drawn anew for each, a multiple of the sensor floor, or none.
+
+The sensor floor of a correlation time T is the RMS torque that the gyro's white noise alone makes: the standard
+deviation of a constant torque that is estimated by least squares from the gyro's samples over one T,
+
+    floor = inertia * density * sqrt(6 / T^3)
+
+with the inertia that the torque accelerates (kg m^2) and the gyro's one-sided noise density (rad/s/sqrt(Hz)). n samples
+of a rate with the standard deviation s, T long, give a slope to s sqrt(12 / n) / T, and s is density * sqrt(n / (2 T)):
+the sampling rate falls out. No smaller disturbance of this correlation time is seen from one T.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from simulation.config import ImuNode, Truth
+from simulation.disturbance import Disturbance
+
+NONE = "none"
+"""What is written for records without a disturbance."""
+DRAW = 25
+"""Spawn key of the random numbers that a disturbance is drawn with: nothing else of the same seed shares them."""
+
+Floor = Callable[[float], float]
+"""Correlation time, s, to the sensor floor, N m."""
+
+
+def sensor_floor(truth: Truth, imu: ImuNode, correlation_time: float) -> float:
+    """N m, see above."""
+    return truth.falling_inertia * imu.angular_rate_density * math.sqrt(6.0 / correlation_time**3)
+
+
+class Disturbances(Protocol):
+    """The disturbances of many records."""
+
+    @property
+    def conditions(self) -> str:
+        """What results have to have in common to be told together, in words."""
+        ...
+
+    def of(self, seed: int | None, floor: Floor) -> Disturbance:
+        """That of the record with this seed; of a record that stands for all of them, None."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """RMS (N m) and correlation time (s), both log-uniform between these bounds."""
+
+    rms: tuple[float, float] = (2.0, 20.0)
+    correlation_time: tuple[float, float] = (0.05, 3.0)
+
+    @property
+    def conditions(self) -> str:
+        (low, high), (short, long) = self.rms, self.correlation_time
+        return f"disturbance drawn from {low:g} to {high:g} N m RMS and {short:g} to {long:g} s"
+
+    def of(self, seed: int | None, floor: Floor) -> Disturbance:
+        """Drawn by the seed; the geometric middle without one. To six digits, as `--hide` is told."""
+        shares = [0.5, 0.5]
+        if seed is not None:
+            shares = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(DRAW,))).uniform(size=2).tolist()
+        rms, time = (
+            float(f"{low * (high / low) ** share:.6g}")
+            for (low, high), share in zip((self.rms, self.correlation_time), shares, strict=True)
+        )
+        return Disturbance(rms, time)
+
+
+@dataclass(frozen=True, slots=True)
+class Multiple:
+    """`floors` times the sensor floor of a correlation time (s), the same in every record."""
+
+    floors: float
+    correlation_time: float
+
+    @property
+    def conditions(self) -> str:
+        return f"disturbance of {self.floors:g} sensor floors and {self.correlation_time:g} s"
+
+    def of(self, seed: int | None, floor: Floor) -> Disturbance:
+        return Disturbance(float(f"{self.floors * floor(self.correlation_time):.6g}"), self.correlation_time)
+
+
+DRAWN = {"monocab": Drawn(), "twsbr": Drawn(rms=(1.0e-4, 1.0e-3))}
+"""By kind of vehicle: from a tenth or a fifth of the virtual vehicle's own disturbance to some times that."""
+
+
+def parse_disturbances(text: str | None, default: Disturbances) -> Disturbances | None:
+    """`RMS,CORRELATION_TIME` (in sensor floors, and s) or `none`; `default` where nothing is given.
+
+    Raises ValueError with what is wrong and the remedy.
+    """
+    if text is None:
+        return default
+    if text.strip() == NONE:
+        return None
+    try:
+        floors, correlation_time = (float(word) for word in text.split(","))
+        Disturbance(floors, correlation_time)
+    except ValueError:
+        message = (
+            f"{text!r} is neither RMS,CORRELATION_TIME, both above 0, in multiples of the sensor floor and s, as in "
+            f"10,0.3, nor {NONE}"
+        )
+        raise ValueError(message) from None
+    return Multiple(floors, correlation_time)

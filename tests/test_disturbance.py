@@ -1,0 +1,391 @@
+"""The random disturbance of a virtual vehicle: its statistics, its own random numbers, and how it is asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import hidden_effects_stand_in as stand_in
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from service import virtual_vehicle
+from service.cli import app
+from service.hidden_effects.by_disturbance import thirds
+from service.hidden_effects.cases import Case
+from service.hidden_effects.disturbances import Drawn, Multiple, parse_disturbances, sensor_floor
+from service.hidden_effects.summary import summarise
+from service.hidden_effects.trial import Bench, virtual
+from service.hidden_effects.trial import run as run_case
+from service.hidden_effects.vehicles import drawn
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.closed_loop import ClosedLoopRun, Measured, simulate_closed_loop
+from simulation.config import ImuNode, PlantTruth, SimulationConfig
+from simulation.disturbance import Disturbance, RandomTorque
+from simulation.hidden import MONOCAB, UnknownEffectError, parse_disturbance, parse_hidden
+from simulation.plant import Plant
+from simulation.twsbr.hidden import TWSBR
+from simulation.twsbr.plant import TwsbrPlant
+from simulation.twsbr.truth import TwsbrTruth
+from telemetry.recording import Recording
+
+STEP = 1.0 / 3000.0
+"""s, the plant's at 250 Hz."""
+MOST = 4.0
+"""Standard deviations of an estimate that a test allows: 6 of 100,000 seeds are beyond."""
+
+
+def realisation(disturbance: Disturbance, seconds: float, *, step: float = STEP, seed: int = 5) -> np.ndarray:
+    torque = RandomTorque(disturbance, step, seed)
+    return np.array([torque.torque(0.0) for _ in range(round(seconds / step))])
+
+
+# --- its statistics
+
+
+@pytest.mark.parametrize(("rms", "correlation_time"), [(2.0, 0.05), (8.0, 0.3), (20.0, 0.3)])
+def test_it_has_its_rms_and_its_correlation_time(rms: float, correlation_time: float) -> None:
+    """The variances of the estimates are those of a Gaussian process of this autocorrelation over the duration D:
+    T / (2 D) of the relative RMS, Bartlett's (1 - 3 exp(-2)) T / D of the autocorrelation at the lag T, and
+    2 T / D of the mean over the RMS; T is the correlation time."""
+    duration = 1000.0 * correlation_time
+    torque = realisation(Disturbance(rms, correlation_time), duration)
+    samples = duration / correlation_time
+    measured = math.sqrt(float(np.mean(torque**2)))
+    assert measured == pytest.approx(rms, rel=MOST * math.sqrt(0.5 / samples))
+    assert abs(float(np.mean(torque))) < MOST * rms * math.sqrt(2.0 / samples)
+    lag = round(correlation_time / STEP)
+    correlation = float(np.mean(torque[lag:] * torque[:-lag])) / measured**2
+    within = MOST * math.sqrt((1.0 - 3.0 * math.exp(-2.0)) / samples)
+    assert correlation == pytest.approx(math.exp(-1.0), abs=within)
+
+
+def test_it_is_stationary_from_the_first_step_on() -> None:
+    """The first values of many seeds scatter by the RMS already."""
+    first = [RandomTorque(Disturbance(8.0, 3.0), STEP, seed).torque(0.0) for seed in range(400)]
+    assert math.sqrt(float(np.mean(np.square(first)))) == pytest.approx(8.0, rel=MOST * math.sqrt(0.5 / 400))
+
+
+def test_a_coarse_step_changes_nothing_of_the_rms() -> None:
+    """The discretisation is exact: even where a step is twice the correlation time."""
+    coarse = realisation(Disturbance(8.0, 0.3), 3000.0, step=0.6)
+    assert math.sqrt(float(np.mean(coarse**2))) == pytest.approx(8.0, rel=MOST * math.sqrt(0.5 / len(coarse)))
+    correlation = float(np.mean(coarse[1:] * coarse[:-1])) / 64.0
+    assert correlation == pytest.approx(math.exp(-2.0), abs=MOST / math.sqrt(len(coarse)))
+
+
+def test_a_seed_gives_the_same_torque_and_another_one_another() -> None:
+    one, again, other = (realisation(Disturbance(8.0, 0.3), 1.0, seed=seed) for seed in (5, 5, 6))
+    assert np.array_equal(one, again)
+    assert not np.any(one == other)
+
+
+# --- in the vehicles
+
+
+def hold(measured: Measured) -> tuple[float, float]:
+    """Balances by the measured values alone; the angle of the specific force is good enough for half a second."""
+    _, y, z = measured.sample.acceleration
+    return min(1.0, max(-1.0, -18.0 * math.atan2(y, z) - 5.0 * measured.sample.angular_rate[0])), 0.0
+
+
+def run(disturbance: Disturbance | None, seconds: float = 1.0) -> ClosedLoopRun:
+    return simulate_closed_loop(SimulationConfig(disturbance=disturbance, seed=9), hold, seconds, roll=0.0)
+
+
+def test_it_turns_the_monocab_as_a_torque_does() -> None:
+    """Upright with its brakes closed, within the first 20 ms: the roll rate is the torque's integral over inertia."""
+    disturbance = Disturbance(8.0, 0.3)
+    config = SimulationConfig(disturbance=disturbance, seed=9)
+    plant = Plant(config)
+    plant.place(0.0)
+    plant.advance(60)
+    torque = RandomTorque(disturbance, config.step, 9)
+    # The first value went into the acceleration that `place` sets; velocity Verlet takes the mean of the two ends.
+    values = np.array([torque.torque(0.0) for _ in range(61)])
+    expected = config.step * float(np.sum(0.5 * (values[1:] + values[:-1]))) / 1650.0
+    assert plant.roll_rate == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_noise_of_the_sensors_is_the_same_with_and_without_it() -> None:
+    still, shaken = run(None), run(Disturbance(8.0, 0.3))
+    assert np.abs(shaken.true_roll - still.true_roll)[-1] > 1e-5
+    noise = [each.angular_rate[:, 0] - each.true_roll_rate for each in (still, shaken)]
+    assert noise[0] == pytest.approx(noise[1], abs=1e-14)
+    assert np.array_equal(still.angular_rate[:, 1:], shaken.angular_rate[:, 1:])
+
+
+def test_one_that_sets_in_later_changes_nothing_before() -> None:
+    still, late = run(None), run(Disturbance(8.0, 0.3, onset=0.5))
+    changed = np.flatnonzero(late.true_roll != still.true_roll)[0] / 250.0
+    assert 0.49 < changed < 0.52
+
+
+def test_switched_off_a_record_is_what_it_was() -> None:
+    """Bit for bit, from the command line's own words to the recorded values."""
+    off, none, on = (
+        record("monocab", "hold", hide=hide, seed=3, duration=5.0)
+        for hide in (["disturbance=0"], [], ["disturbance=8,0.3"])
+    )
+    for name in none.values:
+        assert np.array_equal(off.values[name], none.values[name], equal_nan=True)
+    assert not np.array_equal(on.values["roll"], none.values["roll"])
+    assert "disturbance=8,0.3" in on.source
+
+
+def test_on_the_bus_it_begins_again_with_the_first_sync() -> None:
+    """What a record holds depends on the seed alone, not on how long the drives took to be set up."""
+    plants = [Plant(SimulationConfig(disturbance=Disturbance(8.0, 0.3))) for _ in range(2)]
+    for plant, before in zip(plants, (10, 137), strict=True):
+        plant.advance(before)
+        plant.event_origin = plant.time
+        plant.restart_disturbance()
+        plant.place(0.0)
+        plant.advance(100)
+    assert plants[0].roll == plants[1].roll
+
+
+def test_it_tilts_the_robot_as_a_torque_does() -> None:
+    """Upright with open bridges, after 10 ms, against the same robot with the torque's mean as a static one."""
+    disturbance = Disturbance(0.01, 3.0)
+    shaken = TwsbrPlant(SimulationConfig(plant=TwsbrTruth(), disturbance=disturbance, seed=4))
+    torque = RandomTorque(disturbance, shaken.step_size, 4)
+    steps = round(0.01 / shaken.step_size)
+    mean = float(np.mean([torque.torque(0.0) for _ in range(steps)]))
+    level = mean / TWSBR.listed["static_torque"].size
+    pushed = TwsbrPlant(SimulationConfig(plant=TwsbrTruth(), hidden={"static_torque": level}, seed=4))
+    for plant in (shaken, pushed):
+        plant.place(0.0)
+        plant.advance(steps)
+    assert shaken.tilt_rate == pytest.approx(pushed.tilt_rate, rel=0.01)
+
+
+def test_the_robot_balances_with_its_own() -> None:
+    shaken, still = (record("twsbr", "hold", hide=hide, seed=3, duration=6.0) for hide in (["disturbance"], []))
+    assert not np.array_equal(shaken.values["tilt"], still.values["tilt"])
+
+
+# --- how it is asked for
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("disturbance", Disturbance(8.0, 0.3)),
+        ("disturbance=0.5", Disturbance(4.0, 0.3)),
+        ("disturbance=12,0.05", Disturbance(12.0, 0.05)),
+        ("disturbance=12,0.05@30", Disturbance(12.0, 0.05, onset=30.0)),
+        ("disturbance@5", Disturbance(8.0, 0.3, onset=5.0)),
+        ("disturbance=0", None),
+        ("disturbance=0,1", None),
+    ],
+)
+def test_it_is_asked_for_as_an_effect_is(argument: str, expected: Disturbance | None) -> None:
+    others, found = parse_disturbance(["coulomb_friction=2", argument], MONOCAB, Disturbance(1.0, 1.0))
+    assert found == expected
+    assert parse_hidden(others) == ({"coulomb_friction": 2.0}, {})
+
+
+def test_where_nothing_is_said_of_it_the_default_holds() -> None:
+    usual = Disturbance(1.0, 1.0)
+    assert parse_disturbance(["coulomb_friction"], MONOCAB, usual) == (["coulomb_friction"], usual)
+    assert parse_disturbance([]) == ([], None)
+    assert parse_disturbance(["disturbance=0", "disturbance=2,1"])[1] == Disturbance(2.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("argument", "what"),
+    [
+        ("disturbance=much", "'disturbance=much' is no disturbance"),
+        ("disturbance=", "is no disturbance"),
+        ("disturbance=8,0.3,1", "is no disturbance"),
+        ("disturbance=8,", "is no disturbance"),
+        ("disturbance=-1", "the RMS of the disturbance cannot be -8 N m"),
+        ("disturbance=nan,1", "the RMS of the disturbance cannot be nan N m"),
+        ("disturbance=8,0", "the correlation time of the disturbance cannot be 0 s"),
+        ("disturbance=8,inf", "the correlation time of the disturbance cannot be inf s"),
+        ("disturbance=8,0.3@-1", "the disturbance cannot set in at -1 s"),
+        ("disturbance@soon", "is no disturbance"),
+    ],
+)
+def test_one_that_cannot_be_is_refused_with_the_remedy(argument: str, what: str) -> None:
+    with pytest.raises(UnknownEffectError, match=r"disturbance=8,0\.3.*disturbance=0 switches it off") as caught:
+        parse_disturbance([argument])
+    assert what in str(caught.value)
+    assert caught.value.name == "disturbance"
+
+
+def test_an_unknown_effect_names_it_among_those_there_are() -> None:
+    with pytest.raises(UnknownEffectError, match="sensor_scale, disturbance"):
+        parse_hidden(["disturbances"])
+
+
+def test_programs_have_none_unless_they_ask() -> None:
+    vehicle = load("monocab")
+    assert virtual_vehicle.configuration(vehicle, [], 1).disturbance is None
+    assert virtual_vehicle.configuration(vehicle, ["disturbance"], 1).disturbance == MONOCAB.disturbance
+    given = Disturbance(3.0, 1.0)
+    assert virtual_vehicle.configuration(vehicle, [], 1, disturbance=given).disturbance == given
+    assert virtual_vehicle.configuration(vehicle, ["disturbance=0"], 1, disturbance=given).disturbance is None
+
+
+@pytest.mark.parametrize("vehicle", ["monocab", "twsbr"])
+def test_people_can_have_it_by_default_and_switch_it_off(vehicle: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = load(vehicle)
+    for default in (False, True):
+        monkeypatch.setattr(virtual_vehicle, "DISTURBED_BY_DEFAULT", default)
+        registry = virtual_vehicle.TWINS[vehicle].truth.registry
+        assert virtual_vehicle.asked_disturbance(file, ["static_torque"]) == (registry.disturbance if default else None)
+        assert virtual_vehicle.asked_disturbance(file, ["disturbance=0"]) is None
+
+
+@pytest.mark.parametrize("words", [["demo"], ["serve", "monocab", "--virtual"], ["simulate", "monocab"]])
+def test_the_commands_refuse_one_that_cannot_be(words: list[str]) -> None:
+    said = CliRunner().invoke(app, [*words, "--hide", "disturbance=8,x"])
+    assert said.exit_code != 0
+    assert isinstance(said.exception, UnknownEffectError) or "is no disturbance" in said.output
+
+
+# --- in the benchmark
+
+
+def floor(correlation_time: float) -> float:
+    return sensor_floor(PlantTruth(), ImuNode(), correlation_time)
+
+
+@pytest.mark.parametrize("truth", [PlantTruth(), TwsbrTruth()])
+def test_the_sensor_floor_is_what_the_gyro_alone_makes(truth: PlantTruth | TwsbrTruth) -> None:
+    """The slope of its white noise by least squares, over many windows of one correlation time each."""
+    imu, correlation_time, count = ImuNode(), 0.4, 4000
+    time = np.arange(100) * correlation_time / 100
+    deviation = imu.angular_rate_density * math.sqrt(0.5 / (time[1] - time[0]))
+    noise = np.random.default_rng(3).normal(0.0, deviation, (count, len(time)))
+    centred = time - time.mean()
+    torques = truth.falling_inertia * noise @ centred / float(centred @ centred)
+    expected = sensor_floor(truth, imu, correlation_time)
+    assert float(np.std(torques)) == pytest.approx(expected, rel=MOST * math.sqrt(0.5 / count))
+
+
+def test_the_inertia_that_a_torque_on_the_tilt_accelerates() -> None:
+    """Against the robot itself, let go upright with open bridges."""
+    level = 1.0e-3 / TWSBR.listed["static_torque"].size
+    plant = TwsbrPlant(SimulationConfig(plant=TwsbrTruth(), hidden={"static_torque": level}))
+    plant.place(0.0)
+    plant.advance(2)
+    assert 1.0e-3 * plant.time / plant.tilt_rate == pytest.approx(TwsbrTruth().falling_inertia, rel=0.01)
+
+
+def test_a_drawn_one_is_log_uniform_and_follows_from_the_seed() -> None:
+    found = [Drawn().of(seed, floor) for seed in range(400)]
+    assert found[7] == Drawn().of(7, floor)
+    for values, (low, high) in (
+        ([each.rms for each in found], (2.0, 20.0)),
+        ([each.correlation_time for each in found], (0.05, 3.0)),
+    ):
+        shares = np.log(np.array(values) / low) / math.log(high / low)
+        assert shares.min() >= -1e-5
+        assert shares.max() <= 1.0 + 1e-5
+        # Kolmogorov and Smirnov: beyond 1.95 / sqrt(n) are 0.1 % of uniform samples.
+        ranks = (np.arange(len(shares)) + 0.5) / len(shares)
+        assert float(np.max(np.abs(np.sort(shares) - ranks))) < 1.95 / math.sqrt(len(shares))
+    middle = Drawn().of(None, floor)
+    assert (middle.rms, middle.correlation_time) == pytest.approx((math.sqrt(40.0), math.sqrt(0.15)), rel=1e-5)
+
+
+def test_a_multiple_of_the_floor_is_the_same_in_every_record() -> None:
+    asked = parse_disturbances("10,0.3", Drawn())
+    assert asked == Multiple(10.0, 0.3)
+    assert asked.of(1, floor) == asked.of(None, floor)
+    assert asked.of(1, floor).rms == pytest.approx(10.0 * 1650.0 * 3.5e-5 * math.sqrt(6.0 / 0.3**3), rel=1e-5)
+    assert parse_disturbances("none", Drawn()) is None
+    assert parse_disturbances(None, Drawn()) == Drawn()
+
+
+@pytest.mark.parametrize("text", ["", "10", "10,0", "-1,0.3", "a,b", "10,0.3,1", "nan,1"])
+def test_a_multiple_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"RMS,CORRELATION_TIME, both above 0, .* as in 10,0\.3, nor none"):
+        parse_disturbances(text, Drawn())
+    shown = CliRunner().invoke(
+        app, ["benchmark", "hidden-effects", "--disturbance", text], env={"COLUMNS": "300", "TERM": "dumb"}
+    )
+    assert shown.exit_code == 2
+    assert "RMS,CORRELATION_TIME" in shown.output
+
+
+CASES = [Case(("coulomb_friction",), 2.0, noise, "multisine", number) for noise in (1.0, 3.0) for number in range(2)]
+
+
+def test_the_line_of_a_case_says_what_shook_it() -> None:
+    """Another one in each case, the same in both records of a case, and a floor that goes with the sensors' noise."""
+    asked: list[str] = []
+
+    def keep(*case: Any) -> Recording:
+        asked.append(stand_in.labelled(*case).metadata["disturbance"])
+        return stand_in.labelled(*case)
+
+    bench = Bench(methods={}, record=keep, disturbances=Drawn())
+    lines = [run_case(case, bench, {"coulomb_friction": 1.0}) for case in CASES]
+    told = [line["disturbance"] for line in lines]
+    assert len({each["rms"] for each in told}) == len(CASES)
+    assert asked[0::2] == asked[1::2]
+    assert asked[::2] == [str(Disturbance(each["rms"], each["correlation_time"])) for each in told]
+    for case, each in zip(CASES, told, strict=True):
+        least = case.noise * floor(each["correlation_time"])
+        assert each["over_floor"] == pytest.approx(each["rms"] / least)
+    reference = run_case(CASES[0].reference, bench, {})
+    assert reference["disturbance"]["rms"] == pytest.approx(math.sqrt(40.0), rel=1e-5)
+
+
+def test_with_none_the_conditions_and_records_are_those_of_before() -> None:
+    still = Bench(methods={}, record=stand_in.labelled)
+    assert still.conditions == "monocab_roll, 30 s, vehicles as far off as their file says"
+    assert replace(still, disturbances=Drawn()).conditions.endswith("2 to 20 N m RMS and 0.05 to 3 s")
+    assert replace(still, disturbances=Multiple(10.0, 0.3)).conditions.endswith("of 10 sensor floors and 0.3 s")
+    line = run_case(CASES[0], still, {"coulomb_friction": 1.0})
+    assert line["disturbance"] is None
+    one, other = (
+        virtual("hold", {"coulomb_friction": 2.0}, 1.0, 3.0, 7, drawn(7), *rest)
+        for rest in ((), (Disturbance(8, 0.3),))
+    )
+    assert "disturbance" not in one.source
+    assert "disturbance=8,0.3" in other.source
+    assert not np.array_equal(one.values["roll"], other.values["roll"])
+
+
+def line_of(rms: float | None, verdict: str, **changes: Any) -> dict[str, Any]:
+    told = {"verdict": verdict, "found": [], "covered": {}, "seconds": 1.0, "error": ""}
+    line = {"key": f"{rms}", "kind": "nothing", "effects": [], "size": 0.0, "noise": 1.0, "excitation": "hold"}
+    line |= {"status": "ok", "conditions": "x", "methods": {"m": told}}
+    if rms is not None:
+        line["disturbance"] = {"rms": rms, "correlation_time": 0.3, "over_floor": 1.0}
+    return {**line, **changes}
+
+
+def test_the_figures_are_shown_by_thirds_of_the_rms() -> None:
+    lines = [line_of(rms, "unknown" if rms > 12.0 else "adequate") for rms in (20.0, 2.0, 3.0, 6.0, 9.0, 18.0)]
+    summary = summarise(lines)
+    alarms = summary.methods["m"].false_alarms_by_disturbance
+    assert {part: (figure.count, figure.of) for part, figure in alarms.items()} == {
+        "2 to 3 N m": (0, 2),
+        "6 to 9 N m": (0, 2),
+        "18 to 20 N m": (2, 2),
+    }
+    assert list(summary.to_json()["methods"]["m"]["false_alarms_by_disturbance"]) == list(alarms)
+    assert list(thirds([line_of(8.6, "adequate"), line_of(None, "adequate")])) == ["none", "8.6 N m"]
+
+
+def test_a_file_of_before_is_read_and_shown_as_ever(tmp_path: Path) -> None:
+    old = line_of(None, "adequate")
+    path = tmp_path / "old.jsonl"
+    path.write_text(json.dumps(old) + "\n")
+    shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path)])
+    assert shown.exit_code == 0, shown.output
+    assert "shaken" not in shown.output
+    path.write_text(json.dumps(line_of(8.6, "adequate")) + "\n")
+    shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path)])
+    assert "shaken by 8.6 N m" in shown.output
