@@ -208,8 +208,12 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
                 unit=_unit(parameter.unit, offered.units, where),
                 value=rounded(number(parameter.value, offered.scales, f"{where}, value")),
                 scale=rounded(number(parameter.scale, offered.scales, f"{where}, scale")) if parameter.scale else 0.0,
-                lower=rounded(number(parameter.lower, offered.scales, f"{where}, lower")) if parameter.lower else -math.inf,
-                upper=rounded(number(parameter.upper, offered.scales, f"{where}, upper")) if parameter.upper else math.inf,
+                lower=rounded(number(parameter.lower, offered.scales, f"{where}, lower"))
+                if parameter.lower
+                else -math.inf,
+                upper=rounded(number(parameter.upper, offered.scales, f"{where}, upper"))
+                if parameter.upper
+                else math.inf,
                 estimated=parameter.amplitude,
                 meaning=parameter.meaning,
             )
@@ -338,9 +342,15 @@ def _in_seconds(effect: Effect, time_scale: float) -> Effect:
     def told(text: str) -> str:
         return renamed(text, known) if text and "time_scale" in names_in(text) else text
 
-    texts = {key: told(getattr(effect, key)) for key in ("force", "twist", "command", "angle_reading", "rate_reading")}
-    states = tuple(replace(each, derivative=told(each.derivative)) for each in effect.states)
-    return replace(effect, states=states, **texts)
+    return replace(
+        effect,
+        force=told(effect.force),
+        twist=told(effect.twist),
+        command=told(effect.command),
+        angle_reading=told(effect.angle_reading),
+        rate_reading=told(effect.rate_reading),
+        states=tuple(replace(each, derivative=told(each.derivative)) for each in effect.states),
+    )
 
 
 def _lacks(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Iterator[str]:

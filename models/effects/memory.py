@@ -71,8 +71,8 @@ _AFTER = "2 * max(0, begun - 0.5)"
 # The torque that a gear without play would pass on, over the inertias that it would then not keep together.
 _FALL = f"{_AFTER} * (gain * actuator_rate * inertia / actuator_inertia - load) / (inertia - actuator_inertia)"
 _GIVE = "(8e4 / time_scale ** 2)"
-"""1/s^2, of a flank: a blow takes a hundredth of the natural time (4 ms of the robot), less than the rows of most records
-are apart."""
+"""1/s^2, of a flank: a blow takes a hundredth of the natural time (4 ms of the robot), less than the rows of most
+records are apart."""
 _FORWARD = "max(0, place + 0.01) * max(0, 1 + 0.25 * time_scale * speed)"
 _BACKWARD = "max(0, -2 - place) * max(0, 1 - 0.25 * time_scale * speed)"
 # At rest it lies on a flank, so that a fit sees at once how short the steps have to be.
