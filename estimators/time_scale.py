@@ -50,14 +50,22 @@ def time_scale(model: Model, rows: Sequence[Segment]) -> float:
 
 def motion_time(model: Model, rows: Sequence[Segment]) -> float | None:
     """1 / (2 pi f) of the joint that moves slowest in `rows`, s; None where none of them is measured or moves."""
-    places = {each.name: place for place, each in enumerate(model.outputs)}
     found = []
     for joint in model.joints:
-        angles = [places[name] for name in names_in(joint.coordinate) if name in places]
-        rates = [places[name] for name in names_in(joint.rate) if name in places]
+        angles, rates = (_shown(model, text) for text in (joint.coordinate, joint.rate))
         found += [_mean_frequency(rows, place, integrals=0 if angles else 1) for place in angles or rates]
     slowest = min((each for each in found if each > 0.0), default=0.0)
     return 1.0 / (2.0 * np.pi * slowest) if slowest > 0.0 else None
+
+
+def _shown(model: Model, text: str) -> list[int]:
+    """Places of the outputs that show what `text` names, by their own names or by what they are of."""
+    names = names_in(text)
+    return [
+        place
+        for place, each in enumerate(model.outputs)
+        if each.name in names or (each.expression != each.name and names & names_in(each.expression))
+    ]
 
 
 def _mean_frequency(rows: Sequence[Segment], place: int, integrals: int) -> float:

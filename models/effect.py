@@ -30,9 +30,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from models.expressions import check, names_in, number, renamed
+from models.expressions import check, names_in, number
 from models.model import Actuator, Joint, Model, ModelError, Parameter, Sensor, State
-from models.natural_time import rounded
+from models.natural_time import USUAL, rounded
 from models.place import VOCABULARY, offer
 from models.place import Place as Place
 from models.place import places_of as places_of
@@ -162,13 +162,15 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class AttachedEffect:
-    """An effect in a model: `name` is EFFECT, or EFFECT@PLACE; parameters and states go by their names in the model."""
+    """An effect in a model: `name` is EFFECT, or EFFECT@PLACE; parameters and states go by their names in the model;
+    `time_scale` s is the number that its expressions have by this name."""
 
     effect: Effect
     name: str
     at: str
     parameters: tuple[Parameter, ...]
     states: tuple[State, ...]
+    time_scale: float = USUAL
 
     def qualified(self, local: str) -> str:
         """The name in the model of what the effect calls `local`."""
@@ -197,8 +199,8 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
         remedy = "change its parameters instead."
         raise ModelError(f"effect {name}", f"model {model.name} has it already", remedy=remedy)
     offered = offer(model, place)
-    effect = _in_seconds(_formula(model, effect, place), offered.scales["time_scale"])
-    bare = AttachedEffect(effect, name, place.name, (), ())
+    effect = _formula(model, effect, place)
+    bare = AttachedEffect(effect, name, place.name, (), (), offered.scales["time_scale"])
     parameters = []
     for parameter in effect.parameters:
         where = f"effect {effect.name}, parameter {parameter.name}"
@@ -333,24 +335,6 @@ def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Se
 def _formula(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Effect:
     """`effect` as it is at `place`."""
     return effect.instead if effect.instead and not any(_lacks(model, effect.instead, place)) else effect
-
-
-def _in_seconds(effect: Effect, time_scale: float) -> Effect:
-    """`effect` with the s of `time_scale` in its expressions."""
-    known = {"time_scale": repr(time_scale)}
-
-    def told(text: str) -> str:
-        return renamed(text, known) if text and "time_scale" in names_in(text) else text
-
-    return replace(
-        effect,
-        force=told(effect.force),
-        twist=told(effect.twist),
-        command=told(effect.command),
-        angle_reading=told(effect.angle_reading),
-        rate_reading=told(effect.rate_reading),
-        states=tuple(replace(each, derivative=told(each.derivative)) for each in effect.states),
-    )
 
 
 def _lacks(model: Model, effect: Effect, place: Joint | Actuator | Sensor) -> Iterator[str]:
