@@ -13,16 +13,18 @@ import numpy as np
 
 from estimators.segments import SUPPORT_MARGIN, channels_of, recorded_support
 from models.model import Model
+from models.natural_time import USUAL, natural_time
 from models.place import Place
 from telemetry.recording import Recording
 
 AGE = "drive_age"
 SETPOINT_AGE = "setpoint_age"
 """Channels, s."""
-AWAY = 2.0
-"""s after the vehicle has left its support from which on its actuators are no longer at their limits."""
-ENOUGH = 20.0
-"""s of each recording that the actuators are diagnosed from: their sensors hardly have noise."""
+AWAY = 5.0
+"""Natural times (models.natural_time; 2 s of the MONOCAB) after the vehicle has left its support from which on its
+actuators are no longer at their limits."""
+ENOUGH = 50.0
+"""Natural times of each recording that the actuators are diagnosed from: their sensors hardly have noise."""
 
 
 def of_actuators(model: Model) -> bool:
@@ -35,7 +37,8 @@ def looked_at(model: Model, recordings: Sequence[Recording], support: float | No
 
     Without `support` (rad), that of the recording's metadata, where it has one.
     """
-    return [_setpoints_later(middle(away_from_support(each, model, support), model, ENOUGH)) for each in recordings]
+    enough = ENOUGH * (natural_time(model) or USUAL)
+    return [_setpoints_later(middle(away_from_support(each, model, support), model, enough)) for each in recordings]
 
 
 def at_samples(model: Model) -> Model:
@@ -89,14 +92,14 @@ def _setpoints_later(recording: Recording) -> Recording:
 
 
 def away_from_support(recording: Recording, model: Model, support: float | None) -> Recording:
-    """`recording` with the model's outputs known only where the vehicle has been free for AWAY s."""
+    """`recording` with the model's outputs known only where the vehicle has been free for AWAY."""
     support = support if support is not None else recorded_support(recording)
     if support is None or "roll" not in recording.values:
         return recording
     carried = ~(np.abs(recording["roll"]) < support - SUPPORT_MARGIN)
     time = recording.time
     last = np.maximum.accumulate(np.where(carried, time, -np.inf))
-    away = time - last > AWAY
+    away = time - last > AWAY * (natural_time(model) or USUAL)
     there = [each.name for each in model.outputs if each.name in recording.values]
     hidden = {name: np.where(away, recording[name], np.nan) for name in there}
     return replace(recording, values={**recording.values, **hidden})

@@ -30,13 +30,15 @@ from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
+from estimators.time_scale import time_scale
 from models.kernel import Memory
 from models.segment import Segment
 
 Array = NDArray[np.float64]
 
-BEGINNING = 0.3
-"""s in which the state that a record begins with is looked for first."""
+BEGINNING = 0.75
+"""Time scales (estimators.time_scale; 0.3 s of the MONOCAB) in which the state that a record begins with is looked for
+first."""
 
 
 def on(fit: Fit, task: Problem) -> Fit:
@@ -48,7 +50,8 @@ def on(fit: Fit, task: Problem) -> Fit:
     """
     weights = np.linalg.inv(np.linalg.cholesky(fit.covariance))
     task = task.like(fit.problem)
-    moments = replace(task, segments=tuple(map(_beginning, task.segments)))
+    beginning = BEGINNING * time_scale(task.model, task.segments)
+    moments = replace(task, segments=tuple(_beginning(each, beginning) for each in task.segments))
     common = fit.minimum.common[: len(task.free)]
     amplitudes = {name for each in task.model.effects for name in each.amplitudes}
     bare = np.where([parameter.name in amplitudes for parameter in task.parameters], 0.0, common)
@@ -71,8 +74,8 @@ def on(fit: Fit, task: Problem) -> Fit:
     return replace(fit, problem=task, minimum=replace(fit.minimum, own=(*best, nothing)))
 
 
-def _beginning(segment: Segment) -> Segment:
-    rows = max(3, int(np.searchsorted(segment.time, segment.time[0] + BEGINNING)))
+def _beginning(segment: Segment, span: float) -> Segment:
+    rows = max(3, int(np.searchsorted(segment.time, segment.time[0] + span)))
     columns = {name: getattr(segment, name)[:rows] for name in ("time", "knots", "inputs", "measured")}
     return replace(segment, **columns)
 

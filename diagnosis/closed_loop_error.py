@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from diagnosis.closed_loop import Controller, Limit, steps
 from diagnosis.floor import QUIETEST, Innovations
+from estimators.time_scale import time_scale
 from estimators.white_noise import white_variance
 from models.kernel import Memory
 from models.segment import Segment
@@ -40,8 +41,8 @@ SEED = 20
 """Of the draws: the same comparison gives the same numbers."""
 BEYOND = 5.0
 """Times the recorded range at which a simulation has run away."""
-SHORTEST = 2.0
-"""s of a comparison: less is the start's error alone."""
+SHORTEST = 5.0
+"""Time scales (estimators.time_scale; 2 s of the MONOCAB) of a comparison: less is the start's error alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,16 +180,17 @@ def _check(loop: Loop, simulated: Mapping[str, Array], time: Array, first: int) 
 
 def _rows(found: Innovations, numbers: Sequence[int], loop: Loop) -> tuple[int, int, int]:
     """The stretch that the loop's beginning is in, and the first and last row of it that are in the loop."""
+    shortest = SHORTEST * time_scale(found.problem.model, found.problem.segments)
     for number in numbers:
         time = found.problem.segments[number].time
         first, last = (
             int(np.searchsorted(time, each - 0.25 * found.floor.spacing)) for each in (loop.begins, loop.ends)
         )
         last = min(last, len(time) - 1)
-        if time[0] <= loop.begins <= time[-1] and time[last] - time[first] >= SHORTEST:
+        if time[0] <= loop.begins <= time[-1] and time[last] - time[first] >= shortest:
             return number, first, last
     what = "the record has gaps or the vehicle was on its supports after the excitation began"
-    raise _NotPossible(f"{what}: less than {SHORTEST:g} s are left")
+    raise _NotPossible(f"{what}: less than {shortest:.3g} s are left")
 
 
 def _part(segment: Segment, last: int) -> Segment:

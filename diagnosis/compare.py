@@ -23,13 +23,15 @@ from diagnosis.where_it_fails import Entry, Views, summary, views
 from estimators.as_recorded import as_recorded
 from estimators.problem import Problem, problem
 from estimators.segments import channels_of, segments
+from estimators.time_scale import time_scale
 from models.kernel import Progress
 from models.model import Model
+from models.natural_time import rounded
 from models.segment import Segment
 from telemetry.recording import Recording
 
-SHOWN_HORIZON = 0.5
-"""s ahead that the figures which name no horizon are of, or the longest below."""
+SHOWN_HORIZON = 1.25
+"""Time scales (estimators.time_scale) ahead that the figures which name no horizon are of, or the longest below."""
 
 DOUBTFUL = 2.0
 """Of its own standard deviations beyond which a time offset is told as doubtful."""
@@ -37,8 +39,9 @@ DOUBTFUL = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One model against one or several recordings. Figures by channel are half a second ahead; `fails` has the four
-    views, all empty where the model is adequate. `offsets` are the time offsets that were fitted along, s by name."""
+    """One model against one or several recordings. Figures by channel are of predictions `shown_horizon` s ahead, half
+    a second of the MONOCAB; `fails` has the four views, all empty where the model is adequate. `offsets` are the time
+    offsets that were fitted along, s by name."""
 
     name: str
     fit_percent: Mapping[str, float]
@@ -51,6 +54,7 @@ class Comparison:
     predictions: Sequence[Prediction] = field(repr=False)
     views: Views = field(repr=False)
     innovations: Innovations = field(repr=False)
+    shown_horizon: float
     closed_loop: ClosedLoop = field(default_factory=ClosedLoop, repr=False)
 
     @property
@@ -147,7 +151,8 @@ def _compare(
     found = with_nuisances(task, task.kernel.vector())
     seen = views(found, progress=progress)
     ahead = predictions(found)
-    shown = next((each for each in reversed(ahead) if each.horizon <= SHOWN_HORIZON), None)
+    horizon = rounded(SHOWN_HORIZON * time_scale(task.model, task.segments))
+    shown = next((each for each in reversed(ahead) if each.horizon <= horizon), None)
     channels = task.kernel.outputs if shown else ()
     return Comparison(
         name=name,
@@ -164,5 +169,6 @@ def _compare(
         predictions=ahead,
         views=seen,
         innovations=found,
+        shown_horizon=horizon,
         closed_loop=closed_loop(found, owners, loops),
     )

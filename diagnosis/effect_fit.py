@@ -31,9 +31,11 @@ from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Begin, Fit, fit, result
 from estimators.problem import problem
 from estimators.stopwatch import stopwatch
+from estimators.time_scale import time_scale
 from models.effect import AttachedEffect, starts
 from models.kernel import Progress
 from models.model import Model
+from models.natural_time import rounded
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -228,12 +230,19 @@ def _best(found: Sequence[Fitted], without: Fitted, strikes: bool) -> Fitted:
 
 
 def _off_ahead(fitted: Fitted, without: Fitted) -> float:
-    """Energy of the error half a second ahead on the record that was fitted, over that of the model `without`; infinite
-    where the model runs away."""
+    """Energy of the error the last horizon ahead on the record that was fitted, over that of the model `without`;
+    infinite where the model runs away."""
     with np.errstate(all="ignore"):
-        with_it, before = (np.nanmean(errors(each.fit, HORIZONS[-1:])[0] ** 2, axis=0) for each in (fitted, without))
+        last = horizons_of(fitted.fit)[-1:]
+        with_it, before = (np.nanmean(errors(each.fit, last)[0] ** 2, axis=0) for each in (fitted, without))
         off = float(np.mean(with_it / np.maximum(before, 1e-300)))
     return off if np.isfinite(off) else np.inf
+
+
+def horizons_of(fitted: Fit) -> tuple[float, ...]:
+    """s ahead at which errors of a fit are told."""
+    scale = time_scale(fitted.problem.model, fitted.problem.segments)
+    return tuple(rounded(each * scale) for each in HORIZONS)
 
 
 def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:

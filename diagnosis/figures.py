@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from diagnosis.closed_loop_error import ClosedLoop
-from diagnosis.compare import SHOWN_HORIZON, Comparison
+from diagnosis.compare import Comparison
 from diagnosis.force_bins import Binned
 from diagnosis.missing_force import MissingForce
 from diagnosis.where_it_fails import Energy
@@ -90,7 +90,7 @@ def _overlay(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[ob
         label = "measured" if number == 0 else None
         axes.plot(segment.time, factor * segment.measured[:, names.index(channel)], color="0.75", lw=2.5, label=label)
     for comparison, colour in zip(comparisons, colours, strict=False):
-        shown = [each for each in comparison.predictions if each.horizon <= SHOWN_HORIZON]
+        shown = [each for each in comparison.predictions if each.horizon <= comparison.shown_horizon]
         verdict = "adequate" if comparison.adequate else "not adequate"
         if shown and channel in shown[-1].predicted:
             last = shown[-1]

@@ -5,7 +5,7 @@
 with the initial states and the nuisances taken out; for the bins, what other values of the model's own estimated
 parameters could do is taken out too, so that what is left is a shape that no refit mends. A row belongs to the bin of
 its predicted state, which the row's own noise has no part in. Standard deviations are the larger of the floor's and of
-those that the scatter from one half second to the next gives, which stand up to noise of another colour; the latter
+those that the scatter from one block of time to the next gives, which stand up to noise of another colour; the latter
 come with Student's t, its freedom from how evenly the blocks of time inform. Source: the sandwich of White,
 Econometrica 48 (1980) 817-838, by blocks as in Liang and Zeger, Biometrika 73 (1986) 13-22.
 """
@@ -23,14 +23,16 @@ from scipy.stats import t as student
 from diagnosis.floor import Innovations
 from diagnosis.force_probe import Coordinate, Probe
 from estimators.gauss_newton import Block, eliminate
+from estimators.time_scale import time_scale
 from estimators.white_noise import white_variance
 
 Array = NDArray[np.float64]
 
 BINS = 8
 """Of a coordinate, with as many rows each."""
-BLOCK = 0.5
-"""s of a block: longer than the predictor remembers, short against the record."""
+BLOCK = 1.25
+"""Time scales (estimators.time_scale) of a block, 0.5 s of the MONOCAB: longer than the predictor remembers, short
+against the record."""
 RESOLVED = 4.0
 """Standard deviations of a coordinate's own error that a bin is wide at least."""
 KEPT = 1e-3
@@ -132,8 +134,10 @@ class _Design:
     def _numbers(self) -> NDArray[np.int64]:
         """Of the block of time that each whitened innovation belongs to; what is known of a start is with its own."""
         numbers, last = [], 0
-        for segment, block in zip(self.found.problem.segments, self.blocks, strict=True):
-            at = ((segment.time - segment.time[0]) // BLOCK).astype(np.int64) + last
+        task = self.found.problem
+        length = BLOCK * time_scale(task.model, task.segments)
+        for segment, block in zip(task.segments, self.blocks, strict=True):
+            at = ((segment.time - segment.time[0]) // length).astype(np.int64) + last
             inside = at.repeat(segment.measured.shape[1])
             numbers += [inside, np.full(len(block.residual) - len(inside), last)]
             last = int(at[-1]) + 1

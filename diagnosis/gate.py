@@ -14,24 +14,32 @@ from numpy.typing import NDArray
 
 from estimators.contract import Status
 from estimators.segments import DataError, segments
+from estimators.time_scale import motion_time, time_scale
 from models.expressions import names_in
 from models.model import Model
+from models.segment import Segment
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 
-SHORTEST = 15.0
-"""s of free motion in all recordings together, at least."""
+SHORTEST = 37.5
+"""Times the time scale of the model (estimators.time_scale) of free motion in all recordings together, at least: 15 s
+of the MONOCAB. What takes as long has not been seen often enough to be told from another."""
+MOTIONS = 94.0
+"""Motion times that are as good: those that a multisine of the MONOCAB has in 15 s. A record of 14.7 s with a thousand
+periods of a resonance is long."""
+FEWEST = 500
+"""Rows of free motion, at least."""
 MOVING = 5.0
 """Times the noise of the joint's rate, both averaged over AVERAGE, above which the vehicle counts as moving."""
-AVERAGE = 0.1
-"""s in which a vehicle's rate is much the same, whatever the sampling rate."""
-WINDOW = 2.0
-"""s of such a window."""
+AVERAGE = 0.25
+"""Of the time scale, in which a rate is much the same, whatever the sampling rate."""
+WINDOW = 20
+"""Such averages in a window."""
 ONE_LINE = 0.97
 """Share of the motion's power in one line of its spectrum, harmonics counted in, above which it is a single sine."""
-LINE = 0.05
-"""Hz, half width of a line; wider where the record is short."""
+LINE = 0.02
+"""Over the time scale, Hz, half width of a line; wider where the record is short."""
 
 
 BEYOND = 3.0
@@ -66,29 +74,39 @@ def check(model: Model, recordings: Sequence[Recording], support: float | None =
 def _check(model: Model, recordings: Sequence[Recording], support: float | None) -> None:
     rows = segments(model, recordings, support=support)
     span = sum(segment.duration for segment in rows)
-    if span < SHORTEST:
+    scale = time_scale(model, rows)
+    asked, size = needed(model, rows), sum(map(len, rows))
+    best = f"best a multisine of {2.0 * asked:.3g} s"
+    if span < asked:
         raise DataError(
             Status.TOO_FEW_SAMPLES,
             "recordings",
-            f"{span:.1f} s of free motion cannot tell effects apart",
-            remedy=f"record {SHORTEST:g} s or more, best a multisine of 30 s.",
+            f"{span:.3g} s of free motion cannot tell effects apart",
+            remedy=f"record {asked:.3g} s or more, {best}.",
+        )
+    if size < FEWEST:
+        raise DataError(
+            Status.TOO_FEW_SAMPLES,
+            "recordings",
+            f"{size} rows of free motion cannot tell effects apart",
+            remedy=f"record {FEWEST} rows or more, at a higher rate or for longer.",
         )
     moving = {name for joint in model.joints for name in names_in(joint.rate)}
     measured = [place for place, each in enumerate(model.outputs) if each.name in moving]
     if not measured:
         return
     rates = [[(segment.measured[:, place], segment.time) for segment in rows] for place in measured]
-    moved = max(sum(moving_time(rate, time) for rate, time in each) for each in rates)
-    if moved < SHORTEST:
+    moved = max(sum(moving_time(rate, time, scale) for rate, time in each) for each in rates)
+    if moved < asked:
         raise DataError(
             Status.TOO_LITTLE_EXCITATION,
             "recordings",
-            f"the vehicle moves by more than {MOVING:g} times its sensor's noise for {moved:.1f} s only",
-            remedy=f"excite it for {SHORTEST:g} s or more, best with a multisine.",
+            f"the vehicle moves by more than {MOVING:g} times its sensor's noise for {moved:.3g} s only",
+            remedy=f"excite it for {asked:.3g} s or more, {best}.",
         )
     # What one rate does not tell, another may that moves otherwise: wheels coast where the body only swings.
-    lines = [line_share(rate, time) for each in rates for rate, time in each]
-    frequencies = {round(frequency, 1) for share, frequency in lines if share > ONE_LINE}
+    lines = [line_share(rate, time, scale) for each in rates for rate, time in each]
+    frequencies = {round(0.5 * scale * frequency / LINE) for share, frequency in lines if share > ONE_LINE}
     if len(frequencies) == 1 and all(share > ONE_LINE for share, _ in lines):
         frequency = lines[0][1]
         raise DataError(
@@ -99,13 +117,19 @@ def _check(model: Model, recordings: Sequence[Recording], support: float | None)
         )
 
 
-def moving_time(signal: Array, time: Array) -> float:
+def needed(model: Model, rows: Sequence[Segment]) -> float:
+    """s of motion that `rows` have to have, by how fast `model` is and by how fast it moved."""
+    moves = motion_time(model, rows)
+    asked = SHORTEST * time_scale(model, rows)
+    return asked if moves is None else min(asked, MOTIONS * moves)
+
+
+def moving_time(signal: Array, time: Array, scale: float) -> float:
     """s for which `signal` (n,) moves by more than its own white noise, of which fourth differences have 70 times the
-    variance."""
+    variance. `scale` s is the time scale."""
     known = np.where(np.isfinite(signal), signal, 0.0)
     spacing = float(np.median(np.diff(time)))
-    rows = max(1, round(AVERAGE / spacing))
-    size = max(1, round(WINDOW / AVERAGE))
+    rows, size = max(1, round(AVERAGE * scale / spacing)), WINDOW
     if len(known) < max(size * rows, 20):
         return 0.0
     noise = 1.4826 * float(np.median(np.abs(np.diff(known, 4)))) / np.sqrt(70.0 * rows)
@@ -116,14 +140,14 @@ def moving_time(signal: Array, time: Array) -> float:
     return float(np.sum(moves) * size * rows * spacing)
 
 
-def line_share(signal: Array, time: Array) -> tuple[float, float]:
+def line_share(signal: Array, time: Array, scale: float) -> tuple[float, float]:
     """The share of the signal's power at its strongest frequency and the harmonics of it, and that frequency, Hz."""
     known = np.where(np.isfinite(signal), signal, 0.0)
     window = np.hanning(len(known))
     power = np.abs(np.fft.rfft((known - np.mean(known)) * window)) ** 2
     frequency = np.fft.rfftfreq(len(known), float(np.median(np.diff(time))))
     peak = float(frequency[int(np.argmax(power))])
-    width = max(LINE, 2.5 / (time[-1] - time[0]))
+    width = max(LINE / scale, 2.5 / (time[-1] - time[0]))
     harmonics = np.maximum(1.0, np.round(frequency / max(peak, frequency[1])))
     near = np.abs(frequency - harmonics * peak) <= width
     # Of a broad spectrum the harmonics' windows would gather a share by chance: only a low line can be told.

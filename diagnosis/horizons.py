@@ -1,4 +1,4 @@
-"""Measured against predicted some time ahead: from the filtered state on, every tenth of a second.
+"""Measured against predicted some time ahead: from the filtered state on, every quarter of a time scale.
 
 Of a right model the error is sensor noise alone: the innovations e of covariance S that came in since, each carried on
 by the state it corrected,
@@ -19,13 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.floor import Innovations
+from estimators.time_scale import time_scale
+from models.natural_time import rounded
 
 Array = NDArray[np.float64]
 
-HORIZONS = (0.05, 0.2, 0.5, 2.0)
-"""s ahead that predictions reach, where a stretch of the record is more than twice as long."""
-STRIDE = 0.1
-"""s between the states that predictions start from."""
+HORIZONS = (0.125, 0.5, 1.25, 5.0)
+"""Time scales (estimators.time_scale) ahead that predictions reach, where a stretch of the record is more than twice as
+long: 0.05, 0.2, 0.5 and 2 s of the MONOCAB."""
+STRIDE = 0.25
+"""Time scales between the states that predictions start from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +54,9 @@ class Prediction:
 
 def predictions(found: Innovations) -> list[Prediction]:
     """One entry for each of HORIZONS that the record is long enough for."""
+    scale = time_scale(found.problem.model, found.problem.segments)
     longest = max(segment.duration for segment in found.problem.segments)
-    reached = [horizon for horizon in HORIZONS if 2.0 * horizon < longest]
+    reached = [rounded(each * scale) for each in HORIZONS if 2.0 * each * scale < longest]
     if not reached:
         return []
     steps = [max(1, round(horizon / found.floor.spacing)) for horizon in reached]
@@ -60,7 +64,7 @@ def predictions(found: Innovations) -> list[Prediction]:
     carried = []
     kick = found.floor.gain @ np.linalg.cholesky(found.floor.covariance)
     for number, segment in enumerate(found.problem.segments):
-        for row, predicted, slopes in _free_runs(found, number, max(steps)):
+        for row, predicted, slopes in _free_runs(found, number, max(steps), STRIDE * scale):
             for entries, step in zip(rows, steps, strict=True):
                 at = row + step
                 if at < len(segment):
@@ -87,12 +91,12 @@ def predictions(found: Innovations) -> list[Prediction]:
     return results
 
 
-def _free_runs(found: Innovations, number: int, rows: int) -> Iterator[tuple[int, Array, Array | None]]:
-    """From every STRIDE s of a stretch on, `rows` rows without correction: the row, what is predicted (n, ny) and, once
-    in so many rows, its derivatives by the state there (n, ny, nx). The arrays are used again."""
+def _free_runs(found: Innovations, number: int, rows: int, every: float) -> Iterator[tuple[int, Array, Array | None]]:
+    """From `every` so many s of a stretch on, `rows` rows without correction: the row, what is predicted (n, ny) and,
+    once in so many rows, its derivatives by the state there (n, ny, nx). The arrays are used again."""
     task, fit = found.problem, found.fit
     kernel, segment = task.kernel, task.segments[number]
-    states, stride = len(kernel.states), max(1, round(STRIDE / found.floor.spacing))
+    states, stride = len(kernel.states), max(1, round(every / found.floor.spacing))
     columns = tuple(len(kernel.parameters) + place for place in range(states))
     filtered, predicted = kernel.memory(fit.starts[number]), np.empty_like(segment.measured)
     nothing, slopes = np.empty((*segment.measured.shape, 0)), np.empty((*segment.measured.shape, states))

@@ -19,15 +19,17 @@ from scipy.signal import correlate
 from diagnosis.candidates import Candidate
 from diagnosis.whitened import Whitened
 from estimators.problem import Problem
+from estimators.time_scale import time_scale
 
 Array = NDArray[np.float64]
 
 INSTANT = "start"
 """What an effect calls the instant, s from the first row of a recording on, at which it sets in."""
-SPACING = 0.1
-"""s between instants that are tried: a step of 0.3 s is told to less."""
-APART = 1.0
-"""s between instants that are looked at."""
+SPACING = 0.25
+"""Time scales (estimators.time_scale) between instants that are tried, 0.1 s of the MONOCAB: a step that takes three
+times as long is told to less."""
+APART = 2.5
+"""Time scales between instants that are looked at."""
 MOST = 2
 LEAST = 1e-9
 """Share of a step's information that has to be left beside the nuisances."""
@@ -42,15 +44,17 @@ def at_instants(candidate: Candidate, innovations: Whitened, full: Problem) -> C
     name = candidate.attached.qualified(INSTANT)
     if name not in candidate.shapes:
         return candidate
-    first = float(full.segments[0].time[0])
-    before = {**candidate.variants[0], name: min(0.0, first) - APART}
+    first, scale = float(full.segments[0].time[0]), time_scale(full.model, full.segments)
+    before = {**candidate.variants[0], name: min(0.0, first) - APART * scale}
     stretches = [moved[:, 0] for moved in innovations.moved(full, candidate.amplitudes[:1], before)]
     longest = int(np.argmax([len(segment) for segment in full.segments]))
     time = full.segments[longest].time
-    rows = max(1, round(SPACING / float(np.median(np.diff(time)))))
+    rows = max(1, round(SPACING * scale / float(np.median(np.diff(time)))))
     shifts = np.arange(rows, len(time), rows)
     gains = _gains(innovations, full, stretches, longest)[shifts]
-    more = [{**candidate.variants[0], name: each} for each in _peaks(time[shifts].tolist(), gains.tolist())]
+    more = [
+        {**candidate.variants[0], name: each} for each in _peaks(time[shifts].tolist(), gains.tolist(), APART * scale)
+    ]
     return replace(candidate, variants=(*candidate.variants, *more), picked=len(more), among=max(1, len(shifts)))
 
 
@@ -95,11 +99,11 @@ def _shifted(response: Array, others: Array) -> Array:
     return np.stack(found, axis=1)
 
 
-def _peaks(instants: Sequence[float], gains: Sequence[float]) -> list[float]:
-    """The MOST instants that explain most, APART or more from each other."""
+def _peaks(instants: Sequence[float], gains: Sequence[float], apart: float) -> list[float]:
+    """The MOST instants that explain most, `apart` s or more from each other."""
     found: list[float] = []
     for place in np.argsort(gains)[::-1]:
-        if all(abs(instants[place] - other) >= APART for other in found):
+        if all(abs(instants[place] - other) >= apart for other in found):
             found.append(instants[place])
         if len(found) == MOST:
             break

@@ -2,7 +2,7 @@
 it says.
 
 A further lag makes the lag of a speed loop grow, until what is left of it no longer looks like a lag: the derivative
-there points elsewhere. How surprising such an effect's gain is, is told by blocks of half a second: innovations of a
+there points elsewhere. How surprising such an effect's gain is, is told by blocks of time: innovations of a
 model without it are not white.
 
 Parts that strike each other do so at other instants with each size of the play between them, so that the derivative at
@@ -25,6 +25,7 @@ from diagnosis.side_by_side import side_by_side
 from diagnosis.whitened import BLOCK
 from diagnosis.workspace import Workspace, attached
 from estimators.methods.prediction_error import Begin, fit
+from estimators.time_scale import time_scale
 from models.effect import Place, starts
 from models.model import Model
 
@@ -130,9 +131,10 @@ def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Mo
 
 def surprise(base: FullFit, other: FullFit) -> float:
     """p-value of what `other` gains over `base`, were its gain a walk of independent blocks."""
-    gained = []
+    gained, task = [], base.fit.problem
+    block = max(1, round(BLOCK * time_scale(task.model, task.segments) / _spacing(base)))
     for one, more in zip(_densities(base), _densities(other), strict=True):
-        rows = len(one) // max(1, len(one) // max(1, round(BLOCK / _spacing(base))))
+        rows = len(one) // max(1, len(one) // block)
         gained.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
     blocks = np.concatenate(gained)
     spread = float(np.sqrt(len(blocks)) * np.std(blocks, ddof=1))

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.closed_loop import Course, Experiment, simulate
-from diagnosis.gate import SHORTEST
 from diagnosis.rivals import NOTHING_MORE, Rival
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
@@ -33,8 +32,9 @@ Progress = Callable[[str, float], None]
 
 ENOUGH = 10.0
 """nats: odds of 1:100 are 4.6, and of a mean of 10 with its scatter of 4.5 nine records of ten leave as much."""
-LONGEST = 600.0
-"""s in all; what takes longer is not told apart by this experiment."""
+SHORTEST, LONGEST = 15.0, 600.0
+"""s in all, of experiments that a vehicle file describes in seconds: what is shorter no diagnosis of a shipped vehicle
+takes; what takes longer is not told apart by this experiment."""
 ITERATIONS = 15
 IMITATED = 0.01
 """Share of the odds the other way round below which a rival can be all that its rival is, and more: what it cannot be

@@ -23,12 +23,12 @@ from diagnosis.ahead import errors, on, sensor_floors
 from diagnosis.candidates import Candidate
 from diagnosis.drop_tests import DropTest as DropTest
 from diagnosis.drop_tests import drop_tests as drop_tests
-from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model
+from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model, horizons_of
 from diagnosis.floor import Floor, floor, innovation_ratio
 from diagnosis.freed import freed
 from diagnosis.held_out import split
 from diagnosis.ready import ready, unready
-from diagnosis.repair_result import HORIZONS, Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
+from diagnosis.repair_result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
@@ -53,15 +53,16 @@ BLOCKS = 10
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """Held-out data, and a right model's RMS errors there, (nh, ny)."""
+    """Held-out data, and a right model's RMS errors there at each of `horizons` (s), (nh, ny)."""
 
     recordings: Sequence[Recording]
     support: float | None
+    horizons: tuple[float, ...]
     floor: Array
 
     def errors(self, fitted: Fitted) -> list[Array]:
         """(m, ny) by horizon."""
-        return errors(_on(fitted, self.recordings, self.support), HORIZONS)
+        return errors(_on(fitted, self.recordings, self.support), self.horizons)
 
     def energy(self, found: Sequence[Array]) -> Array:
         """Over a right model's, at the last horizon, the mean of the channels: (m,)."""
@@ -123,7 +124,8 @@ def _repair(
     own_score = _score(looked_at, candidate)
     fitted = fit_effect(model, candidate, training, without, score=own_score, support=support)
     there = _on(fitted, tried, support)
-    held = _Held(tried, support, sensor_floors(there, HORIZONS))
+    horizons = horizons_of(there)
+    held = _Held(tried, support, horizons, sensor_floors(there, horizons))
     outputs = fitted.fit.problem.kernel.outputs
     found_before, found_after = held.errors(without), held.errors(fitted)
     energy_before, energy_after = held.energy(found_before), held.energy(found_after)
@@ -155,9 +157,10 @@ def _repair(
         recordings=tuple(each.source for each in recordings),
         held_out=tuple(each.source for each in held_out)
         or tuple(f"last third of {each.source}" for each in recordings),
-        before=_side(without, _rms(found_before)),
-        after=_side(fitted, _rms(found_after)),
-        floor_training=_by_channel(sensor_floors(fitted.fit, HORIZONS), outputs),
+        horizons=horizons,
+        before=_side(without, _rms(found_before), horizons),
+        after=_side(fitted, _rms(found_after), horizons),
+        floor_training=_by_channel(sensor_floors(fitted.fit, horizons), outputs),
         floor_held_out=_by_channel(held.floor, outputs),
         budget=Budget.of(float(np.mean(energy_before)), float(np.mean(energy_after))),
         moved=_moved(without, fitted),
@@ -234,7 +237,7 @@ def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
     return {name: tuple(column.tolist()) for name, column in zip(outputs, rms.T, strict=True)}
 
 
-def _side(fitted: Fitted, held_out: Array) -> Side:
+def _side(fitted: Fitted, held_out: Array, horizons: Sequence[float]) -> Side:
     task, outputs = fitted.fit.problem, fitted.fit.problem.kernel.outputs
     parameters = {
         name: FittedParameter(value, fitted.deviations[name], each.unit, each.status.value, each.reason)
@@ -244,7 +247,7 @@ def _side(fitted: Fitted, held_out: Array) -> Side:
         log_likelihood=fitted.log_likelihood,
         bic=fitted.bic,
         parameters=parameters,
-        training=_by_channel(_rms(errors(fitted.fit, HORIZONS)), outputs),
+        training=_by_channel(_rms(errors(fitted.fit, horizons)), outputs),
         held_out=_by_channel(held_out, outputs),
         innovation_ratio=innovation_ratio(task, fitted.fit.values, _floor(fitted)),
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from diagnosis.repair_result import HORIZONS, Repair
+from diagnosis.repair_result import Repair
 from diagnosis.repair_words import readable
 
 BEFORE, AFTER, FLOOR, LEFT = "#D55E00", "#0072B2", "0.75", "#E69F00"
@@ -45,13 +45,13 @@ def _draw_errors(axes: Axes, repair: Repair, channel: str, unit: str) -> None:
     sides = ((repair.before, BEFORE, f"without {repair.effect}"), (repair.after, AFTER, f"with {repair.effect}"))
     floor = [factor * each for each in repair.floor_held_out[channel]]
     lowest = 0.5 * min(*floor, *(factor * e for side, _, _ in sides for e in side.held_out[channel]))
-    axes.fill_between(HORIZONS, floor, lowest, color=FLOOR, linewidth=0.0, label="sensors alone")
+    axes.fill_between(repair.horizons, floor, lowest, color=FLOOR, linewidth=0.0, label="sensors alone")
     for side, colour, label in sides:
         held_out, training = ([factor * each for each in kind[channel]] for kind in (side.held_out, side.training))
-        axes.plot(HORIZONS, held_out, "o-", color=colour, label=f"{label}, held out")
-        axes.plot(HORIZONS, training, "--", color=colour, linewidth=0.9, label=f"{label}, fitted")
+        axes.plot(repair.horizons, held_out, "o-", color=colour, label=f"{label}, held out")
+        axes.plot(repair.horizons, training, "--", color=colour, linewidth=0.9, label=f"{label}, fitted")
     axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel=f"RMS error of {channel}, {shown}")
-    axes.set_xticks(HORIZONS, [f"{each:g}" for each in HORIZONS])
+    axes.set_xticks(repair.horizons, [f"{each:g}" for each in repair.horizons])
     axes.minorticks_off()
     axes.set_ylim(bottom=lowest)
 
@@ -71,5 +71,5 @@ def _draw_budget(axes: Axes, repair: Repair) -> None:
             axes.text(start + 0.5 * share, 0.0, text, ha="center", va="center", color=shade, fontsize=9)
         start += share
     axes.set(xlim=(0.0, 1.0), yticks=(), xticks=())
-    axes.set_xlabel(f"held-out error energy {HORIZONS[-1]:g} s ahead, before {repair.effect} was there")
+    axes.set_xlabel(f"held-out error energy {repair.horizons[-1]:g} s ahead, before {repair.effect} was there")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.5), ncols=3, fontsize=8, frameon=False)

@@ -9,8 +9,9 @@ from typing import Any
 
 from models.model import Model
 
-HORIZONS = (0.05, 0.2, 0.5)
-"""s ahead at which errors are told; the last is that of the budget."""
+HORIZONS = (0.125, 0.5, 1.25)
+"""Time scales (estimators.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last is
+that of the budget."""
 ODDS = 20.0
 """Odds from which one explanation counts as better than another."""
 
@@ -18,7 +19,7 @@ SURE = 3.0
 """Standard errors from which a size, or a difference on held-out data, counts."""
 
 Errors = Mapping[str, tuple[float, ...]]
-"""Channel to RMS error at each of HORIZONS, in the channel's unit."""
+"""Channel to RMS error at each horizon, in the channel's unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Shares of the held-out error energy, HORIZONS[-1] ahead and before the effect was added; they sum to 1.
+    """Shares of the held-out error energy, the last horizon ahead and before the effect was added; they sum to 1.
 
     `before` and `after` are that energy over a right model's, the mean of all channels.
     """
@@ -130,7 +131,8 @@ class Neighbour:
 class Repair:
     """What `diagnosis.repair.repair` tells. `model` is the one with the effect and all values fitted.
 
-    `recordings` and `held_out` say in words what was fitted and what was tried. `floor_training` and `floor_held_out`
+    `recordings` and `held_out` say in words what was fitted and what was tried. `horizons`: s ahead at which errors are
+    told. `floor_training` and `floor_held_out`
     are what the sensors alone would make of a right model. `moved` are the parameters known before, by name. `surety`:
     by how many standard deviations the effect's size is away from zero.
     """
@@ -141,6 +143,7 @@ class Repair:
     at: str
     recordings: tuple[str, ...]
     held_out: tuple[str, ...]
+    horizons: tuple[float, ...]
     before: Side
     after: Side
     floor_training: Errors
@@ -174,7 +177,7 @@ class Repair:
             "at": self.at,
             "recordings": list(self.recordings),
             "held_out": list(self.held_out),
-            "horizons": list(HORIZONS),
+            "horizons": list(self.horizons),
             "before": _side(self.before),
             "after": _side(self.after),
             "floor": {"training": _errors(self.floor_training), "held_out": _errors(self.floor_held_out)},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 
-from diagnosis.repair_result import HORIZONS, ODDS, SURE, Neighbour, Repair
+from diagnosis.repair_result import ODDS, SURE, Neighbour, Repair
 
 MOST_ODDS = 1e4
 WORTH_TELLING = 0.05
@@ -34,7 +34,7 @@ def odds_text(odds: float) -> str:
 
 
 def _sentences(repair: Repair) -> Iterator[str]:
-    budget, horizon = repair.budget, HORIZONS[-1]
+    budget, horizon = repair.budget, repair.horizons[-1]
     moves = "stays as it is"
     if abs(budget.fall) > 5e-4:
         moves = f"{'falls' if budget.fall > 0.0 else 'rises'} by {_percent(abs(budget.fall))}"
@@ -48,7 +48,7 @@ def _sentences(repair: Repair) -> Iterator[str]:
         )
     elif budget.fall <= 0.0 and (near := _falls_near(repair)):
         channels = " and ".join(f"{channel} by {_percent(share)}" for channel, share in near.items())
-        yield f"{HORIZONS[0]:g} s ahead it falls: {channels}. What is left of it grows on the way from there on."
+        yield f"{repair.horizons[0]:g} s ahead it falls: {channels}. What is left of it grows on the way from there on."
     elif budget.fall <= 0.0:
         yield "It explains the records it was fitted to and no others: the model may lack something else."
     else:
@@ -72,7 +72,7 @@ def _falls_near(repair: Repair) -> dict[str, float]:
     """Shares by which held-out errors fall at the shortest horizon, of the channels that show more than the sensors'
     there; empty where one of these rises.
 
-    A vehicle that falls over makes much of little: where a blow comes a row late, half a second later nothing is right.
+    A vehicle that falls over makes much of little: where a blow comes a row late, some rows later nothing is right.
     """
     floor = repair.floor_held_out
     before, after = repair.before.held_out, repair.after.held_out

@@ -22,6 +22,7 @@ from scipy.stats import chi2
 from diagnosis.floor import Innovations
 from diagnosis.force_probe import Probe, recurrence
 from diagnosis.whitened import Whitened, project, whitening
+from estimators.time_scale import time_scale
 
 Array = NDArray[np.float64]
 
@@ -29,8 +30,9 @@ KNOTS = 8
 """Of a piecewise straight line, with as many rows between neighbours."""
 HARMONICS = 12
 """Of the range of a coordinate."""
-SLOWEST, FASTEST, BANDS = 0.1, 5.0, 60
-"""Hz, between which a coefficient may swing in time, and how many bands' strongest lines are tried."""
+SLOWEST, FASTEST, BANDS = 0.04, 2.0, 60
+"""Over the time scale (estimators.time_scale; 0.1 and 5 Hz of the MONOCAB), between which a coefficient may swing in
+time, and how many bands' strongest lines are tried."""
 CUBES = ("{0} cubed", "{0} squared times {1}", "{0} times {1} squared", "{1} cubed")
 OVERSAMPLED = 4
 """Lines a band of the width that a record resolves, one over its length: between two of them nothing is missed."""
@@ -171,6 +173,8 @@ class _Design:
     def __init__(self, white: Whitened, found: Innovations, probed: Probe, place: int) -> None:
         fit, response = white.fit, probed.response
         self.white, self.segments = white, fit.problem.segments
+        scale = time_scale(fit.problem.model, self.segments)
+        self.slowest, self.fastest = SLOWEST / scale, FASTEST / scale
         floor = found.floor
         predictor = floor.transition - floor.transition @ fit.gain @ floor.output
         pushes = np.zeros((max(map(len, self.segments)), len(predictor)))
@@ -211,12 +215,12 @@ class _Design:
             )
             pulled.append(inside * np.asarray(back)[::-1])
         # Gathered into eighths of the fastest turn, within which a swing hardly moves.
-        width = 0.125 / FASTEST
+        width = 0.125 / self.fastest
         places, inverse = np.unique(np.floor(time / width), return_inverse=True)
         weights = np.bincount(inverse, weights=np.concatenate(pulled))
-        told = float(np.ptp(time)) * (FASTEST - SLOWEST)
+        told = float(np.ptp(time)) * (self.fastest - self.slowest)
         chosen = []
-        for low, high in pairwise(np.linspace(SLOWEST, FASTEST, BANDS + 1).tolist()):
+        for low, high in pairwise(np.linspace(self.slowest, self.fastest, BANDS + 1).tolist()):
             lines = np.linspace(low, high, max(2, math.ceil(OVERSAMPLED * told / BANDS)))
             power = np.abs(np.exp(-2.0j * np.pi * width * np.outer(lines, places)) @ weights)
             chosen.append(float(lines[np.argmax(power)]))

@@ -23,12 +23,13 @@ from diagnosis.step import WORTH
 from diagnosis.workspace import Workspace
 from models.effect import Effect
 from models.model import Model
+from models.natural_time import USUAL, natural_time
 from telemetry.recording import Recording
 
 MASKED = ("input_delay", "actuator_lag")
 """Effects that the lag of a speed loop takes the place of."""
-LOOKED_AT = 8.0
-"""s of a record that tell which speed loop it is."""
+LOOKED_AT = 20.0
+"""Natural times (models.natural_time; 8 s of the MONOCAB) of a record that tell which speed loop it is."""
 FORMULA = 0.06
 """Share of its own lag to which the formula of a speed loop holds: a further lag that is less is part of it.
 
@@ -43,11 +44,11 @@ SLOWER = 3.0
 def speed_loop(
     actuators: Sequence[Model], recordings: Sequence[Recording], effects: Sequence[Effect]
 ) -> tuple[Model, tuple[str, ...]]:
-    """The model that explains LOOKED_AT s best, with the ramp that does, and which of MASKED may be missing there.
+    """The model that explains LOOKED_AT best, with the ramp that does, and which of MASKED may be missing there.
 
     Raises DataError where the recordings cannot be used, ArithmeticError where no model can be fitted to them.
     """
-    few = [middle(recordings[0], actuators[0], LOOKED_AT)]
+    few = [middle(recordings[0], actuators[0], LOOKED_AT * (natural_time(actuators[0]) or USUAL))]
     best, hidden = _nearest(actuators, few, effects)
     model = actuators[[each.name for each in actuators].index(best.model.name)]
     ramp = own_ramp(best, few)

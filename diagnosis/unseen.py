@@ -29,6 +29,7 @@ from estimators.gauss_newton import Block, eliminate
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
 from estimators.segments import segments
+from estimators.time_scale import time_scale
 from models.effect import AttachedEffect
 from models.model import Model
 from telemetry.recording import Recording
@@ -41,16 +42,17 @@ THIRDS = 3
 PIECES = 2
 """Of each third: what shows at one end of the recording only is both seen by fits and tried. With six, of 2 s each, a
 constant torque of 3 N m was not told from where each stretch begins."""
-SETTLING = 0.5
-"""s at the beginning of a recording that tell of the start, not of the model."""
-BLOCK = 1.0
-"""s of held-out data that count as one piece of evidence."""
+SETTLING = 1.25
+"""Time scales (estimators.time_scale) at the beginning of a recording that tell of the start, not of the model: 0.5 s
+of the MONOCAB."""
+BLOCK = 2.5
+"""Time scales of held-out data that count as one piece of evidence."""
 SURE = 2.0
 """Standard deviations from zero of an amplitude that a part of the data tells: one that does not tell cannot judge, and
 in one where the effect would not be told it is not judged. And those by which an error ahead surely grows."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
-HORIZON = 0.5
-"""s ahead at which held-out errors are told: far enough for a missing force to show."""
+HORIZON = 1.25
+"""Time scales ahead at which held-out errors are told: far enough for a missing force to show."""
 TAILS = 1e-3
 """Share of the errors that parts which strike each other make, and"""
 WIDER = 10.0
@@ -199,7 +201,7 @@ def judge(
     if not gains:
         return None
     differences, foretold = np.concatenate(gains), np.concatenate(promises)
-    # What is gained where it was foretold is no noise, however few the seconds are in which the effect shows.
+    # What is gained where it was foretold is no noise, however short the time is in which the effect shows.
     share = float(np.clip(np.sum(differences) / np.sum(foretold), 0.0, 1.0))
     noise = float(np.linalg.norm(differences - share * foretold))
     if np.sum(foretold) < noise:
@@ -222,11 +224,12 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
     """Error energies HORIZON ahead over that of the sensors' noise, under `one`, under `other`, and of what the two
     predict apart, (m, 3)."""
     there = ahead.on(other, problem(other.problem.model, [part.whole], support=support))
-    floor = ahead.sensor_floors(there, (HORIZON,))[0]
+    horizon = HORIZON * time_scale(there.problem.model, there.problem.segments)
+    floor = ahead.sensor_floors(there, (horizon,))[0]
     before = ahead.on(one, problem(one.problem.model, [part.whole], support=support))
-    errors, less = (ahead.errors(each, (HORIZON,))[0] / floor for each in (before, there))
+    errors, less = (ahead.errors(each, (horizon,))[0] / floor for each in (before, there))
     squares = np.stack([np.mean(each**2, axis=1) for each in (errors, less, errors - less)], axis=1)
-    judged = squares[part.judges(ahead.times(there, HORIZON))]
+    judged = squares[part.judges(ahead.times(there, horizon))]
     return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 
@@ -244,7 +247,7 @@ def loss(white: Array, struck: bool) -> Array:
 
 
 def _log_density(fitted: Fit, part: Fold, support: float | None, struck: bool) -> Array:
-    """Of the judged rows, by blocks of a second."""
+    """Of the judged rows, by blocks of time."""
     task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
     return _by_blocks(part, task, [-loss(z, struck) - 0.5 * logarithm for z in _innovations(fitted, task)])
@@ -265,12 +268,12 @@ def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:
 
 
 def _by_blocks(part: Fold, task: Problem, rows: Sequence[Array]) -> Array:
-    """Sums over the judged ones of `rows`, by stretch, of blocks of a second."""
-    found = []
+    """Sums over the judged ones of `rows`, by stretch, of blocks of time."""
+    found, scale = [], time_scale(task.model, task.segments)
     for segment, each in zip(task.segments, rows, strict=True):
-        begin = float(segment.time[0]) + SETTLING
+        begin = float(segment.time[0]) + SETTLING * scale
         judged = part.judges(segment.time) & (segment.time >= begin)
-        _, number = np.unique(((segment.time[judged] - begin) / BLOCK).astype(np.int64), return_inverse=True)
+        _, number = np.unique(((segment.time[judged] - begin) / (BLOCK * scale)).astype(np.int64), return_inverse=True)
         found.append(np.bincount(number, weights=each[judged]))
     return np.concatenate(found)
 

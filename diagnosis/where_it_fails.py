@@ -1,7 +1,7 @@
 """Where a model fails: by time, by frequency, by state and by equation, each with its significance.
 
-* time: energy of the innovations over the floor in windows of 2 s, row by row and averaged over 0.1 s, since what a
-  vehicle lacks is slow and the noise is not.
+* time: energy of the innovations over the floor in windows of 5 time scales (estimators.time_scale; 2 s of the
+  MONOCAB), row by row and averaged over a quarter of one, since what a vehicle lacks is slow and the noise is not.
 * frequency: the same by octaves, from the periodogram.
 * state: the mean missing force by bins of each coordinate, beyond what other parameter values would mend, with a false
   discovery rate over all bins (diagnosis.force_bins).
@@ -28,6 +28,7 @@ from diagnosis.floor import Innovations
 from diagnosis.force_bins import Binned, Term, binned_forces, mean_forces
 from diagnosis.force_probe import probe
 from diagnosis.missing_force import MissingForce, missing_force
+from estimators.time_scale import time_scale
 from models.kernel import Progress
 
 Array = NDArray[np.float64]
@@ -36,10 +37,10 @@ Entry = dict[str, Any]
 LEVEL = 0.01
 """Probability with which a model that is right is called not adequate, over all views."""
 VIEWS = ("time", "frequency", "state", "equation")
-WINDOW = 2.0
-"""s of a window of the view by time."""
-AVERAGE = 0.1
-"""s over which innovations are averaged beside being taken row by row."""
+WINDOW = 5.0
+"""Time scales of a window of the view by time."""
+AVERAGE = 0.25
+"""Time scales over which innovations are averaged beside being taken row by row."""
 LINES = 8
 """Of the periodogram that the lowest octave has at least."""
 
@@ -93,10 +94,11 @@ def _told(found: Innovations) -> list[tuple[int, str]]:
 
 def energies_by_time(found: Innovations) -> list[Energy]:
     """Each window of each channel, of row by row and averaged the one that is less likely: s from the first row."""
-    spacing, results = found.floor.spacing, []
-    averaged = max(1, round(AVERAGE / spacing))
+    results = []
+    scale = time_scale(found.problem.model, found.problem.segments)
+    averaged = max(1, round(AVERAGE * scale / found.floor.spacing))
     for segment, errors in zip(found.problem.segments, found.normalised, strict=True):
-        count = max(1, round(segment.duration / WINDOW))
+        count = max(1, round(segment.duration / (WINDOW * scale)))
         for rows in np.array_split(np.arange(len(segment)), count):
             for place, channel in _told(found):
                 part = errors[rows, place]
@@ -236,7 +238,8 @@ def summary(fails: Mapping[str, Sequence[Entry]]) -> list[str]:
         sentences.append(f"By frequency: worst at {where}, {entry['power_over_floor']:.3g} times the floor.")
     for entry in fails["time"][:1]:
         where = f"{entry['from']:.1f} to {entry['to']:.1f} s, {entry['energy_over_floor']:.3g} times the floor"
-        sentences.append(f"By time: {len(fails['time'])} windows of {WINDOW:g} s, worst from {where}.")
+        span = f"{entry['to'] - entry['from']:.2g}"
+        sentences.append(f"By time: {len(fails['time'])} windows of {span} s, worst from {where}.")
     return sentences
 
 

@@ -17,11 +17,13 @@ from estimators.gauss_newton import Block
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
+from estimators.time_scale import time_scale
 
 Array = NDArray[np.float64]
 
-BLOCK = 0.5
-"""s in which innovations that are not white are taken as one."""
+BLOCK = 1.25
+"""Time scales (estimators.time_scale) in which innovations that are not white are taken as one: 0.5 s of the
+MONOCAB."""
 FINEST = 32
 """Steps a row, at most."""
 SAME = 3e-7
@@ -33,8 +35,8 @@ class Whitened:
     """The whitened innovations of a fit, and what its nuisances would do to them.
 
     `residual` (n + k,), all nuisances projected out, the last `priors` = k rows of it how far these are off their
-    priors; `blocks` (n + k,) numbers the half-seconds, and each of the last rows; `starts`, by stretch, an orthonormal
-    basis of what its initial state does; `nuisance` (n + k, p), one of what the nuisances do beside that.
+    priors; `blocks` (n + k,) numbers the blocks of time, and each of the last rows; `starts`, by stretch, an
+    orthonormal basis of what its initial state does; `nuisance` (n + k, p), one of what the nuisances do beside that.
     """
 
     fit: Fit
@@ -118,8 +120,8 @@ class Whitened:
 PEAKS = 3
 FINER = 8
 """Frequencies that are looked at for each that the record tells apart."""
-SLOWEST = 0.1
-"""Hz, of a peak in the spectrum that is looked at."""
+SLOWEST = 0.04
+"""Over the time scale, Hz, of a peak in the spectrum that is looked at."""
 
 
 def peaks(innovations: Whitened) -> tuple[list[float], int]:
@@ -135,7 +137,7 @@ def peaks(innovations: Whitened) -> tuple[list[float], int]:
     padded = FINER * len(rows)
     power = np.sum(np.abs(np.fft.rfft(rows * window, padded, axis=0)) ** 2, axis=1)
     frequency = np.fft.rfftfreq(padded, float(np.median(np.diff(segment.time))))
-    power[frequency < SLOWEST] = 0.0
+    power[frequency < SLOWEST / time_scale(task.model, task.segments)] = 0.0
     found: list[float] = []
     for place in np.argsort(power)[::-1]:
         if all(abs(frequency[place] - other) > 2.0 / segment.duration for other in found):
@@ -168,10 +170,11 @@ def less(columns: Array, basis: Array) -> Array:
 
 
 def _blocks(task: Problem, evaluated: Sequence[Block]) -> NDArray[np.int64]:
-    """The half-second each row belongs to; rows that say how far a start may be off go with the first."""
+    """The block of time that each row belongs to; rows that say how far a start may be off go with the first."""
     numbers, following = [], 0
+    length = BLOCK * time_scale(task.model, task.segments)
     for segment, block in zip(task.segments, evaluated, strict=True):
-        number = ((segment.time - segment.time[0]) / BLOCK).astype(np.int64)
+        number = ((segment.time - segment.time[0]) / length).astype(np.int64)
         rows = np.repeat(number, len(task.kernel.outputs))
         numbers.append(following + np.concatenate((rows, np.zeros(len(block.residual) - len(rows), dtype=np.int64))))
         following += int(number[-1]) + 1

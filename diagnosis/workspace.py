@@ -14,14 +14,16 @@ from diagnosis.actuator_rows import of_actuators
 from diagnosis.candidates import Candidate, candidates_for
 from estimators.problem import Problem, problem
 from estimators.segments import segments
+from estimators.time_scale import time_scale
 from models.effect import Effect
 from models.kernel import Progress
 from models.model import Model
 from models.segment import Segment
 from telemetry.recording import Recording
 
-SETTLING = 0.2
-"""s after which an actuator has forgotten what it was told before the first row."""
+SETTLING = 0.5
+"""Time scales (estimators.time_scale; 0.2 s of the MONOCAB) after which an actuator has forgotten what it was told
+before the first row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,8 @@ class Workspace:
         found, left_out = candidates_for(model, recordings, effects)
         rows = segments(attached(model, found), recordings, support=support)
         if of_actuators(model):
-            rows = [_settled(each) for each in rows]
+            settling = SETTLING * time_scale(model, rows)
+            rows = [_settled(each, settling) for each in rows]
         return cls(tuple(recordings), support, tuple(rows), tuple(found), left_out)
 
     def problem(self, model: Model, progress: Progress | None = None) -> Problem:
@@ -59,10 +62,10 @@ class Workspace:
         return [each for each in self.candidates if each.name not in there]
 
 
-def _settled(segment: Segment) -> Segment:
-    """Without what an actuator did in its first moments: a command that acts later was given before them."""
+def _settled(segment: Segment, settling: float) -> Segment:
+    """Without what an actuator did in its first `settling` s: a command that acts later was given before them."""
     measured = segment.measured.copy()
-    measured[1:][segment.time[1:] - segment.time[0] < SETTLING] = np.nan
+    measured[1:][segment.time[1:] - segment.time[0] < settling] = np.nan
     return replace(segment, measured=measured)
 
 

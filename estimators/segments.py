@@ -23,6 +23,7 @@ from estimators.contract import EstimationError, Status
 from models.curves import read
 from models.expressions import names_in
 from models.model import Hold, Input, Model, Output
+from models.natural_time import USUAL, natural_time
 from models.segment import Segment
 from models.sensing import filter_inputs
 from telemetry.channels import NOTHING_RUNS
@@ -36,10 +37,13 @@ SUPPORT_MARGIN = float(np.radians(0.3))
 """rad inside the support angle within which a vehicle counts as free."""
 RESTING = 0.8
 """Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
-REACH = 1.0
-"""s before a stretch of which it keeps the inputs: a lag of 0.2 s forgets all but a hundredth in that."""
-FORETOLD = 0.2
-"""s before a fall, within which what made the vehicle fall may have been at work: left out, too."""
+REACH = 2.5
+"""Natural times (models.natural_time) before a stretch of which it keeps the inputs: a lag of half a one forgets all
+but a hundredth in that."""
+FORETOLD = 0.5
+"""Natural times before a fall, within which what made the vehicle fall may have been at work: left out, too."""
+OVER = 1.25
+"""Natural times over which an angle is compared with its rate: short against a record, long against quantisation."""
 LONGEST_GAP = 2.5
 """Sampling periods after which a stretch ends."""
 AGREEMENT = (0.5, 2.0)
@@ -162,6 +166,11 @@ def _free(model: Model, recording: Recording, support: float | None) -> NDArray[
     return np.asarray(known)
 
 
+def _natural(model: Model) -> float:
+    """s."""
+    return natural_time(model) or USUAL
+
+
 def _coordinate(model: Model) -> str:
     """The one by which the vehicle falls."""
     return model.joints[0].coordinate if model.joints else ""
@@ -183,10 +192,11 @@ def _falls(model: Model, recording: Recording) -> list[tuple[int, int]]:
 
 
 def _fallen(model: Model, recording: Recording) -> NDArray[np.bool_]:
-    """The rows (n,) of falls, with FORETOLD s before each."""
+    """The rows (n,) of falls, with FORETOLD before each."""
+    before = FORETOLD * _natural(model)
     fallen = np.zeros(len(recording.time), dtype=bool)
     for begin, end in _falls(model, recording):
-        fallen[np.searchsorted(recording.time, recording.time[begin] - FORETOLD) : end] = True
+        fallen[np.searchsorted(recording.time, recording.time[begin] - before) : end] = True
     return fallen
 
 
@@ -224,14 +234,13 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
     pairs += [(actuator.angle, actuator.rate) for actuator in model.actuators]
     for angle, rate in pairs:
         if angle in recording.values and rate in recording.values:
-            _check_pair(recording, angle, rate, free)
+            _check_pair(recording, angle, rate, free, OVER * _natural(model))
 
 
-def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_]) -> None:
-    """An angle moves by the integral of its rate."""
+def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_], span: float) -> None:
+    """An angle moves by the integral of its rate: over `span` s, short against a record, long against noise."""
     values, rates, time = recording[angle], recording[rate], recording.time
-    # Over half a second: short against a record, long against noise and quantisation.
-    ahead = max(1, round(0.5 * recording.rate))
+    ahead = max(1, round(span * recording.rate))
     whole = np.convolve(free, np.ones(ahead + 1), "valid") > ahead
     turned = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
     moved, expected = (values[ahead:] - values[:-ahead])[whole], (turned[ahead:] - turned[:-ahead])[whole]
@@ -305,12 +314,12 @@ def _late(model: Model, recording: Recording) -> NDArray[np.bool_] | None:
     return np.asarray(np.all([np.isfinite(recording[channel]) for channel in channels], axis=0))
 
 
-def _before(recording: Recording, part: slice, known: NDArray[np.bool_]) -> int:
-    """The first of the rows before `part` that follow each other to it, no longer than REACH before, all `known`."""
+def _before(recording: Recording, part: slice, known: NDArray[np.bool_], reach: float) -> int:
+    """The first of the rows before `part` that follow each other to it, no more than `reach` s before, all `known`."""
     time, longest = recording.time, LONGEST_GAP * float(np.median(np.diff(recording.time)))
     row: int = part.start
     while (
-        row > 0 and known[row - 1] and time[row] - time[row - 1] < longest and time[part.start] - time[row - 1] < REACH
+        row > 0 and known[row - 1] and time[row] - time[row - 1] < longest and time[part.start] - time[row - 1] < reach
     ):
         row -= 1
     return row
@@ -323,7 +332,7 @@ def _segment(model: Model, recording: Recording, part: slice, late: NDArray[np.b
     zeros = np.zeros(len(time))
     acting = part
     if late is not None:
-        acting = slice(_before(recording, part, late), part.stop)
+        acting = slice(_before(recording, part, late, REACH * _natural(model)), part.stop)
         part = slice(max(part.start, acting.start + 1), part.stop)
 
     inputs = [_input(recording, each) if each.channel in used else zeros for each in model.inputs]

@@ -12,12 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.methods.prediction_error import HORIZON, Fit, predicted_percent
+from estimators.methods.prediction_error import Fit, predicted_percent
 from estimators.problem import Problem, problem
 from models.segment import Segment
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
+
+HORIZON = 0.5
+"""s ahead, where no other is asked for."""
 
 
 @dataclass(frozen=True, slots=True)

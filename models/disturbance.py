@@ -84,10 +84,9 @@ def _has_own(model: Model, joint: Joint) -> bool:
 
 
 def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: float) -> Model:
-    usual = joint.coordinate_scale / joint.rate_scale
     shortest = max(known.shortest, LEAST_ROWS * step)
     most = max(min(known.longest, longest / LEAST_TIMES), 2.0 * shortest)
-    time = float(np.clip(known.correlation_time or usual, shortest, most)) if not known.known else known.correlation_time
+    time = float(np.clip(known.correlation_time or joint.coordinate_scale / joint.rate_scale, shortest, most)) if not known.known else known.correlation_time
     std = known.std or SMALL * joint.force_scale
     state = State(
         name=state_of(joint.name),

@@ -16,6 +16,9 @@ An effect knows no machine. Its expressions use the names of the place it is att
   names the parameter (s) by which all that it shows is late: where that is all that the model shows, whatever drives
   the model acts later instead, which is exact.
 
+At all of them `time_scale` is a number, the natural time of the model in s (models.natural_time): what an effect does
+in seconds follows it.
+
 States and parameters go by their local names. In a model a parameter is called EFFECT.NAME (EFFECT@PLACE.NAME at
 another than the first place that can have the effect).
 """
@@ -29,6 +32,7 @@ from enum import StrEnum
 
 from models.expressions import check, names_in, number
 from models.model import Actuator, Joint, Model, ModelError, Parameter, Sensor, State
+from models.natural_time import USUAL, rounded
 from models.place import VOCABULARY, offer
 from models.place import Place as Place
 from models.place import places_of as places_of
@@ -67,6 +71,7 @@ class EffectParameter:
     An `amplitude` is zero where the effect is absent; all others shape it and keep `value`. `value`, `scale`, `lower`,
     `upper` and `starts` are expressions of numbers and of the place's scales, and `unit` may use the place's units:
 
+    * anywhere: time_scale
     * joint: force_scale, coordinate_scale, rate_scale, smooth_rate; {force}, {coordinate}
     * joint with an actuator, and actuator: these and command_scale, angle_scale; {command}, {angle}
     * sensor: angle_scale, rate_scale; {angle}, {rate}
@@ -157,13 +162,15 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class AttachedEffect:
-    """An effect in a model: `name` is EFFECT, or EFFECT@PLACE; parameters and states go by their names in the model."""
+    """An effect in a model: `name` is EFFECT, or EFFECT@PLACE; parameters and states go by their names in the model;
+    `time_scale` s is the number that its expressions have by this name."""
 
     effect: Effect
     name: str
     at: str
     parameters: tuple[Parameter, ...]
     states: tuple[State, ...]
+    time_scale: float = USUAL
 
     def qualified(self, local: str) -> str:
         """The name in the model of what the effect calls `local`."""
@@ -193,7 +200,7 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
         raise ModelError(f"effect {name}", f"model {model.name} has it already", remedy=remedy)
     offered = offer(model, place)
     effect = _formula(model, effect, place)
-    bare = AttachedEffect(effect, name, place.name, (), ())
+    bare = AttachedEffect(effect, name, place.name, (), (), offered.scales["time_scale"])
     parameters = []
     for parameter in effect.parameters:
         where = f"effect {effect.name}, parameter {parameter.name}"
@@ -201,10 +208,14 @@ def attach(model: Model, effect: Effect | str, at: str = "") -> AttachedEffect:
             Parameter(
                 name=bare.qualified(parameter.name),
                 unit=_unit(parameter.unit, offered.units, where),
-                value=number(parameter.value, offered.scales, f"{where}, value"),
-                scale=number(parameter.scale, offered.scales, f"{where}, scale") if parameter.scale else 0.0,
-                lower=number(parameter.lower, offered.scales, f"{where}, lower") if parameter.lower else -math.inf,
-                upper=number(parameter.upper, offered.scales, f"{where}, upper") if parameter.upper else math.inf,
+                value=rounded(number(parameter.value, offered.scales, f"{where}, value")),
+                scale=rounded(number(parameter.scale, offered.scales, f"{where}, scale")) if parameter.scale else 0.0,
+                lower=rounded(number(parameter.lower, offered.scales, f"{where}, lower"))
+                if parameter.lower
+                else -math.inf,
+                upper=rounded(number(parameter.upper, offered.scales, f"{where}, upper"))
+                if parameter.upper
+                else math.inf,
                 estimated=parameter.amplitude,
                 meaning=parameter.meaning,
             )
@@ -246,7 +257,7 @@ def starts(model: Model, attached: AttachedEffect, name: str) -> tuple[float, ..
             place = next(each for each in places_of(model, attached.effect.place) if each.name == attached.at)
             scales = offer(model, place).scales
             where = f"effect {attached.effect.name}, parameter {name}, starts"
-            return tuple(number(text, scales, where) for text in (parameter.value, *parameter.starts))
+            return tuple(rounded(number(text, scales, where)) for text in (parameter.value, *parameter.starts))
     there = ", ".join(parameter.name for parameter in attached.effect.parameters)
     raise ModelError(f"effect {attached.name}", f"there is no parameter {name!r}", remedy=f"use one of: {there}.")
 

@@ -158,7 +158,8 @@ def _acts_on(model: Model, attached: AttachedEffect, name: str) -> bool:
 def _local(attached: AttachedEffect, symbols: Symbols, names: Mapping[str, sympy.Expr]) -> dict[str, sympy.Expr]:
     """What an effect's expressions may use: the names of its place and its own parameters and states."""
     own = [parameter.name for parameter in attached.effect.parameters] + [s.name for s in attached.effect.states]
-    return {**names, "time": symbols["time"], **{name: symbols[attached.qualified(name)] for name in own}}
+    known = {**names, "time": symbols["time"], "time_scale": sympy.Float(attached.time_scale)}
+    return {**known, **{name: symbols[attached.qualified(name)] for name in own}}
 
 
 def _mover(actuator: Actuator, symbols: Symbols) -> dict[str, sympy.Expr]:

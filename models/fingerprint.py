@@ -26,7 +26,7 @@ def fingerprint(model: Model) -> str:
         expressions = list(effect.expressions.items())
         names = [parameter.name for parameter in effect.parameters]
         shifts = (effect.delay, effect.lag)
-        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, names)]
+        parts += [(attached.name, attached.at, effect.place.value, expressions, shifts, names, attached.time_scale)]
     return digest(*parts)
 
 

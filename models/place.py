@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from models.model import Actuator, Joint, Model, Sensor
+from models.natural_time import USUAL, natural_time
 
 
 class Place(StrEnum):
@@ -17,7 +18,8 @@ class Place(StrEnum):
     SENSOR = "sensor"
 
 
-_ANYWHERE = ("time",)
+_ANYWHERE = ("time", "time_scale")
+"""`time_scale`, s, is a number: the model's natural time (models.natural_time)."""
 EVERY_JOINT = ("coordinate", "rate", "inertia", "load", "smooth_rate")
 """What there is at joints of all models."""
 _MOVED = ("actuator_rate", "actuator_angle")
@@ -32,9 +34,9 @@ VOCABULARY: Mapping[Place, frozenset[str]] = {
 
 _JOINT_SCALES = ("force_scale", "coordinate_scale", "rate_scale", "smooth_rate")
 SCALES: Mapping[Place, frozenset[str]] = {
-    Place.JOINT: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale")),
-    Place.ACTUATOR: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale")),
-    Place.SENSOR: frozenset(("angle_scale", "rate_scale")),
+    Place.JOINT: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale", "time_scale")),
+    Place.ACTUATOR: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale", "time_scale")),
+    Place.SENSOR: frozenset(("angle_scale", "rate_scale", "time_scale")),
 }
 """Numbers that the values, scales, bounds and starts of an effect's parameters may use, where its place has them."""
 
@@ -69,8 +71,9 @@ def places_of(model: Model, place: Place) -> tuple[Joint | Actuator | Sensor, ..
 
 def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
     """What `place`, one of `model`'s, has."""
+    scales: dict[str, float] = {"time_scale": natural_time(model) or USUAL}
     if isinstance(place, Sensor):
-        return _sensor(place)
+        return _sensor(place, scales)
     joint: Joint | None
     if isinstance(place, Actuator):
         joint = next((joint for joint in model.joints if joint.name == place.joint), None)
@@ -80,7 +83,6 @@ def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
         joint = place
         actuator = next((each for each in model.actuators if each.joint == joint.name), None)
         names = {*_ANYWHERE, *EVERY_JOINT}
-    scales: dict[str, float] = {}
     units: dict[str, str] = {}
     measured_in: dict[str, str] = {}
     if joint is not None:
@@ -97,12 +99,12 @@ def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
     return Offer(frozenset(names), radians, scales, units)
 
 
-def _sensor(sensor: Sensor) -> Offer:
+def _sensor(sensor: Sensor, scales: Mapping[str, float]) -> Offer:
     measured = {"angle": sensor.angle, "rate": sensor.rate}
     names = {name for each, output in measured.items() if output for name in _READINGS[each]}
     return Offer(
         frozenset((*_ANYWHERE, *names)),
         frozenset({"angle"} & names) if sensor.angle_unit == "rad" else frozenset(),
-        {"angle_scale": sensor.angle_scale, "rate_scale": sensor.rate_scale},
+        {**scales, "angle_scale": sensor.angle_scale, "rate_scale": sensor.rate_scale},
         {"angle": sensor.angle_unit, "rate": sensor.rate_unit},
     )

@@ -272,7 +272,8 @@ def _actuator(model: Model, attached: AttachedEffect) -> Actuator:
 
 def _own(attached: AttachedEffect) -> dict[str, str]:
     """An effect's own names as the model has them."""
-    return {name: attached.qualified(name) for name in attached.effect.own_names}
+    own = {name: attached.qualified(name) for name in attached.effect.own_names}
+    return {**own, "time_scale": repr(attached.time_scale)}
 
 
 def _at_joint(model: Model, joint: Joint) -> dict[str, str]:

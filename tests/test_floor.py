@@ -8,7 +8,7 @@ import pytest
 import virtual_records
 
 from diagnosis.floor import floor, innovation_ratio, sensor_noise, with_nuisances
-from diagnosis.horizons import HORIZONS, predictions
+from diagnosis.horizons import predictions
 from estimators.contract import EstimationError
 from estimators.problem import Problem, problem
 from estimators.white_noise import white_variance
@@ -101,7 +101,7 @@ def test_process_noise_is_lowered_to_what_shows_and_never_raised() -> None:
 def test_predictions_of_a_right_model_are_off_by_the_floor_at_every_horizon(clean: Problem) -> None:
     """At 2 s there are 17 independent predictions: their RMS is known to a sixth, and the floor is an upper one."""
     ahead = predictions(with_nuisances(clean, clean.kernel.vector()))
-    assert tuple(each.horizon for each in ahead) == HORIZONS
+    assert tuple(each.horizon for each in ahead) == (0.05, 0.2, 0.5, 2.0)
     for each in ahead:
         assert 0.5 < each.rmse("roll_rate") / each.floor["roll_rate"] < 1.35
     assert ahead[-1].floor["roll"] > 100.0 * ahead[0].floor["roll"]  # the plant is unstable: exp(3 * 2)

@@ -13,11 +13,11 @@ import pytest
 
 from diagnosis.ahead import errors, on, sensor_floors
 from diagnosis.drop_tests import drop_tests
-from diagnosis.effect_fit import fit_model
+from diagnosis.effect_fit import fit_model, horizons_of
 from diagnosis.held_out import split
 from diagnosis.repair import repair
 from diagnosis.repair_figure import repair_figure
-from diagnosis.repair_result import HORIZONS, Budget, Neighbour, Repair
+from diagnosis.repair_result import Budget, Neighbour, Repair
 from diagnosis.repair_words import in_words, odds_text
 from estimators.contract import Status
 from estimators.problem import problem
@@ -232,9 +232,10 @@ def test_a_right_model_is_off_by_the_sensors_alone() -> None:
     training, tried = split(bare(), [recording], [])
     fitted = fit_model(bare().add("viscous_friction"), training)
     there = on(fitted.fit, problem(fitted.prior, tried))
-    rms = np.array([np.sqrt(np.mean(each**2, axis=0)) for each in errors(there, HORIZONS)])
+    horizons = horizons_of(there)
+    rms = np.array([np.sqrt(np.mean(each**2, axis=0)) for each in errors(there, horizons)])
     # About 10 s of held-out data with errors that go together for as long as the horizon: a third is two deviations.
-    assert rms == pytest.approx(sensor_floors(there, HORIZONS), rel=0.35)
+    assert rms == pytest.approx(sensor_floors(there, horizons), rel=0.35)
 
 
 def test_the_initial_state_of_held_out_data_is_fitted() -> None:

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from diagnosis.compare import SHOWN_HORIZON, Comparison
+from diagnosis.compare import Comparison
 from diagnosis.force_bins import Binned
 from diagnosis.horizons import Prediction
 from diagnosis.report.drawing import (
@@ -81,7 +81,8 @@ def overlay(comparisons: Sequence[Comparison], name: str = "overlay") -> str:
 
 
 def _shown(comparison: Comparison) -> Prediction | None:
-    return next((each for each in reversed(comparison.predictions) if each.horizon <= SHOWN_HORIZON), None)
+    longest = comparison.shown_horizon
+    return next((each for each in reversed(comparison.predictions) if each.horizon <= longest), None)
 
 
 def _ends(comparison: Comparison) -> tuple[list[float], list[float]]:

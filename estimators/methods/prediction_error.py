@@ -25,6 +25,7 @@ from estimators.logarithms import InLogarithms
 from estimators.problem import Problem, problem
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
+from estimators.time_scale import time_scale
 from models import library
 from models.kernel import Progress
 from models.model import Model
@@ -39,8 +40,8 @@ ITERATIONS = 200
 """Steps at most. A robot of which seven numbers do much the same takes up to 102 (60 fits of 30 records)."""
 ENOUGH = 1e-3
 """Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
-HORIZON = 0.5
-"""s ahead that fit_percent tells of."""
+HORIZON = 1.25
+"""Time scales (estimators.time_scale) ahead that fit_percent tells of: half a second of the MONOCAB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +261,7 @@ def result(fitted: Fit, began: float) -> Estimate:
         minimum,
         covariance=covariance[:size, :size],
         data_covariance=inverse(information - np.diag(known_before))[:size, :size],
-        fit_percent=predicted_percent(fitted, HORIZON),
+        fit_percent=predicted_percent(fitted, HORIZON * time_scale(task.model, task.segments)),
         seconds=stopwatch() - began,
     )
 
@@ -272,7 +273,7 @@ def predicted_percent(fitted: Fit, horizon: float) -> dict[str, float]:
     errors: list[Array] = []
     shown: list[Array] = []
     for segment, start in zip(task.segments, fitted.starts, strict=True):
-        steps = round(horizon / float(np.median(np.diff(segment.time))))
+        steps = max(1, round(horizon / float(np.median(np.diff(segment.time)))))
         predicted, nothing = np.empty_like(segment.measured), np.empty((*segment.measured.shape, 0))
         filtered, free = kernel.memory(start), kernel.memory(start)
         correct, simulate = (

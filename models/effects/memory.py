@@ -8,7 +8,7 @@ Play lies between a motor, whose motion is measured, and what it moves. The torq
 one flank or the other, and this is what it has to do behind the play: to accelerate the load and to carry the reaction
 of the joint, which is gain x rate, since no power is lost (a gyroscope's, or that of a gear). When it changes its sign
 the load is late by the play, and on either flank it is late by the elastic twist. Both are motions that the motor does
-not make. The crossing itself takes milliseconds and is drawn as a lag. That the flank is the torque's sets this apart
+not make. The crossing itself is short and is drawn as a lag. That the flank is the torque's sets this apart
 from the play of a kinematic chain that only friction drags along: there the motor's reversal decides.
 
 Where the motor is one of the moving masses, with a rotor heavier than all that is behind its gear, play is another
@@ -59,7 +59,7 @@ HYSTERESIS = Effect(
     source="Bouc (1967); Wen, J. Eng. Mech. 102 (1976) 249, with n = 2, beta = gamma = 1/2",
 )
 
-_QUICK = "0.002"
+_QUICK = "(0.005 * time_scale)"
 """s: by so much the motor's acceleration is late, which is nothing beside the crossing of any play."""
 _PUSH = f"(gain * rate + load_inertia * (actuator_rate - follower) / {_QUICK})"
 # What the motor did before the first row is not known: that the follower is behind there is no acceleration.
@@ -70,10 +70,11 @@ _CROSSING = f"(begun ** 2 * tanh({_PUSH} / (gain * smooth_rate)) - flank) / clos
 _AFTER = "2 * max(0, begun - 0.5)"
 # The torque that a gear without play would pass on, over the inertias that it would then not keep together.
 _FALL = f"{_AFTER} * (gain * actuator_rate * inertia / actuator_inertia - load) / (inertia - actuator_inertia)"
-_GIVE = "5e5"
-"""1/s^2, of a flank: a blow takes 4 ms, less than the rows of most records are apart."""
-_FORWARD = "max(0, place + 0.01) * max(0, 1 + 0.1 * speed)"
-_BACKWARD = "max(0, -2 - place) * max(0, 1 - 0.1 * speed)"
+_GIVE = "(8e4 / time_scale ** 2)"
+"""1/s^2, of a flank: a blow takes a hundredth of the natural time (4 ms of the robot), less than the rows of most
+records are apart."""
+_FORWARD = "max(0, place + 0.01) * max(0, 1 + 0.25 * time_scale * speed)"
+_BACKWARD = "max(0, -2 - place) * max(0, 1 - 0.25 * time_scale * speed)"
 # At rest it lies on a flank, so that a fit sees at once how short the steps have to be.
 _ACROSS = f"({_FALL} / half_width - {_GIVE} * ({_FORWARD} - {_BACKWARD}))"
 
@@ -109,7 +110,7 @@ _BACKLASH_OF_A_GEAR = Effect(
     states=(
         EffectState("place", "1", "speed", "within the play, over half of it: 0 at one flank, -2 at the other"),
         EffectState("speed", "1/s", _ACROSS, "of the crossing"),
-        EffectState("begun", "1", "(1 - begun) / 0.05", "how much of the first moments is over"),
+        EffectState("begun", "1", "(1 - begun) / (0.125 * time_scale)", "how much of the first moments is over"),
     ),
     force=f"-0.5 * width * actuator_inertia * {_AFTER} * {_ACROSS}",
     twist="0.5 * width * place",
@@ -162,19 +163,19 @@ BACKLASH = Effect(
             "load_inertia",
             "{force} s^2/{angle}",
             "of what is moved, behind the play",
-            value="force_scale / 5",
-            scale="force_scale / 10",
+            value="0.375 * force_scale * time_scale ** 2 / angle_scale",
+            scale="0.1875 * force_scale * time_scale ** 2 / angle_scale",
             lower="0",
-            upper="100 * force_scale",
+            upper="187.5 * force_scale * time_scale ** 2 / angle_scale",
         ),
         EffectParameter(
             "closing_time",
             "s",
             "that the load takes from flank to flank",
-            value="0.008",
-            scale="0.004",
-            lower="0.001",
-            upper="0.2",
+            value="time_scale / 50",
+            scale="time_scale / 100",
+            lower="time_scale / 400",
+            upper="time_scale / 2",
         ),
     ),
     states=(

@@ -18,8 +18,9 @@ In a model a parameter is called `EFFECT.NAME`, as in `coulomb_friction.torque`;
 can have the effect, `EFFECT@PLACE.NAME`. Units and start values depend on the place: `{force}` is N m where a joint
 turns and N where it slides, `{coordinate}` rad or m; `{command}` and `{angle}` are the actuator's, `{angle}` and
 `{rate}` the sensor's. `force_scale`, `coordinate_scale`, `rate_scale`, `command_scale` and `angle_scale` are typical
-sizes that the model states for its joints, actuators and sensors. `smooth_rate` is the rate below which sgn(rate) is
-drawn as a slope, tanh(rate / smooth_rate).
+sizes that the model states for its joints, actuators and sensors. `time_scale` is the natural time of the model in s,
+coordinate_scale / rate_scale of its slowest joint (0.4 s of the MONOCAB). `smooth_rate` is the rate below which
+sgn(rate) is drawn as a slope, tanh(rate / smooth_rate).
 
 F is a force at the joint, inertia * rate' = load + F, u a command, t the time in s from the first row of a record on.
 "Amplitude" marks the parameters that are zero where the effect is absent.

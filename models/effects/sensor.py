@@ -54,16 +54,16 @@ def _shift(name: str, meaning: str) -> tuple[EffectParameter, ...]:
             "s",
             meaning,
             amplitude=True,
-            scale="0.005",
+            scale="time_scale / 80",
             lower="0",
-            upper="0.1",
-            starts=("0.005", "0.015", "0.03"),
+            upper="time_scale / 4",
+            starts=("time_scale / 80", "3 * time_scale / 80", "3 * time_scale / 40"),
         ),
     )
 
 
-# Beside a lag of some milliseconds the root is the lag; where there is none it keeps the memory finite.
-_LATE = "({0} - late_{0}) / sqrt(lag ** 2 + 0.002 ** 2)"
+# Beside a lag of a hundredth of the natural time the root is the lag; where there is none it keeps the memory finite.
+_LATE = "({0} - late_{0}) / sqrt(lag ** 2 + (0.005 * time_scale) ** 2)"
 
 SENSOR_LAG = Effect(
     name="sensor_lag",

@@ -139,7 +139,7 @@ def _joint(
         coordinate_unit="rad",
         force_scale=0.05,
         coordinate_scale=3.0,
-        rate_scale=10.0,
+        rate_scale=7.5,
         # Wheels reverse at 10 rad/s^2 and more, and a gear that sticks must not creep: through 0.1 rad/s it would take
         # 10 ms, in which the gyro sees all that dry friction does.
         smooth_rate=0.01,

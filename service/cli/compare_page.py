@@ -41,7 +41,7 @@ def closed_loop_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
 
 
 def comparison_table(comparisons: Sequence[Comparison], title: str = "") -> Table:
-    """Models side by side: how well they predict half a second ahead, over the floor, and the force (RMS) they miss."""
+    """Models side by side: how well they predict some time ahead, over the floor, and the force (RMS) they miss."""
     table = Table(
         title=title or None, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold"
     )

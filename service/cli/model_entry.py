@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from diagnosis.repair_result import HORIZONS, Repair
+from diagnosis.repair_result import Repair
 from estimators.report import significant
 from models.model import Model
 from models.model_history import values_of
@@ -40,7 +40,7 @@ def told(
         entry["held_out_sha256"] = [_sha256(path) for path in held_out]
     return {
         **entry,
-        "horizon": HORIZONS[-1],
+        "horizon": found.horizons[-1],
         "error_before": last(found.before.training),
         "error_after": last(found.after.training),
         "held_out_error_before": last(found.before.held_out),

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from diagnosis.drop_tests import DropTest
-from diagnosis.repair_result import HORIZONS, Budget, FittedParameter, Repair
+from diagnosis.repair_result import Budget, FittedParameter, Repair
 from diagnosis.repair_words import in_words, odds_text, readable
 from estimators.report import significant
 from service.cli.output import page
@@ -25,7 +25,8 @@ def print_repair(repair: Repair) -> None:
     page.print(_errors(repair))
     page.print()
     page.print(_parameters(repair))
-    page.print(f"\nHeld-out error energy {HORIZONS[-1]:g} s ahead, before {repair.effect} was there", style="bold")
+    last = repair.horizons[-1]
+    page.print(f"\nHeld-out error energy {last:g} s ahead, before {repair.effect} was there", style="bold")
     for line in budget_lines(repair.budget, repair.effect):
         page.print(line, markup=False)
     page.print()
@@ -80,7 +81,7 @@ def _errors(repair: Repair) -> Table:
     for channel, unit in repair.units.items():
         shown, factor = readable(unit)
         name = f"{channel}, {shown}"
-        for place, horizon in enumerate(HORIZONS):
+        for place, horizon in enumerate(repair.horizons):
             rows.append((name, f"{horizon:g} s", *(f"{factor * errors[channel][place]:.3g}" for errors in kinds)))
             name = ""
     headings = ("RMS error", "ahead", "fitted\nbefore", "\nafter", "held out\nbefore", "\nafter", "sensors\nalone")
