@@ -120,9 +120,7 @@ class Likelihood:
         if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > RUNAWAY:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
-        normals = tuple(
-            _weighted(*moment, weights, end, long_run) for moment, end in zip(moments, ends, strict=True)
-        )
+        normals = tuple(_weighted(*moment, weights, end, long_run) for moment, end in zip(moments, ends, strict=True))
         cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(float(end @ end) for end in ends)
         return Seen(cost + len(ends) * long_run.logarithm, normals, gain, covariance)
 

@@ -132,8 +132,8 @@ class RecursivePredictor:
         self._start, (self._lower, self._upper) = problem.start, problem.bounds
         self._scale = np.where(self._roughly, LOGARITHM * self._start, problem.scale)
         known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
-        widest, spread_of_noise = (self._noise.widest, self._noise.spread) if self._noise else (np.zeros(0), np.zeros(0))
-        prior = np.concatenate(((self._scale / known) ** 2, spread_of_noise**-2))
+        widest, vague = (self._noise.widest, self._noise.spread) if self._noise else (np.zeros(0), np.zeros(0))
+        prior = np.concatenate(((self._scale / known) ** 2, vague**-2))
         self._prior = np.concatenate((prior, np.ones(len(spread) + len(held))))
         self._regression = RecursiveGaussNewton(
             prior,

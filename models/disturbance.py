@@ -27,7 +27,7 @@ SPREAD = 3.0
 """Standard deviation of the natural logarithm of that RMS: of a disturbance no more than the order of magnitude is
 known before, and that to a factor of twenty."""
 ROUGHLY = 10.0
-"""The standard deviation of the correlation time before a record is seen, in multiples of where its estimation starts."""
+"""Standard deviation of the correlation time before a record is seen, in multiples of where its estimation starts."""
 LEAST_ROWS = 2.0
 """Rows of the shortest correlation time: what fades faster is white."""
 LEAST_TIMES = 10.0
@@ -74,19 +74,20 @@ def undisturbed(model: Model, fitted: Model) -> Model:
 
 
 def _has_own(model: Model, joint: Joint) -> bool:
-    """Whether a state of the model that nothing but noise drives pushes at `joint`, or a disturbance is there already."""
-    parameters = {each.name for each in model.base_parameters}
-    for state in model.base_states:
-        if state.process_noise > 0.0 and names_in(state.derivative) <= {state.name, *parameters}:
-            if state.name in names_in(joint.load):
-                return True
-    return False
+    """Whether a state of the model that nothing but noise drives pushes at `joint`, as a disturbance that is there."""
+    parameters, pushing = {each.name for each in model.base_parameters}, names_in(joint.load)
+    return any(
+        state.process_noise > 0.0 and names_in(state.derivative) <= {state.name, *parameters}
+        for state in model.base_states
+        if state.name in pushing
+    )
 
 
 def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: float) -> Model:
     shortest = max(known.shortest, LEAST_ROWS * step)
     most = max(min(known.longest, longest / LEAST_TIMES), 2.0 * shortest)
-    time = float(np.clip(known.correlation_time or joint.coordinate_scale / joint.rate_scale, shortest, most)) if not known.known else known.correlation_time
+    time = known.correlation_time or joint.coordinate_scale / joint.rate_scale
+    time = time if known.known else float(np.clip(time, shortest, most))
     std = known.std or SMALL * joint.force_scale
     state = State(
         name=state_of(joint.name),
