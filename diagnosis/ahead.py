@@ -12,7 +12,8 @@ filtered state, and what a roll filter integrates of it on the way, Q,
 
     covariance(h) = R + D_h P D_h' + sum over 0 < j < h of  D_j Q D_j'.
 
-There process noise, by which a model admits that something is missing, has no part but in the filter's gain.
+There process noise, by which a model admits that something is missing, has no part but in the filter's gain: only that
+of a disturbance (models.disturbance), which no model predicts, is in Q and P as the fit found it.
 Source: Ljung, "System identification", 2nd ed., section 3.2.
 """
 
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from diagnosis.floor import floor, sensor_noise
 from diagnosis.stationary import stationary
+from estimators.disturbance import densities
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
@@ -116,9 +118,10 @@ def floors(fit: Fit, gain: Array, covariance: Array, horizons: Sequence[float]) 
     return _carried(fit, np.zeros_like(kick), kick, covariance, horizons)
 
 
-def sensor_floors(fit: Fit, horizons: Sequence[float]) -> Array:
-    """RMS error at each of `horizons` (s) that sensor noise alone would make with the filter of `fit`, (nh, ny)."""
-    return _carried(fit, *_sensor_errors(fit), horizons)
+def sensor_floors(fit: Fit, horizons: Sequence[float], *, disturbed: bool = True) -> Array:
+    """RMS error at each of `horizons` (s) that sensor noise and the disturbance alone would make with the filter of
+    `fit`, (nh, ny); without the disturbance where it is not `disturbed`."""
+    return _carried(fit, *_sensor_errors(fit, disturbed), horizons)
 
 
 def _carried(fit: Fit, begin: Array, each: Array, sensor: Array, horizons: Sequence[float]) -> Array:
@@ -146,16 +149,18 @@ def _carried(fit: Fit, begin: Array, each: Array, sensor: Array, horizons: Seque
     return np.asarray(np.sqrt(np.diag(sensor) + np.mean(total, axis=0)))
 
 
-def _sensor_errors(fit: Fit) -> tuple[Array, Array, Array]:
+def _sensor_errors(fit: Fit, disturbed: bool) -> tuple[Array, Array, Array]:
     """Roots (nx, nx) of the covariance of the filtered state's error and of what a row adds to it, both by sensor noise
     alone, and the covariance of that noise (ny, ny)."""
     task, values = fit.problem, fit.values.copy()
     # Linearised in motion: at rest a friction is a wall.
     values[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
-    noise = NoiseModel.of(task)
-    noise = replace(noise, sensor=sensor_noise(task)[0], process=np.zeros_like(noise.process))
+    noise, known = NoiseModel.of(task), densities(fit) if disturbed else {}
+    process = np.array([known.get(state.name, 0.0) for state in task.model.states])
+    noise = replace(noise, sensor=sensor_noise(task)[0], process=process)
     transition, output, integrated, sensor, across = noise.covariances(values, np.zeros(noise.size))
-    gain = fit.gain
+    gain = fit.gain if disturbed else noise.gain(values, np.zeros(noise.size))
+    gain = fit.gain if gain is None else gain
     if np.max(np.abs(np.linalg.eigvals(transition - transition @ gain @ output))) >= 1.0:
         gain = floor(task, values).gain
     ahead = transition @ gain

@@ -9,18 +9,19 @@ together call a right model inadequate once in a hundred records.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from diagnosis.closed_loop_error import ClosedLoop, Loop, closed_loop
-from diagnosis.floor import Innovations, with_nuisances
+from diagnosis.floor import OFFSET, Innovations, shaken_as, with_nuisances
 from diagnosis.horizons import Prediction, predictions
-from diagnosis.timed import timed
+from diagnosis.ready import ready
 from diagnosis.where_it_fails import Entry, Views, summary, views
-from estimators.as_recorded import as_recorded
+from estimators.disturbance import DisturbanceEstimate, disturbances, is_of_disturbance
+from estimators.methods.prediction_error import Fit, fit
 from estimators.problem import Problem, problem
 from estimators.segments import channels_of, segments
 from estimators.time_scale import time_scale
@@ -56,6 +57,7 @@ class Comparison:
     innovations: Innovations = field(repr=False)
     shown_horizon: float
     closed_loop: ClosedLoop = field(default_factory=ClosedLoop, repr=False)
+    disturbance: tuple[DisturbanceEstimate, ...] = ()
 
     @property
     def summary(self) -> list[str]:
@@ -78,6 +80,7 @@ class Comparison:
             "rmse": dict(self.rmse),
             "noise_floor": dict(self.noise_floor),
             "innovation_ratio": self.innovation_ratio,
+            "disturbance": {each.joint: each.to_json() for each in self.disturbance},
             "adequate": self.adequate,
             "fails": {view: [dict(entry) for entry in entries] for view, entries in self.fails.items()},
             "summary": self.summary,
@@ -116,10 +119,32 @@ def compare(
     Raises DataError where the data are not fit for a model, ModelError where a model is wrong, EstimationError where
     it has no stable predictor or runs away from the record.
     """
-    ready = {name: timed(as_recorded(model, recordings), recordings) for name, model in models.items()}
+    tasks = {name: _task(ready(model, recordings), recordings, support, progress) for name, model in models.items()}
+    shaken = {name: _shaken(task) for name, (task, _) in tasks.items()}
     return [
-        _compare(name, *_task(model, recordings, support, progress), loops, progress) for name, model in ready.items()
+        _compare(name, task, owners, shaken[name], _best(task, shaken.values()), loops, progress)
+        for name, (task, owners) in tasks.items()
     ]
+
+
+def _shaken(task: Problem) -> Fit | None:
+    """The disturbances that the model of `task` leaves with the values that it has, its nuisances beside them; None
+    where it has no joint, or cannot follow the record."""
+    times = [task.kernel.index(name) for name in sorted(is_of_disturbance(task.model))]
+    if not times:
+        return None
+    offsets = [task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)]
+    try:
+        return fit(replace(task, free=tuple(dict.fromkeys((*times, *offsets)))))
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return None
+
+
+def _best(task: Problem, shaken: Iterable[Fit | None]) -> Fit | None:
+    """The likeliest of those that have the outputs of `task`: a vehicle is shaken by what the best model leaves, and
+    each model is held against a filter that knows as much."""
+    alike = [each for each in shaken if each is not None and each.problem.kernel.outputs == task.kernel.outputs]
+    return min(alike, key=lambda each: each.minimum.cost, default=None)
 
 
 def _task(
@@ -146,9 +171,18 @@ def _stretches(model: Model, recording: Recording, support: float | None) -> Ite
 
 
 def _compare(
-    name: str, task: Problem, owners: Sequence[int], loops: Sequence[Loop | str], progress: Progress | None
+    name: str,
+    task: Problem,
+    owners: Sequence[int],
+    own: Fit | None,
+    best: Fit | None,
+    loops: Sequence[Loop | str],
+    progress: Progress | None,
 ) -> Comparison:
-    found = with_nuisances(task, task.kernel.vector())
+    values = task.kernel.vector()
+    if best is not None:
+        task, values = shaken_as(task, values, best)
+    found = with_nuisances(task, values)
     seen = views(found, progress=progress)
     ahead = predictions(found)
     horizon = rounded(SHOWN_HORIZON * time_scale(task.model, task.segments))
@@ -170,5 +204,6 @@ def _compare(
         views=seen,
         innovations=found,
         shown_horizon=horizon,
+        disturbance=disturbances(own) if own else (),
         closed_loop=closed_loop(found, owners, loops),
     )

@@ -19,17 +19,23 @@ from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
+from diagnosis.limit import prediction_limit
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
 from diagnosis.workspace import Workspace
+from estimators.budget import Budget, OutOfTime
 from estimators.contract import Status
+from estimators.disturbance import disturbances
 from estimators.methods.prediction_error import result
 from estimators.segments import DataError, after_settling
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording
+
+SEARCH = 0.75
+"""Share of the time of a diagnosis that the search may take: the rest is for what has no name, and for telling it."""
 
 Progress = Callable[[str, float], None]
 
@@ -43,6 +49,7 @@ def diagnose(
     most: int = 3,
     masked: Collection[str] = (),
     unasked: Collection[str] = (),
+    budget: float | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """What `model` lacks to explain `recordings`.
@@ -51,11 +58,13 @@ def diagnose(
     `support` rad: the vehicle is free where its roll is less. `candidates`: effects to look for, the whole catalogue by
     default. `most`: effects that are added at most, one after the other. `masked`: effects that parameters of
     the model can take the place of, so that the screen alone does not decide about them (diagnosis.masked). `unasked`:
-    parameters that the recordings need not tell. `progress` is told what is being done and
+    parameters that the recordings need not tell. `budget` s: by then the search ends with what it has, and says what it
+    left untried; by default it takes as long as it takes. `progress` is told what is being done and
     the share of it that is over, 0 to 1.
     Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
     """
     tell = progress or (lambda text, share: None)
+    searching = Budget.of(None if budget is None else SEARCH * budget)
     tell("reading the data", 0.0)
     known, model = model, ready(model, recordings)
     try:
@@ -73,7 +82,8 @@ def diagnose(
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
     bare = _without_blows(base, workspace)
     of_blows = max(0.0, base.log_likelihood - bare.log_likelihood)
-    findings, fits, screens, last = _search(base, workspace, most, masked, of_blows, partial(_part, tell, 0.1, 0.85))
+    hurried = replace(workspace, budget=searching)
+    findings, fits, screens, last = _search(base, hurried, most, masked, of_blows, partial(_part, tell, 0.1, 0.85))
     tell("looking for what has no name", 0.95)
     rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
     steps = [base, *fits]
@@ -81,7 +91,14 @@ def diagnose(
     # `last` may have one without a name.
     after = rest.after if steps[-1] is last else over_floor(steps[-1].fit, last.fit)
     found = _verdict(steps, findings, screens, rest, (before, after), workspace)
-    return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
+    last_shown = found.steps[-1].fit
+    return replace(
+        found,
+        repaired=unready(known, found.repaired) if found.repaired is not None else None,
+        disturbance=disturbances(last_shown),
+        prediction_limit=prediction_limit(last_shown),
+        untried=tuple(workspace.untried),
+    )
 
 
 def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
@@ -115,7 +132,10 @@ def _search(
     for step in range(most + 1):
         part = partial(_part, tell, step / (most + 1.0), 1.0 / (most + 1.0))
         part("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), 0.0)
-        screens.append(look(whole, workspace))
+        if step and not workspace.budget.left:
+            workspace.leave("further effects" if findings else "the search for effects")
+            break
+        screens.append(look(whole, workspace if step else workspace.unhurried))
         if len(findings) == most:
             break
         seen = surprising(screens[-1])
@@ -130,19 +150,43 @@ def _search(
                 whole = found.fit
                 break
             before = [*findings, found.finding]
-            findings, whole = exchange(before, found.fit, workspace, masked, part)
+            findings, whole = _revised(before, found.fit, workspace, masked, most, part)
         else:
             two = two_at_once(whole, screens[-1], workspace, masked, part) if not findings and most > 1 else None
             if two is None:
                 break
-            findings, whole = two
-        if len(findings) < most:
-            findings, whole = taken_apart(findings, whole, workspace, masked, part)
-        findings, whole = put_together(findings, whole, workspace, part)
+            findings, whole = _revised(*two, workspace, masked, most, part, again=False)
         same = [each.effect for each in findings] == [each.effect for each in before]
-        fits = [*fits, whole] if same else one_by_one(findings, whole, workspace)
+        fits = [*fits, whole] if same else one_by_one(findings, whole, workspace.unhurried)
     findings = [replace(each, made_of=made_of(each, findings, fits[-1], workspace)) for each in findings]
     return [retold(each, fits[-1]) for each in findings], fits, screens, whole
+
+
+def _revised(
+    findings: Sequence[Finding],
+    whole: FullFit,
+    workspace: Workspace,
+    masked: Collection[str],
+    most: int,
+    tell: Progress,
+    *,
+    again: bool = True,
+) -> tuple[list[Finding], FullFit]:
+    """`findings` as they are beside each other: each looked for again, one of two taken apart, two put together, as far
+    as the time goes."""
+    steps: list[tuple[str, Callable[[Sequence[Finding], FullFit], tuple[list[Finding], FullFit]]]] = []
+    if again:
+        steps.append(("each effect again", lambda now, fit: exchange(now, fit, workspace, masked, tell)))
+    if len(findings) < most:
+        steps.append(("two in place of one", lambda now, fit: taken_apart(now, fit, workspace, masked, tell)))
+    steps.append(("one in place of two", lambda now, fit: put_together(now, fit, workspace, tell)))
+    found = list(findings)
+    for what, step in steps:
+        try:
+            found, whole = step(found, whole)
+        except OutOfTime:
+            workspace.leave(f"{what}, beside {' and '.join(each.effect for each in found)}")
+    return found, whole
 
 
 def _part(tell: Progress, begin: float, width: float, text: str, share: float) -> None:

@@ -12,6 +12,7 @@ from diagnosis.refit import FullFit
 from diagnosis.screen import Screen
 from diagnosis.unseen import Unseen
 from estimators.contract import ParameterEstimate
+from estimators.disturbance import DisturbanceEstimate
 from models.effect import Effect
 from models.model import Model
 
@@ -100,11 +101,27 @@ def _to_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
+class PredictionLimit:
+    """The RMS error, by channel in its unit, of the best possible prediction `horizon` s ahead, beside the disturbance,
+    and without it, by the sensors' noise alone."""
+
+    horizon: float
+    disturbed: Mapping[str, float]
+    undisturbed: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {"horizon": self.horizon, "rmse": dict(self.disturbed), "undisturbed_rmse": dict(self.undisturbed)}
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """The verdict with its `reason`, what was found, and `repaired`, the model with it; `screens` of the model alone
     and after each effect that was added.
 
-    `steps`: the fit of the model alone, then that after each of `findings`. `parts`: those of a vehicle and of its
+    `steps`: the fit of the model alone, then that after each of `findings`. `disturbance`: the random force that the
+    last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `untried`: what
+    was left for want of time. `parts`: those of a vehicle and of its
     actuators that this one is made of (diagnosis.parts), none where it is of one model.
     """
 
@@ -120,6 +137,9 @@ class Diagnosis:
     screens: tuple[Screen, ...] = ()
     steps: tuple[FullFit, ...] = ()
     unexplained: Adequacy | None = None
+    disturbance: tuple[DisturbanceEstimate, ...] = ()
+    prediction_limit: PredictionLimit | None = None
+    untried: tuple[str, ...] = ()
     parts: tuple[Diagnosis, ...] = ()
 
     @property
@@ -137,5 +157,8 @@ class Diagnosis:
             "suggested_experiment": dict(self.suggested_experiment) if self.suggested_experiment else None,
             "innovation_ratio_before": self.innovation_ratio_before,
             "innovation_ratio_after": self.innovation_ratio_after,
+            "disturbance": {each.joint: each.to_json() for each in self.disturbance},
+            "untried": list(self.untried),
+            "prediction_limit": self.prediction_limit.to_json() if self.prediction_limit else None,
             "not_candidates": dict(self.left_out or {}),
         }

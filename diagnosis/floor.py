@@ -31,6 +31,8 @@ from models.model import State
 
 Array = NDArray[np.float64]
 
+OFFSET = "_offset"
+"""How the name of a parameter ends that is no property of a vehicle, but of the instants of its record."""
 QUIETEST = 1e-2
 """Share of the noise that the model states below which no sensor is believed: simulated data may have none."""
 
@@ -223,7 +225,7 @@ def with_nuisances(task: Problem, values: Array) -> Innovations:
     Parameters that delay an input and are called `..._offset` are meant; their standard deviations are the prior.
     """
     offsets = tuple(dict.fromkeys(
-        task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith("_offset")
+        task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)
     ))  # fmt: skip
     stated = _fitted(at(task, values, offsets), _floor(task, values, np.ones(len(task.kernel.states))))
     return _fitted(stated.problem, _lowered(stated))

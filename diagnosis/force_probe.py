@@ -99,7 +99,12 @@ def recurrence(matrix: Array, pushes: Array) -> Array:
 def _opened(model: Model) -> tuple[Model, Mapping[str, tuple[str, str]]]:
     """`model` with a force let in at each joint, and the expressions and units of the coordinates that are let out."""
     # Those that an effect at another than its first place remembers have names that no equation can contain.
-    shown = {state.name: (state.name, state.unit) for state in model.states if "@" not in state.name}
+    # A disturbance is what goes with nothing.
+    shown = {
+        state.name: (state.name, state.unit)
+        for state in model.states
+        if "@" not in state.name and not state.correlation_time
+    }
     for actuator in model.actuators:
         if actuator.angle and actuator.angle not in {*shown, *(each.name for each in model.inputs)}:
             shown[f"{actuator.name} angle"] = (actuator.angle, actuator.angle_unit)

@@ -24,6 +24,7 @@ from diagnosis.refit import FURTHER_FITS, FullFit, full, log_likelihood, off_pri
 from diagnosis.side_by_side import side_by_side
 from diagnosis.whitened import BLOCK
 from diagnosis.workspace import Workspace, attached
+from estimators.budget import OutOfTime
 from estimators.methods.prediction_error import Begin, fit
 from estimators.time_scale import time_scale
 from models.effect import Place, starts
@@ -35,6 +36,8 @@ LAG = "speed_loop_lag"
 """Parameter of an actuator's model."""
 START = 2
 """Of the starts of an effect: between the smallest and the largest that are usual."""
+EACH = 0.25
+"""Share of the time that is left which one of them may take."""
 TRIED = 10
 """Steps of a fit from each shape of an effect whose parts strike each other, and"""
 FITTED = 2
@@ -49,15 +52,21 @@ def fits(model: Model, workspace: Workspace, names: Collection[str], known: Coll
         if candidate.name in known:
             continue
         if candidate.effect.strikes:
-            found += _struck(model, candidate, workspace)
+            try:
+                found += _struck(model, candidate, workspace)
+            except OutOfTime:
+                workspace.leave(candidate.name)
             continue
         if candidate.effect.name not in names:
             continue
         own = candidate.attached
         values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
+        hurried = workspace.within(EACH)
         try:
-            one = full(_with(model, candidate, values), workspace, candidate, longer=FURTHER_FITS)
-            found.append(_other_way_round(one, workspace))
+            one = full(_with(model, candidate, values), hurried, candidate, longer=FURTHER_FITS)
+            found.append(_other_way_round(one, hurried))
+        except OutOfTime:
+            workspace.leave(candidate.name)
         except ArithmeticError:
             continue
     return found

@@ -20,6 +20,7 @@ from diagnosis.masked import LAG
 from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
 from diagnosis.step import retold, reworded
 from estimators.segments import DataError
+from estimators.stopwatch import stopwatch
 from models.effect import Effect, Place
 from models.effects import CATALOGUE, find
 from models.model import Model
@@ -44,6 +45,7 @@ def diagnose_parts(
     support: float | None = None,
     candidates: Iterable[str | Effect] | None = None,
     most: int = 3,
+    budget: float | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """What `vehicle`, driven by measured motion, and the one of `actuators` that fits lack to explain `recordings`.
@@ -51,7 +53,7 @@ def diagnose_parts(
     As diagnosis.diagnose.diagnose. The result is that of the vehicle, with the findings and detectable sizes of both;
     its `parts` are the two alone. Where the actuators' effect comes first, the innovation ratios are theirs.
     """
-    tell = progress or (lambda text, share: None)
+    began, tell = stopwatch(), progress or (lambda text, share: None)
     looked_for = [find(each) if isinstance(each, str) else each for each in (candidates or CATALOGUE)]
     own = diagnose(
         vehicle,
@@ -59,17 +61,20 @@ def diagnose_parts(
         support=support,
         candidates=candidates,
         most=most,
+        budget=None if budget is None else SHARE * budget,
         progress=lambda text, share: tell(text, SHARE * share),
     )
     commanded = [each for each in looked_for if each.place is Place.ACTUATOR]
     if not commanded or own.verdict is Verdict.INSUFFICIENT_DATA:
         return own
+    left = None if budget is None else max((1.0 - SHARE) * budget, budget - (stopwatch() - began))
     other = diagnose_actuators(
         actuators,
         recordings if own.repaired is None else on_time(recordings, own.repaired),
         support=support,
         candidates=commanded,
         most=most,
+        budget=left,
         progress=lambda text, share: tell(f"actuators: {text}", SHARE + (1.0 - SHARE) * share),
     )
     return merged(own, other, commanded)
@@ -82,9 +87,11 @@ def diagnose_actuators(
     support: float | None = None,
     candidates: Sequence[Effect],
     most: int = MOST,
+    budget: float | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """What the one of `actuators` that fits `recordings` lacks of `candidates`."""
+    began = stopwatch()
     if progress is not None:
         progress("choosing the speed loop", 0.0)
     known, actuators = actuators, [at_samples(each) for each in actuators]
@@ -96,11 +103,20 @@ def diagnose_actuators(
     except ArithmeticError as error:
         return Diagnosis(Verdict.UNKNOWN, str(error))
     most = min(most, MOST)
+    left = None if budget is None else max(0.0, budget - (stopwatch() - began))
     found = diagnose(
-        model, free, candidates=candidates, most=most, masked=hidden, unasked=model.values, progress=progress
+        model,
+        free,
+        candidates=candidates,
+        most=most,
+        masked=hidden,
+        unasked=model.values,
+        budget=left,
+        progress=progress,
     )
     if 0 < len(found.findings) < most:
-        found = _further(found, free, candidates)
+        left = None if budget is None else max(0.0, budget - (stopwatch() - began))
+        found = _further(found, free, candidates, left)
     found = quiet(beyond_formula(model, found))
     if found.repaired is None:
         return found
@@ -127,7 +143,9 @@ def quiet(found: Diagnosis) -> Diagnosis:
     return replace(found, verdict=Verdict.UNKNOWN, reason=reason)
 
 
-def _further(found: Diagnosis, recordings: Sequence[Recording], candidates: Sequence[Effect]) -> Diagnosis:
+def _further(
+    found: Diagnosis, recordings: Sequence[Recording], candidates: Sequence[Effect], budget: float | None
+) -> Diagnosis:
     """`found` and one effect more, where there is one that chance does not explain.
 
     Of a vehicle a further effect has to gain a share of what the first did, for no formula is exact. That of a speed
@@ -138,7 +156,7 @@ def _further(found: Diagnosis, recordings: Sequence[Recording], candidates: Sequ
     assert model is not None
     there = {each.effect.name for each in model.effects}
     others = [each for each in candidates if each.name not in there]
-    more = diagnose(model, recordings, candidates=others, most=1, unasked=model.values)
+    more = diagnose(model, recordings, candidates=others, most=1, unasked=model.values, budget=budget)
     if not more.findings:
         return found
     steps = (*found.steps, more.steps[-1])
@@ -226,6 +244,7 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
         minimum_detectable={**(vehicle.minimum_detectable or {}), **(actuators.minimum_detectable or {})},
         innovation_ratio_before=first.innovation_ratio_before,
         innovation_ratio_after=first.innovation_ratio_after,
+        untried=(*vehicle.untried, *actuators.untried),
         left_out=left_out,
         parts=(vehicle, actuators),
     )

@@ -20,6 +20,7 @@ from diagnosis.candidates import Candidate
 from diagnosis.screen import Score
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
+from estimators.budget import UNLIMITED
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.methods.prediction_error import Begin, Fit, fit
@@ -209,6 +210,8 @@ def settled(model: Model, workspace: Workspace) -> FullFit:
 
 
 def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
+    # What is looked at later is looked at whatever time the fit had.
+    fitted = replace(fitted, problem=replace(fitted.problem, budget=UNLIMITED))
     own = {p.name for each in model.effects for p in each.parameters}
     count = sum(p.estimated for p in model.parameters if p.name in own)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)

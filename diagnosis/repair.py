@@ -24,7 +24,7 @@ from diagnosis.candidates import Candidate
 from diagnosis.drop_tests import DropTest as DropTest
 from diagnosis.drop_tests import drop_tests as drop_tests
 from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model, horizons_of
-from diagnosis.floor import Floor, floor, innovation_ratio
+from diagnosis.floor import floor, innovation_ratio, shaken_as
 from diagnosis.freed import freed
 from diagnosis.held_out import split
 from diagnosis.ready import ready, unready
@@ -158,8 +158,8 @@ def _repair(
         held_out=tuple(each.source for each in held_out)
         or tuple(f"last third of {each.source}" for each in recordings),
         horizons=horizons,
-        before=_side(without, _rms(found_before), horizons),
-        after=_side(fitted, _rms(found_after), horizons),
+        before=_side(without, fitted, _rms(found_before), horizons),
+        after=_side(fitted, fitted, _rms(found_after), horizons),
         floor_training=_by_channel(sensor_floors(fitted.fit, horizons), outputs),
         floor_held_out=_by_channel(held.floor, outputs),
         budget=Budget.of(float(np.mean(energy_before)), float(np.mean(energy_after))),
@@ -212,11 +212,13 @@ def _score(looked_at: Screen, candidate: Candidate) -> Score | None:
     return next((score for score in looked_at.scores if score.candidate.name == candidate.name), None)
 
 
-def _floor(fitted: Fitted) -> Floor:
-    """What a right model leaves, its gain that of motion: a friction linearised at rest would be a wall."""
-    task, values = fitted.fit.problem, fitted.fit.values.copy()
-    values[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
-    return floor(task, values)
+def _over_floor(fitted: Fitted, best: Fitted) -> float:
+    """Innovation energy over what a right model leaves, whose gain is that of motion: a friction linearised at rest
+    would be a wall."""
+    task, values = shaken_as(fitted.fit.problem, fitted.fit.values, best.fit)
+    moving = values.copy()
+    moving[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
+    return innovation_ratio(task, values, floor(task, moving))
 
 
 def _on(fitted: Fitted, recordings: Sequence[Recording], support: float | None) -> Fit:
@@ -237,11 +239,12 @@ def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
     return {name: tuple(column.tolist()) for name, column in zip(outputs, rms.T, strict=True)}
 
 
-def _side(fitted: Fitted, held_out: Array, horizons: Sequence[float]) -> Side:
-    task, outputs = fitted.fit.problem, fitted.fit.problem.kernel.outputs
+def _side(fitted: Fitted, best: Fitted, held_out: Array, horizons: Sequence[float]) -> Side:
+    """Of one model, beside the disturbance that the `best` leaves."""
+    outputs = fitted.fit.problem.kernel.outputs
     parameters = {
-        name: FittedParameter(value, fitted.deviations[name], each.unit, each.status.value, each.reason)
-        for (name, value), each in zip(fitted.values.items(), fitted.estimate.parameters.values(), strict=True)
+        name: FittedParameter(fitted.values[name], fitted.deviations[name], each.unit, each.status.value, each.reason)
+        for name, each in fitted.estimate.parameters.items()
     }
     return Side(
         log_likelihood=fitted.log_likelihood,
@@ -249,7 +252,8 @@ def _side(fitted: Fitted, held_out: Array, horizons: Sequence[float]) -> Side:
         parameters=parameters,
         training=_by_channel(_rms(errors(fitted.fit, horizons)), outputs),
         held_out=_by_channel(held_out, outputs),
-        innovation_ratio=innovation_ratio(task, fitted.fit.values, _floor(fitted)),
+        innovation_ratio=_over_floor(fitted, best),
+        disturbance=fitted.estimate.disturbance,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
+from estimators.disturbance import DisturbanceEstimate
 from models.model import Model
 
 HORIZONS = (0.125, 0.5, 1.25)
@@ -37,7 +38,8 @@ class FittedParameter:
 class Side:
     """The model without (before) or with (after) the effect, fitted.
 
-    `training` and `held_out` are RMS errors; `innovation_ratio` is the innovations' energy over that of a right model.
+    `training` and `held_out` are RMS errors; `innovation_ratio` is the innovations' energy over that of a right model;
+    `disturbance` what this model leaves of one at each joint.
     """
 
     log_likelihood: float
@@ -46,6 +48,7 @@ class Side:
     training: Errors
     held_out: Errors
     innovation_ratio: float
+    disturbance: tuple[DisturbanceEstimate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,4 +230,5 @@ def _side(side: Side) -> dict[str, Any]:
         "training": _errors(side.training),
         "held_out": _errors(side.held_out),
         "innovation_ratio": side.innovation_ratio,
+        "disturbance": {each.joint: each.to_json() for each in side.disturbance},
     }

@@ -24,6 +24,7 @@ from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
+from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.fit_result import inverse
 from estimators.methods.prediction_error import result
@@ -43,6 +44,11 @@ CONTENDERS = 6
 """Full fits a step, at most."""
 CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
+EACH = 0.25
+"""Share of the time that is left which one fit may take: one effect whose equations are stiff must not keep the others
+from being tried."""
+QUICKLY = 0.5
+"""The same for all quick fits of a step together."""
 CHECKED = 3
 """Effects, the likeliest first, that are tried on unseen data before none is named."""
 
@@ -108,6 +114,8 @@ def find(
         best = _simplest(fits, base)
         tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
         held_out = before.finding.held_out if before and best is before.fit else check.of(best)
+        if held_out is None and not workspace.budget.left:
+            workspace.leave(f"the held-out check of {best.name}")
         if held_out is None or held_out.stands:
             return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
         fits = [each for each in fits if each is not best]
@@ -149,15 +157,30 @@ def _contenders(
     near = worth[0].candidate.effect.confused_with if worth else ()
     worth += [score for score in screened.scores if score.candidate.name in near and score not in worth]
 
-    def prepare(number: int, score: Score) -> None:
+    quickly = workspace.within(QUICKLY)
+
+    def prepare(number: int, score: Score) -> bool:
         title, share = score.candidate.effect.title, 0.3 * number / len(worth)
         model = with_effect(base.model, score.candidate, score.starts[0])
-        workspace.problem(model, lambda text: tell(f"{text} with {title}", share))
+        try:
+            quickly.problem(model, lambda text: tell(f"{text} with {title}", share))
+        except OutOfTime:
+            workspace.leave(score.candidate.name)
+            return False
+        return True
 
-    for number, score in enumerate(worth):  # compiled one after the other, where that was not done yet
-        prepare(number, score)
+    # Compiled one after the other, where that was not done yet.
+    worth = [score for number, score in enumerate(worth) if prepare(number, score)]
+
+    def tried(score: Score) -> QuickFit:
+        try:
+            return quick(base.fit, base.model, score, quickly.within(EACH))
+        except OutOfTime:
+            workspace.leave(score.candidate.name)
+            return QuickFit(score.candidate, {}, -np.inf)
+
     quicks: list[QuickFit] = []
-    for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
+    for each in side_by_side(tried, worth):
         quicks.append(each)
         tell(f"tried {each.candidate.effect.title}", 0.3 + 0.3 * len(quicks) / len(worth))
     fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
@@ -185,7 +208,10 @@ def _full_fits(
         model, found = with_effect(base.model, each.candidate, each.values), None
         for begin in (each.end, replace(each.end, noise=np.zeros(len(each.end.noise)))):
             try:
-                found = full(model, workspace, each.candidate, begin, longer=FURTHER_FITS)
+                found = full(model, workspace.within(EACH), each.candidate, begin, longer=FURTHER_FITS)
+            except OutOfTime:
+                workspace.leave(each.candidate.name)
+                break
             except ArithmeticError:
                 continue
             if found.log_likelihood > base.log_likelihood - CREEPING:

@@ -131,7 +131,8 @@ class UnseenCheck:
         if part.pieces not in self._few:
             # Once each, whatever the number of its places.
             others = tuple({each.effect.name: each.effect for each in workspace.others(base)}.values())
-            self._few[part.pieces] = Workspace.of(base, part.seen, workspace.support, others)
+            few = Workspace.of(base, part.seen, workspace.support, others)
+            self._few[part.pieces] = replace(few, budget=workspace.budget)
         few = self._few[part.pieces]
         with_it = full(best.model, few, begin=best.fit.end).fit
         told = result(with_it, 0.0).parameters

@@ -6,12 +6,13 @@ Rows are chosen with every candidate attached, so that each model is judged on t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from diagnosis.actuator_rows import of_actuators
 from diagnosis.candidates import Candidate, candidates_for
+from estimators.budget import UNLIMITED, Budget
 from estimators.problem import Problem, problem
 from estimators.segments import segments
 from estimators.time_scale import time_scale
@@ -28,13 +29,16 @@ before the first row."""
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`left_out`: effects that are no candidate, and why."""
+    """`left_out`: effects that are no candidate, and why. All that is fitted is within the `budget`; `untried` gathers in
+    words what was left for want of time."""
 
     recordings: tuple[Recording, ...]
     support: float | None
     segments: tuple[Segment, ...]
     candidates: tuple[Candidate, ...]
     left_out: dict[str, str]
+    budget: Budget = UNLIMITED
+    untried: list[str] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -54,7 +58,22 @@ class Workspace:
 
     def problem(self, model: Model, progress: Progress | None = None) -> Problem:
         """The fit of `model` to all rows."""
-        return problem(model, self.recordings, rows=self.segments, progress=progress)
+        self.budget.check()
+        return replace(problem(model, self.recordings, rows=self.segments, progress=progress), budget=self.budget)
+
+    def within(self, share: float) -> Workspace:
+        """The same for work that may take a share of the time that is left."""
+        return replace(self, budget=self.budget.part(share))
+
+    def leave(self, what: str) -> None:
+        """Note what is left untried."""
+        if what not in self.untried:
+            self.untried.append(what)
+
+    @property
+    def unhurried(self) -> Workspace:
+        """The same for what has to be done, however long it takes."""
+        return replace(self, budget=UNLIMITED)
 
     def others(self, model: Model) -> list[Candidate]:
         """The candidates that `model` does not have yet."""

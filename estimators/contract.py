@@ -10,13 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from telemetry.errors import UprightError
 from telemetry.samples import Frame
+
+if TYPE_CHECKING:
+    from estimators.disturbance import DisturbanceEstimate
 
 
 class EstimationError(UprightError):
@@ -72,6 +75,7 @@ class Estimate:
     `status` is OK when every parameter asked for is; otherwise that of the first one that is not, with its reason.
     `correlation` is that of the parameters' errors, by pairs of names in the order of `parameters`, shape (n, n), NaN
     where one is not known. `fit_percent` tells by channel how well the model with these parameters predicts.
+    `disturbance`: the random force at each joint, of a method that estimates it.
     `bounds_hit` names parameters whose best value would be physically impossible. `seconds` is what it took. `window` s
     is the longest simulation without correction, None for a method that does not simulate.
     """
@@ -83,6 +87,7 @@ class Estimate:
     samples: int
     span: float
     fit_percent: Mapping[str, float] = field(default_factory=dict)
+    disturbance: tuple[DisturbanceEstimate, ...] = ()
     correlation: NDArray[np.float64] | None = None
     bounds_hit: tuple[str, ...] = ()
     seconds: float = 0.0
@@ -123,6 +128,7 @@ class Estimate:
             "samples": self.samples,
             "span": self.span,
             "fit_percent": dict(self.fit_percent),
+            "disturbance": {each.joint: each.to_json() for each in self.disturbance},
             "correlation": self._correlation_json(),
             "bounds_hit": list(self.bounds_hit),
             "seconds": self.seconds,

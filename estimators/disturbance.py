@@ -108,6 +108,8 @@ def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
                 place = task.free.index(time_place)
                 by_std[place], by_time[place] = 0.5 / time, 1.0 / time
             error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
+            if number is not None:
+                error = min(error, float(noise.spread[number]))
             shown = number is None or error < SHOWN
             found.append(
                 DisturbanceEstimate(

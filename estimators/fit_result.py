@@ -8,6 +8,7 @@ whether it hardly moves what is measured, or which other parameter does the same
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from estimators.gauss_newton import Minimum
 from estimators.problem import Problem
 from estimators.segments import DataError
 from models.model import Model, Parameter
+
+if TYPE_CHECKING:
+    from estimators.disturbance import DisturbanceEstimate
 
 Array = NDArray[np.float64]
 
@@ -56,13 +60,19 @@ def assemble(
     data_covariance: Array,
     fit_percent: Mapping[str, float],
     seconds: float,
+    disturbance: tuple[DisturbanceEstimate, ...] = (),
 ) -> Estimate:
-    """The Estimate of a fit. `covariance` (p, p) is told, `data_covariance` (p, p) decides what is identified."""
+    """The Estimate of a fit. `covariance` (p, p) is told, `data_covariance` (p, p) decides what is identified.
+
+    The correlation time of a disturbance is no parameter of the machine, and is told with its `disturbance`."""
     parameters: dict[str, ParameterEstimate] = {}
     related = correlation(data_covariance)
     lower, upper = problem.bounds
     bounds_hit = []
-    for place, parameter in enumerate(problem.parameters):
+    of_disturbance = {state.correlation_time for state in problem.model.base_states}
+    own = [place for place, parameter in enumerate(problem.parameters) if parameter.name not in of_disturbance]
+    for place in own:
+        parameter = problem.parameters[place]
         alone = float(np.sqrt(data_covariance[place, place]))
         asked = asked_std(parameter)
         coverage = 100.0 * min(1.0, asked / max(alone, 1e-300))
@@ -89,8 +99,8 @@ def assemble(
             value if known else None, std if known else None, parameter.unit, status, coverage, reason
         )
     failed = next((p for p in parameters.values() if not p.identifiable), None)
-    told = [parameters[parameter.name].identifiable for parameter in problem.parameters]
-    shown = np.where(np.outer(told, told), correlation(covariance), np.nan)
+    told = [each.identifiable for each in parameters.values()]
+    shown = np.where(np.outer(told, told), correlation(covariance)[np.ix_(own, own)], np.nan)
     return Estimate(
         method=method,
         parameters=parameters,
@@ -99,6 +109,7 @@ def assemble(
         samples=problem.rows,
         span=problem.span,
         fit_percent=dict(fit_percent),
+        disturbance=disturbance,
         correlation=shown,
         bounds_hit=tuple(bounds_hit),
         seconds=seconds,

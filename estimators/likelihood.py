@@ -85,6 +85,7 @@ class Likelihood:
     def of_data(self, common: Array, own: Sequence[Array], also: tuple[int, ...] = ()) -> Seen | None:
         """Without the prior. `also`: places of further parameters to differentiate by, after the logarithms."""
         task, noise, size = self.task, self.noise, len(self.task.free)
+        task.budget.check()
         kernel, values, places = task.kernel, task.values(common[:size]), (*task.free, *also)
         typical = np.array([task.model.parameters[place].typical for place in places])
         found = noise.gain_and_slopes(values, common[size:], places, typical)

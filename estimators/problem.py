@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.budget import UNLIMITED, Budget
 from estimators.contract import EstimationError
 from estimators.gauss_newton import Block
 from estimators.segments import segments
@@ -30,7 +31,7 @@ FINEST = 0.35
 @dataclass(frozen=True, slots=True)
 class Problem:
     """`free` are the places of the estimated parameters, `own` the states whose start each stretch fits for itself, and
-    `spread` (k,) how far off these may be."""
+    `spread` (k,) how far off these may be. Passes over the data are made within the `budget`."""
 
     model: Model
     kernel: Kernel
@@ -40,6 +41,7 @@ class Problem:
     initials: tuple[Array, ...]
     substeps: int
     spread: Array
+    budget: Budget = UNLIMITED
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -110,6 +112,7 @@ class Problem:
         to differentiate by beside the estimated ones, after them. `slopes` (nx * ny, p + q) are derivatives of the gain
         by the same and by q further unknowns that act through the gain alone. None where the model runs away.
         """
+        self.budget.check()
         values = self.values(common)
         blocks = []
         columns, states = len(self.free) + len(also), len(self.kernel.states)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
+from estimators.disturbance import disturbances
 from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.gauss_newton import Minimum, common_information, descend
 from estimators.innovations import NoiseModel
@@ -27,6 +28,7 @@ from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
 from estimators.time_scale import time_scale
 from models import library
+from models.disturbance import disturbed
 from models.kernel import Progress
 from models.model import Model
 from telemetry.recording import Recording
@@ -153,8 +155,11 @@ def prediction_error(
     """
     began = stopwatch()
     model = as_recorded(library.get(model) if isinstance(model, str) else model, recordings)
+    if estimate is not None:
+        model = model.change(estimated=estimate)
+    model = disturbed(model, recordings)
     try:
-        task = problem(model, recordings, estimate=estimate, support=support, progress=progress)
+        task = problem(model, recordings, support=support, progress=progress)
     except DataError as error:
         return refused(model, METHOD, error, stopwatch() - began)
     return result(fit(task, prior=prior), began)
@@ -261,6 +266,7 @@ def result(fitted: Fit, began: float) -> Estimate:
         minimum,
         covariance=covariance[:size, :size],
         data_covariance=inverse(information - np.diag(known_before))[:size, :size],
+        disturbance=disturbances(fitted),
         fit_percent=predicted_percent(fitted, HORIZON * time_scale(task.model, task.segments)),
         seconds=stopwatch() - began,
     )

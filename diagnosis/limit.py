@@ -1,0 +1,29 @@
+"""What a disturbance costs: the best possible prediction of a record, with it and without it."""
+
+from __future__ import annotations
+
+from diagnosis.ahead import sensor_floors
+from diagnosis.findings import PredictionLimit
+from estimators.contract import EstimationError
+from estimators.methods.prediction_error import Fit
+from estimators.time_scale import time_scale
+from models.natural_time import rounded
+
+AHEAD = 1.25
+"""Time scales ahead at which it is told: 0.5 s of the MONOCAB."""
+
+
+def prediction_limit(fitted: Fit) -> PredictionLimit | None:
+    """Of the predictor `fitted`; None where the record is too short to say, or has no joint that is disturbed."""
+    task = fitted.problem
+    if not any(state.correlation_time for state in task.model.base_states):
+        return None
+    horizon = rounded(AHEAD * time_scale(task.model, task.segments))
+    try:
+        with_it, without = (sensor_floors(fitted, (horizon,), disturbed=each)[0].tolist() for each in (True, False))
+    except EstimationError:
+        return None
+    channels = task.kernel.outputs
+    return PredictionLimit(
+        horizon, dict(zip(channels, with_it, strict=True)), dict(zip(channels, without, strict=True))
+    )
