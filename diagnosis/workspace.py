@@ -29,8 +29,8 @@ before the first row."""
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`left_out`: effects that are no candidate, and why. All that is fitted is within the `budget`; `untried` gathers in
-    words what was left for want of time."""
+    """`left_out`: effects that are no candidate, and why. All that is fitted is within the `budget`; `untried` gathers
+    in words what was left for want of time."""
 
     recordings: tuple[Recording, ...]
     support: float | None
