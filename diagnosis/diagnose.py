@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
+from diagnosis.closed_loop_error import Loop
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
@@ -22,8 +23,9 @@ from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
+from diagnosis.relevance import relevances
 from diagnosis.screen import Screen
-from diagnosis.step import find, look, retold, surprising, unseen_at_zero
+from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
 from diagnosis.workspace import Workspace
 from estimators.budget import Budget, OutOfTime
 from estimators.contract import Status
@@ -50,6 +52,7 @@ def diagnose(
     masked: Collection[str] = (),
     unasked: Collection[str] = (),
     budget: float | None = None,
+    loops: Sequence[Loop | str] = (),
     progress: Progress | None = None,
 ) -> Diagnosis:
     """What `model` lacks to explain `recordings`.
@@ -59,8 +62,9 @@ def diagnose(
     default. `most`: effects that are added at most, one after the other. `masked`: effects that parameters of
     the model can take the place of, so that the screen alone does not decide about them (diagnosis.masked). `unasked`:
     parameters that the recordings need not tell. `budget` s: by then the search ends with what it has, and says what it
-    left untried; by default it takes as long as it takes. `progress` is told what is being done and
-    the share of it that is over, 0 to 1.
+    left untried; by default it takes as long as it takes. `loops` tell what closed the loop on each recording, or why
+    that is not known (diagnosis.relevance). `progress` is told what is being done and the share of it that is over, 0
+    to 1.
     Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
     """
     tell = progress or (lambda text, share: None)
@@ -90,6 +94,7 @@ def diagnose(
     before = rest.before if bare is base else over_floor(base.fit, last.fit)
     # `last` may have one without a name.
     after = rest.after if steps[-1] is last else over_floor(steps[-1].fit, last.fit)
+    findings, steps = _by_relevance(findings, steps, last, loops)
     found = _verdict(steps, findings, screens, rest, (before, after), workspace)
     last_shown = found.steps[-1].fit
     return replace(
@@ -99,6 +104,15 @@ def diagnose(
         prediction_limit=prediction_limit(last_shown),
         untried=tuple(workspace.untried),
     )
+
+
+def _by_relevance(
+    findings: Sequence[Finding], steps: list[FullFit], last: FullFit, loops: Sequence[Loop | str]
+) -> tuple[list[Finding], list[FullFit]]:
+    """`findings` with their relevance, those that are negligible below the others; `steps` as they were made."""
+    told = relevances([each.fit for each in steps], last.fit, loops)
+    known = [reworded(replace(each, relevance=share)) for each, share in zip(findings, told, strict=True)]
+    return sorted(known, key=lambda each: each.negligible), steps
 
 
 def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
@@ -215,6 +229,15 @@ def _left(before: float, after: float) -> str:
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
+def _negligible(findings: Sequence[Finding]) -> str:
+    """What is there and does not matter, in words."""
+    return "".join(
+        f" {each.effect} shows, and is negligible: {str(each.relevance).removesuffix(': negligible.').lower()}."
+        for each in findings
+        if each.negligible
+    )
+
+
 def _left_by_blows(rest: Adequacy) -> str:
     """What is left where parts strike each other, in words."""
     left = _left(rest.before, rest.after) if rest.struck else ""
@@ -242,8 +265,8 @@ def _verdict(
             reason = f"{names} {verb} missing, and {reason}{_left(before, after)}"
     elif findings:
         verdict = Verdict.MISSING_EFFECT
-        reason = "; ".join(finding.explanation for finding in findings)
-        reason += _left_by_blows(rest)
+        matter = [each.explanation for each in findings if not each.negligible] or ["nothing is missing that matters."]
+        reason = "; ".join(matter) + _negligible(findings) + _left_by_blows(rest)
     else:
         verdict = Verdict.ADEQUATE
         reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"

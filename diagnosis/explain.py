@@ -47,6 +47,8 @@ def explain(finding: Finding, score: Score) -> str:
             f"Told as the two that it is made of, {_sizes(two.parameters)}; the log likelihood is {abs(gain):.3g} "
             f"{'higher' if gain > 0.0 else 'lower'} with these."
         )
+    if finding.relevance is not None:
+        told.append(str(finding.relevance))
     if finding.held_out is not None:
         gain, std = finding.held_out.gain, finding.held_out.std
         told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} +-{std:.2g}.")

@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnosis.adequacy import Adequacy
 from diagnosis.refit import FullFit
+from diagnosis.relevance import Relevance
 from diagnosis.screen import Screen
 from diagnosis.unseen import Unseen
 from estimators.contract import ParameterEstimate
@@ -44,7 +45,8 @@ class Finding:
     `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
     model before; `held_out` what data say that the fit had not seen, None where there are none;
     `odds` of every effect that got a full fit, relative to this one, and what each `gains`, as a share of what this one
-    does; `screen` is the one that it was found in. `made_of`, where it is made of two. Where there are several, each is
+    does; `screen` is the one that it was found in. `made_of`, where it is made of two;
+    `relevance`: the share of the errors that it makes. Where there are several, each is
     told as it is beside the others.
     """
 
@@ -61,6 +63,12 @@ class Finding:
     gains: Mapping[str, float] = field(default_factory=dict)
     screen: Screen | None = None
     made_of: MadeOf | None = None
+    relevance: Relevance | None = None
+
+    @property
+    def negligible(self) -> bool:
+        """Whether it makes no error that matters, as far as that is known."""
+        return self.relevance is not None and self.relevance.negligible
 
     @property
     def held_out_error_closed_percent(self) -> float | None:
@@ -89,6 +97,7 @@ class Finding:
             }
             if self.made_of
             else None,
+            "relevance": self.relevance.to_json() if self.relevance else None,
             "explanation": self.explanation,
         }
 

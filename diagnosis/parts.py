@@ -15,6 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, on_time
+from diagnosis.closed_loop_error import Loop
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
 from diagnosis.masked import LAG
 from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
@@ -46,6 +47,7 @@ def diagnose_parts(
     candidates: Iterable[str | Effect] | None = None,
     most: int = 3,
     budget: float | None = None,
+    loops: Sequence[Loop | str] = (),
     progress: Progress | None = None,
 ) -> Diagnosis:
     """What `vehicle`, driven by measured motion, and the one of `actuators` that fits lack to explain `recordings`.
@@ -62,6 +64,7 @@ def diagnose_parts(
         candidates=candidates,
         most=most,
         budget=None if budget is None else SHARE * budget,
+        loops=loops,
         progress=lambda text, share: tell(text, SHARE * share),
     )
     commanded = [each for each in looked_for if each.place is Place.ACTUATOR]

@@ -1,0 +1,110 @@
+"""How much an effect matters: the share of a model's errors that it makes, however significant it is.
+
+    share = (E without - E with) / E without
+
+E is the mean energy of the error, over that of the floor, some time ahead, and in a simulation of the closed loop; both
+models run through one filter, that of the best model's disturbance and the sensors' noise. A long record shows effects
+that no prediction and no controller would miss: what makes less than a percent of both errors is negligible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diagnosis.ahead import errors, sensor_floors
+from diagnosis.closed_loop_error import Loop, closed_loop
+from diagnosis.floor import Innovations, floor, innovations, shaken_as
+from estimators.contract import EstimationError
+from estimators.methods.prediction_error import Fit
+from estimators.time_scale import time_scale
+from models.natural_time import rounded
+
+NEGLIGIBLE = 1.0
+"""Percent of an error's energy below which what makes it is negligible."""
+AHEAD = 1.25
+"""Time scales (estimators.time_scale) ahead at which errors are compared: 0.5 s of the MONOCAB."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relevance:
+    """Percent of the error energy that an effect makes: `ahead`, `horizon` s ahead, and in the `closed_loop`, None
+    where no loop could be simulated with and without it. Of a model without it, that has all that was found before."""
+
+    horizon: float
+    ahead: float
+    closed_loop: float | None = None
+
+    @property
+    def negligible(self) -> bool:
+        """Whether it makes less than NEGLIGIBLE of either error."""
+        return max(self.ahead, self.closed_loop or 0.0) < NEGLIGIBLE
+
+    def to_json(self) -> dict[str, Any]:
+        """`relevance` of a finding in `diagnose --json`."""
+        return {
+            "horizon": self.horizon,
+            "ahead_percent": self.ahead,
+            "closed_loop_percent": self.closed_loop,
+            "negligible": self.negligible,
+        }
+
+    def __str__(self) -> str:
+        """`It makes 43 % of the error 0.5 s ahead, and 70 % of that in the closed loop.`"""
+        shares = [f"{_percent(self.ahead)} of the error {self.horizon:g} s ahead"]
+        if self.closed_loop is not None:
+            shares.append(f"{_percent(self.closed_loop)} of that in the closed loop")
+        return f"It makes {', and '.join(shares)}{': negligible' if self.negligible else ''}."
+
+
+def relevances(steps: Sequence[Fit], best: Fit, loops: Sequence[Loop | str] = ()) -> list[Relevance | None]:
+    """Of what each of `steps` has more than the one before it; None where it cannot be said. `best` is the fit whose
+    disturbance is the vehicle's."""
+    seen = [_seen(each, best) for each in steps]
+    horizon = rounded(AHEAD * time_scale(best.problem.model, best.problem.segments))
+    ahead = [None if each is None else _ahead(each, horizon) for each in seen]
+    looped = [None if each is None or not loops else _looped(each, loops) for each in seen]
+    found: list[Relevance | None] = []
+    for place in range(1, len(steps)):
+        share = _share(ahead[place - 1], ahead[place])
+        found.append(None if share is None else Relevance(horizon, share, _share(looped[place - 1], looped[place])))
+    return found
+
+
+def _seen(fitted: Fit, best: Fit) -> Innovations | None:
+    try:
+        task, values = shaken_as(fitted.problem, fitted.values, best)
+        return innovations(task, values, floor(task, values))
+    except (EstimationError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+
+
+def _ahead(found: Innovations, horizon: float) -> float | None:
+    """Mean energy of the error `horizon` s ahead over that of a right model, of all outputs."""
+    try:
+        least = sensor_floors(found.fit, (horizon,))[0]
+    except EstimationError:
+        return None
+    energy = np.nanmean((errors(found.fit, (horizon,))[0] / least) ** 2, axis=0)
+    mean = float(np.mean(energy))
+    return mean if np.isfinite(mean) else None
+
+
+def _looped(found: Innovations, loops: Sequence[Loop | str]) -> float | None:
+    sources = [segment.source for segment in found.problem.segments]
+    places = {source: place for place, source in reversed(list(enumerate(dict.fromkeys(sources))))}
+    told = closed_loop(found, [places[source] for source in sources], loops)
+    return None if told.reason else float(np.mean([told.over_floor(channel) ** 2 for channel in told.measured]))
+
+
+def _share(without: float | None, with_it: float | None) -> float | None:
+    if without is None or with_it is None or without <= 0.0:
+        return None
+    return float(100.0 * max(0.0, without - with_it) / without)
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0f} %" if share >= 1.0 else f"{share:.1g} %" if share > 0.0 else "nothing"
