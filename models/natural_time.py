@@ -10,6 +10,7 @@ they move with every fit, those of a mass or a balanced vehicle are at zero or u
 motion's no matrix says. What a record says of scales that are far off is in estimators.time_scale.
 
 A model of actuators alone has its loops' time constants instead: what follows a command is over after ten of them.
+Their typical sizes (`scale`) count, which no fit moves.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def natural_time(model: Model) -> float | None:
     """T of `model`, s; None where it has neither joints nor time constants."""
     joints = [joint.coordinate_scale / joint.rate_scale for joint in model.joints]
     shifts = {name for each in model.inputs for name in each.delays}
-    lags = [abs(each.value) for each in model.base_parameters if each.unit == "s" and each.name not in shifts]
+    times = [each for each in model.base_parameters if each.unit == "s" and each.name not in shifts]
+    lags = [each.scale or abs(each.value) for each in times]
     longest = max(joints) if joints else OF_A_LOOP * max(lags, default=0.0)
     return rounded(longest) or None
 

@@ -30,7 +30,9 @@ _ROLLS = "roll_gain * precession_rate + roll_acceleration"
 _UNDER_LOAD = f"servo_acceleration - {_REACTION} - gimbal_drag * precession_rate"
 
 _PARAMETERS = (
-    Parameter("speed_loop_lag", "s", 0.04, std=0.01, lower=2e-3, upper=1.0, meaning="of the closed speed loops"),
+    Parameter(
+        "speed_loop_lag", "s", 0.04, std=0.01, scale=0.04, lower=2e-3, upper=1.0, meaning="of the closed speed loops"
+    ),
     Parameter(
         "gimbal_reaction",
         "1/s",
