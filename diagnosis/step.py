@@ -114,7 +114,7 @@ def find(
     p_value = min([p_value, *(tries * _by_likelihood(each, base, screened) for each in fits)])
     if p_value >= LEVEL:
         return None
-    check = UnseenCheck(base, workspace)
+    check, refused = UnseenCheck(base, workspace), set[str]()
     for attempt in range(CHECKED):
         if not fits:
             return None
@@ -123,9 +123,12 @@ def find(
         held_out = before.finding.held_out if before and best is before.fit else check.of(best)
         if held_out is None and not workspace.budget.left:
             workspace.leave(f"the held-out check of {best.name}")
-        if held_out is None or held_out.stands:
+        # What does all that a refused effect does is not named without a check of its own.
+        unchecked = held_out is None and refused.intersection(best.candidate.effect.beyond if best.candidate else ())
+        if not unchecked and (held_out is None or held_out.stands):
             return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
         fits = [each for each in fits if each is not best]
+        refused.add(best.candidate.effect.name if best.candidate else "")
     return None
 
 
