@@ -30,6 +30,7 @@ from estimators.problem import Problem
 from estimators.problem import at_rest as moment_at_rest
 from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, at_rest
 from estimators.recursive_predictor import Seen, inputs_at, measured_state
+from models.disturbance import disturbed
 from models.effect import Effect
 from models.effects import CATALOGUE
 from models.kernel import Kernel, Memory, Progress, compile_model
@@ -79,6 +80,7 @@ class LiveDiagnosis:
         effects: Sequence[str | Effect] | None = None,
         progress: Progress | None = None,
     ) -> None:
+        model = disturbed(model, ())
         self.estimator = RecursivePredictionError(
             model,
             parameters=parameters,

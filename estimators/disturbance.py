@@ -88,17 +88,23 @@ def with_error(value: float, std: float) -> str:
 
 def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint that has one, in the model's order."""
-    task, noise = fitted.problem, NoiseModel.of(fitted.problem)
-    size, covariance = len(task.free), inverse(fitted.minimum.information)
-    found = []
+    noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
+    return told(noise, fitted.values, fitted.minimum.common[size:], inverse(fitted.minimum.information))
+
+
+def told(noise: NoiseModel, values: Array, logarithms: Array, covariance: Array) -> tuple[DisturbanceEstimate, ...]:
+    """Of each joint, at parameter values (np,) and logarithms (q,) of the noise; `covariance` (p + q, p + q) is that of
+    the estimated parameters and the logarithms."""
+    task = noise.problem
+    size, found = len(task.free), []
     for joint in task.model.joints:
         for state in task.model.base_states:
             if not state.correlation_time or state.name not in joint.load.split():
                 continue
             time_place = task.kernel.index(state.correlation_time)
-            time = float(fitted.values[time_place])
+            time = float(values[time_place])
             number = noise.logarithm_of(state.name)
-            grown = 0.0 if number is None else float(fitted.minimum.common[size + number])
+            grown = 0.0 if number is None else float(logarithms[number])
             std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time)
             # Derivatives of the logarithms of both by the unknowns.
             by_std, by_time = np.zeros(len(covariance)), np.zeros(len(covariance))

@@ -70,6 +70,8 @@ class Shaken:
             "precession_rate": table[:, 4] + 2e-4 * noise[3],
             "precession_rate_setpoint": table[:, 5],
             **dict.fromkeys(("trim_position", "trim_rate", "trim_rate_setpoint"), np.zeros(len(table))),
+            "gyro_bias_std": np.full(len(table), 6.9e-4),
+            "drive_age": np.zeros(len(table)),
         }
         channels = ChannelTable(channel for channel in MONOCAB if channel.name in values)
         return Recording(channels, np.round(table[:, 0] * 1e9).astype(np.int64), values, source=f"shaken {seed}")
