@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +139,8 @@ class LiveDiagnosis:
 
     def result(self) -> LiveResult:
         """What is missing, as far as it shows."""
-        return LiveResult((), {}, 0, self._failure) if self._failure else self._result
+        found = LiveResult((), {}, 0, self._failure) if self._failure else self._result
+        return replace(found, disturbance=self.estimator.result().disturbance)
 
     def _see(self, seen: Seen) -> None:
         """A chunk of the recursion. Whatever goes wrong here, the recursion goes on."""
