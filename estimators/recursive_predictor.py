@@ -236,7 +236,9 @@ class RecursivePredictor:
         if self._noise is None:
             return ()
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
-        return told(self._noise, self._values, self._regression.z[self._free :], covariance * np.outer(sizes, sizes))
+        values, logarithms = self._values, self._regression.z[self._free :]
+        unit = self._noise.unit(values, logarithms, self._covariance())
+        return told(self._noise, values, logarithms, covariance * np.outer(sizes, sizes), unit)
 
     @property
     def _values(self) -> Array:
