@@ -22,8 +22,8 @@ from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 
-SHORTEST = 37.5
-"""Times the time scale of the model (estimators.time_scale) of free motion in all recordings together, at least: 15 s
+SHORTEST = 20.0
+"""Times the time scale of the model (estimators.time_scale) of free motion in all recordings together, at least: 8 s
 of the MONOCAB. What takes as long has not been seen often enough to be told from another."""
 MOTIONS = 94.0
 """Motion times that are as good: those that a multisine of the MONOCAB has in 15 s. A record of 14.7 s with a thousand

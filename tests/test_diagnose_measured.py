@@ -9,7 +9,6 @@ import pytest
 from diagnosis.diagnose import Verdict, diagnose
 from diagnosis.repair import repair
 from examples import emps, quarter_drone, unbalanced_disk
-from models.library.axis import axis
 from models.model_file import load_model
 
 pytestmark = pytest.mark.timeout(300)
@@ -19,8 +18,10 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
     """Dry friction of 20.39 N and an offset of 3.16 N are published. In motion the two are one friction that differs
     between the directions, which is what is named: their mean is asked for within 1 %, half their difference within 2 %
     (1.2 % are measured; the offset also acts at rest, where friction takes what is asked of it)."""
-    bare = axis(name="emps", inertia=100.0, position_noise=2e-6, process_noise=0.1, force_scale=50.0, smooth_rate=1e-3)
-    found = diagnose(bare.add("viscous_friction"), [emps.load(measured_data)], most=1)
+    model = emps.model()
+    for effect in ("coulomb_friction", "static_torque"):
+        model = model.remove(effect)
+    found = diagnose(model, [emps.load(measured_data)], most=1)
     assert found.verdict is Verdict.MISSING_EFFECT
     finding = found.findings[0]
     assert finding.effect == "asymmetric_friction"

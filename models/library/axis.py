@@ -8,7 +8,7 @@ motor voltage in V, whose `force_gain` is N m/V.
 
 from __future__ import annotations
 
-from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Actuator, Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
 
 
 def axis(
@@ -35,10 +35,12 @@ def axis(
     position_scale: float = 0.1,
     rate_scale: float = 0.1,
     smooth_rate: float = 1e-3,
+    disturbance: Disturbance | None = Disturbance(),  # noqa: B008  # frozen
 ) -> Model:
     """An axis with its own channel names, units and sizes. `load` is a further known force, an expression.
 
-    `process_noise` is in rate units/sqrt(s). The position is measured, the rate only where `rate_measured`.
+    `process_noise` is in rate units/sqrt(s); `disturbance` as of a joint. The position is measured, the rate only where
+    `rate_measured`.
     """
     outputs: tuple[Output, ...] = (Output(position, position_unit, position, position_noise),)
     if rate_measured:
@@ -80,6 +82,7 @@ def axis(
                 coordinate_scale=position_scale,
                 rate_scale=rate_scale,
                 smooth_rate=smooth_rate,
+                disturbance=disturbance,
             ),
         ),
         actuators=(
