@@ -15,6 +15,7 @@ from functools import partial
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.closed_loop_error import Loop
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
+from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
@@ -72,7 +73,8 @@ def diagnose(
     tell("reading the data", 0.0)
     known, model = model, ready(model, recordings)
     try:
-        recordings = after_settling(model, recordings, support)
+        whole, recordings = recordings, after_settling(model, recordings, support)
+        loops = [_begun_at(loop, *both) for loop, *both in zip(loops, whole, recordings, strict=False)]
         check(model, recordings, support)
         workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))
     except DataError as error:
@@ -104,6 +106,12 @@ def diagnose(
         prediction_limit=prediction_limit(last_shown),
         untried=tuple(workspace.untried),
     )
+
+
+def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str:
+    """`loop` of the recording `whole`, in the time of `part`, whose first row may be a later one."""
+    later = float(part.timestamp_ns[0] - whole.timestamp_ns[0]) * 1e-9
+    return loop if isinstance(loop, str) else replace(loop, begins=loop.begins - later, ends=loop.ends - later)
 
 
 def _by_relevance(
@@ -229,15 +237,6 @@ def _left(before: float, after: float) -> str:
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
-def _negligible(findings: Sequence[Finding]) -> str:
-    """What is there and does not matter, in words."""
-    return "".join(
-        f" {each.effect} shows, and is negligible: {str(each.relevance).removesuffix(': negligible.').lower()}."
-        for each in findings
-        if each.negligible
-    )
-
-
 def _left_by_blows(rest: Adequacy) -> str:
     """What is left where parts strike each other, in words."""
     left = _left(rest.before, rest.after) if rest.struck else ""
@@ -265,8 +264,7 @@ def _verdict(
             reason = f"{names} {verb} missing, and {reason}{_left(before, after)}"
     elif findings:
         verdict = Verdict.MISSING_EFFECT
-        matter = [each.explanation for each in findings if not each.negligible] or ["nothing is missing that matters."]
-        reason = "; ".join(matter) + _negligible(findings) + _left_by_blows(rest)
+        reason = together(findings) + _left_by_blows(rest)
     else:
         verdict = Verdict.ADEQUATE
         reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"
