@@ -104,7 +104,7 @@ def diagnose(
         repaired=unready(known, found.repaired) if found.repaired is not None else None,
         disturbance=disturbances(last_shown),
         prediction_limit=prediction_limit(last_shown),
-        untried=tuple(workspace.untried),
+        untried=tuple(each for each in workspace.untried if each not in {one.effect for one in findings}),
     )
 
 

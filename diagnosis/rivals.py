@@ -104,7 +104,7 @@ def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, g
 
 
 def fitted(model: Model, recordings: Sequence[Recording], support: float | None, budget: Budget = UNLIMITED) -> Rival:
-    """`model` as it is, fitted to `recordings`. Raises DataError where they cannot be used, OutOfTime after `budget`."""
+    """`model` as it is, fitted to `recordings`. Raises DataError where these cannot be used, OutOfTime."""
     workspace = Workspace.of(model, after_settling(model, recordings, support), support, ())
     workspace = replace(workspace, budget=budget)
     return Rival.of(NOTHING_MORE, full(model, workspace))

@@ -64,6 +64,6 @@ def untried_sentence(diagnosis: Diagnosis, seconds: float | None = None) -> str:
     """What was left for want of time, and the remedy; empty where nothing was. `seconds` of the budget, where known."""
     if not diagnosis.untried:
         return ""
-    within = "" if seconds is None else f" within {seconds:.3g} s"
-    more = "SECONDS" if seconds is None else f"{MORE * seconds:.2g}"
-    return f"Left untried{within}: {'; '.join(diagnosis.untried)}. Remedy: more time, --budget {more}."
+    within = "" if seconds is None else f" ({seconds:.0f} s)"
+    more = "SECONDS" if seconds is None else f"{MORE * seconds:.0f}"
+    return f"Left untried for want of time{within}: {'; '.join(diagnosis.untried)}. Remedy: --budget {more}."

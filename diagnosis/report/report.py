@@ -15,6 +15,7 @@ from diagnosis.report import tables
 from diagnosis.report.drawing import file_name
 from diagnosis.report.page import Figures, Provenance, compared_figures, render
 from diagnosis.report.words import headline
+from diagnosis.sentences import disturbance_sentences, untried_sentence
 from estimators.contract import EstimationError
 from models.model import Model
 from telemetry.recording import Recording
@@ -31,9 +32,11 @@ def write_report(
     *,
     support: float | None = None,
     provenance: Provenance | None = None,
+    seconds: float | None = None,
     progress: Progress | None = None,
 ) -> str:
-    """The page as text. `model` and `recordings` are what `diagnosis` is of, `support` as it was there.
+    """The page as text. `model` and `recordings` are what `diagnosis` is of, `support` as it was there. `seconds` are
+    those that it was allowed to take, where that is known.
 
     `progress` is told in words what is being done.
     """
@@ -52,8 +55,14 @@ def write_report(
         comparisons=comparisons,
         errors=list(tables.errors(comparisons)) if comparisons else [],
         rankings=tables.rankings(diagnosis),
+        disturbance=disturbance_sentences(diagnosis),
+        untried=untried_sentence(diagnosis, seconds),
+        relevances=tables.relevances(diagnosis),
+        horizon=tables.horizon(diagnosis),
         parameters=tables.parameters(diagnosis),
         remarks=tables.remarks(diagnosis),
+        shaken=tables.shaken(diagnosis),
+        limits=tables.limits(diagnosis),
         held=tables.held(diagnosis),
         detectables=tables.detectables(diagnosis),
         left_out=tables.left_out(diagnosis),
@@ -90,6 +99,7 @@ def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) 
 def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:
     """Names and innovation energies over the floor: as given, fitted, and after each effect."""
     names, ratios = [], []
+    known: set[str] = set()
     task = diagnosis.steps[0].fit.problem
     try:
         given = task.kernel.vector()
@@ -100,5 +110,8 @@ def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:
     for place, step in enumerate(diagnosis.steps):
         fit = step.fit
         ratios.append(innovation_ratio(fit.problem, fit.values, floor(fit.problem, fit.values)))
-        names.append("fitted" if place == 0 else f"with {diagnosis.findings[place - 1].effect}")
+        # Findings stand by how much they matter, steps in the order in which they were made.
+        added = [each.name for each in step.model.effects if each.name not in known]
+        known.update(added)
+        names.append("fitted" if place == 0 else f"with {' and '.join(added)}")
     return names, ratios

@@ -23,6 +23,8 @@ class Headline:
 
 def headline(diagnosis: Diagnosis) -> Headline:
     """What a person reads first."""
+    if diagnosis.verdict is Verdict.MISSING_EFFECT and not mattering(diagnosis):
+        return Headline(Verdict.ADEQUATE.value, "Negligible effect", NOTHING_MATTERS, next_step(diagnosis))
     return Headline(
         diagnosis.verdict.value,
         diagnosis.verdict.value.replace("_", " ").capitalize(),
@@ -37,8 +39,6 @@ def _line(diagnosis: Diagnosis) -> str:
     match diagnosis.verdict:
         case Verdict.ADEQUATE:
             return f"the model explains these recordings {to_within(diagnosis)}"
-        case Verdict.MISSING_EFFECT if not matter:
-            return NOTHING_MATTERS
         case Verdict.MISSING_EFFECT:
             alone = matter[0] if len(matter) == 1 else None
             if alone is not None and not alone.tied_with:

@@ -166,6 +166,7 @@ def diagnose(
                     seen,
                     support=support,
                     provenance=origin,
+                    seconds=seconds,
                     progress=lambda text: progress(text, 1.0),
                 )
                 path.write_text(text, encoding="utf-8")

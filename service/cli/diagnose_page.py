@@ -97,8 +97,9 @@ def _detectable(found: Diagnosis) -> Table:
     table.add_column("parameter")
     table.add_column("size", justify="right")
     sizes = found.minimum_detectable or {}
-    scores = [score for part in found.parts or (found,) if part.screens for score in part.screens[0].scores]
-    for score in sorted(scores, key=lambda each: each.candidate.name):
+    screens = [part.screens[0] for part in found.parts or (found,) if part.screens]
+    scores = {score.candidate.name: score for each in screens for score in each.scores}
+    for _, score in sorted(scores.items()):
         if score.candidate.name not in sizes:
             continue
         first = score.candidate.amplitudes[0]
