@@ -126,8 +126,8 @@ def limits(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     for output in diagnosis.steps[-1].model.outputs:
         if output.name in limit.disturbed:
             factor, unit = shown(output.unit)
-            errors = (limit.disturbed[output.name], limit.undisturbed[output.name])
-            rows.append((output.name, *(f"{factor * error:.2g}{HARD_SPACE}{unit}" for error in errors)))
+            error, without = (factor * each[output.name] for each in (limit.disturbed, limit.undisturbed))
+            rows.append((output.name, f"{error:.2g}{HARD_SPACE}{unit}", f"{without:.2g}{HARD_SPACE}{unit}"))
     return rows
 
 
