@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from diagnosis.adequacy import over_floor
 from diagnosis.compare import Comparison, compare
 from diagnosis.diagnose import Diagnosis
-from diagnosis.floor import floor, innovation_ratio
 from diagnosis.report import tables
 from diagnosis.report.drawing import file_name
 from diagnosis.report.page import Figures, Provenance, compared_figures, render
@@ -97,19 +99,20 @@ def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) 
 
 
 def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:
-    """Names and innovation energies over the floor: as given, fitted, and after each effect."""
+    """Names and innovation energies over the floor: as given, fitted, and after each effect, all of them beside the
+    disturbance that the last one leaves."""
     names, ratios = [], []
     known: set[str] = set()
-    task = diagnosis.steps[0].fit.problem
-    try:
-        given = task.kernel.vector()
-        ratios.append(innovation_ratio(task, given, floor(task, given)))
+    first, last = diagnosis.steps[0].fit, diagnosis.steps[-1].fit
+    as_given = over_floor(first, last, first.problem.kernel.vector())
+    if np.isfinite(as_given):  # values with which the model runs away have no error to show
+        ratios.append(as_given)
         names.append("as given")
-    except EstimationError:
-        pass  # values with which the model runs away have no error to show
     for place, step in enumerate(diagnosis.steps):
-        fit = step.fit
-        ratios.append(innovation_ratio(fit.problem, fit.values, floor(fit.problem, fit.values)))
+        # The diagnosis' own are beside all that it found, something without a name included.
+        told = diagnosis.innovation_ratio_before if place == 0 else diagnosis.innovation_ratio_after
+        ends = place in (0, len(diagnosis.steps) - 1)
+        ratios.append(told if ends and told is not None else over_floor(step.fit, last))
         # Findings stand by how much they matter, steps in the order in which they were made.
         added = [each.name for each in step.model.effects if each.name not in known]
         known.update(added)
