@@ -111,7 +111,7 @@ def diagnose(
 def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str:
     """`loop` of the recording `whole`, in the time of `part`, whose first row may be a later one."""
     later = float(part.timestamp_ns[0] - whole.timestamp_ns[0]) * 1e-9
-    return loop if isinstance(loop, str) else replace(loop, begins=loop.begins - later, ends=loop.ends - later)
+    return loop if isinstance(loop, str) else loop.of_part(later)
 
 
 def _by_relevance(

@@ -32,7 +32,7 @@ HOSTILE = 'runs/<script>alert("1")</script> & $x^2$ "a" <b>.arrow'
 HASH = "5e" * 32
 PROVENANCE = Provenance(vehicle="monocab", version="1.2.3", date="2031-02-03 04:05", hashes={HOSTILE: HASH})
 CANDIDATES = ("coulomb_friction", "stribeck_friction", "viscous_friction", "gyro_bias")
-"""Few, for the tests' time: the effect, what it is confused with, another, and one that a filter has learned by then."""
+"""Few, for the tests' time: the effect, what it is confused with, another, and one that a filter has learned."""
 LARGEST = 3_000_000
 """Bytes of a page that goes by mail."""
 VOID = frozenset({"meta", "br", "link", "img", "input", "hr"})
