@@ -14,6 +14,7 @@ from functools import partial
 
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.closed_loop_error import Loop
+from diagnosis.events import Event, events, pieces
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
@@ -27,12 +28,14 @@ from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
+from diagnosis.unseen import hidden
 from diagnosis.workspace import Workspace
 from estimators.budget import Budget, OutOfTime
-from estimators.contract import Status
-from estimators.disturbance import disturbances
+from estimators.contract import ParameterEstimate, Status
+from estimators.disturbance import disturbances, in_words
 from estimators.methods.prediction_error import result
 from estimators.segments import DataError, after_settling
+from estimators.time_scale import time_scale
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording
@@ -69,27 +72,54 @@ def diagnose(
     Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
     """
     tell = progress or (lambda text, share: None)
-    searching = Budget.of(None if budget is None else SEARCH * budget)
+    bound = Budget.of(budget)
     tell("reading the data", 0.0)
     known, model = model, ready(model, recordings)
-    try:
-        whole, recordings = recordings, after_settling(model, recordings, support)
-        loops = [_begun_at(loop, *both) for loop, *both in zip(loops, whole, recordings, strict=False)]
-        check(model, recordings, support)
-        workspace = Workspace.of(model, recordings, support, None if candidates is None else tuple(candidates))
-    except DataError as error:
-        return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
+    chosen = None if candidates is None else tuple(candidates)
+
+    def whole(given: Sequence[Recording]) -> tuple[Diagnosis, list[Event]]:
+        try:
+            recordings = after_settling(model, given, support)
+            check(model, recordings, support)
+            workspace = Workspace.of(model, recordings, support, chosen)
+        except DataError as error:
+            return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error)), []
+        begun = [_begun_at(loop, *both) for loop, *both in zip(loops, given, recordings, strict=False)]
+        return _whole(replace(workspace, budget=bound), model, most, masked, unasked, begun, tell)
+
+    found, happened = whole(recordings)
+    if happened:
+        tell("leaving out what happened once", 0.5)
+        scale = time_scale(model, found.steps[-1].fit.problem.segments)
+        rest, _ = whole([hidden(model, each, pieces(happened, each.source, scale)) for each in recordings])
+        if rest.verdict is not Verdict.INSUFFICIENT_DATA:
+            found = replace(rest, reason=f"{rest.reason} {' '.join(map(str, happened))}", events=tuple(happened))
+    return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
+
+
+def _whole(
+    workspace: Workspace,
+    model: Model,
+    most: int,
+    masked: Collection[str],
+    unasked: Collection[str],
+    loops: Sequence[Loop | str],
+    tell: Progress,
+) -> tuple[Diagnosis, list[Event]]:
+    """The diagnosis of `model` on the rows of `workspace`, and where on these the disturbance changes."""
+    unhurried = workspace.unhurried
     tell("fitting the model as it is", 0.05)
-    base = settled(model, workspace)
+    base = settled(model, unhurried)
     if (with_more := freed(model, base.fit)) is not model:
-        base = settled(with_more, workspace)
+        base = settled(with_more, unhurried)
     lacking = unidentified(base, unasked)
     if lacking:
-        return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
-    bare = _without_blows(base, workspace)
+        return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out), []
+    bare = _without_blows(base, unhurried)
     of_blows = max(0.0, base.log_likelihood - bare.log_likelihood)
-    hurried = replace(workspace, budget=searching)
-    findings, fits, screens, last = _search(base, hurried, most, masked, of_blows, partial(_part, tell, 0.1, 0.85))
+    findings, fits, screens, last = _search(
+        base, workspace.within(SEARCH), most, masked, of_blows, partial(_part, tell, 0.1, 0.85)
+    )
     tell("looking for what has no name", 0.95)
     rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
     steps = [base, *fits]
@@ -98,14 +128,14 @@ def diagnose(
     after = rest.after if steps[-1] is last else over_floor(steps[-1].fit, last.fit)
     findings, steps = _by_relevance(findings, steps, last, loops)
     found = _verdict(steps, findings, screens, rest, (before, after), workspace)
-    last_shown = found.steps[-1].fit
-    return replace(
+    shown = found.steps[-1].fit
+    found = replace(
         found,
-        repaired=unready(known, found.repaired) if found.repaired is not None else None,
-        disturbance=disturbances(last_shown),
-        prediction_limit=prediction_limit(last_shown),
+        disturbance=disturbances(shown),
+        prediction_limit=prediction_limit(shown),
         untried=tuple(each for each in workspace.untried if each not in {one.effect for one in findings}),
     )
+    return found, events(last.fit)
 
 
 def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str:
@@ -226,7 +256,25 @@ def unidentified(base: FullFit, unasked: Collection[str] = ()) -> str:
     nuisances = {name for each in base.model.inputs for name in each.delays}.union(unasked)
     own = {name: each for name, each in told.parameters.items() if name not in nuisances}
     silent = [name for name, each in own.items() if each.status is Status.TOO_LITTLE_EXCITATION]
-    return f"{silent[0]}: {own[silent[0]].reason}" if 2 * len(silent) > len(own) else ""
+    if 2 * len(silent) <= len(own):
+        return ""
+    return f"{silent[0]}: {own[silent[0]].reason}{_what_would_do([own[name] for name in silent], base)}"
+
+
+def _what_would_do(silent: Sequence[ParameterEstimate], base: FullFit) -> str:
+    """How long a record, or how large an excitation, tells the `silent` beside the disturbance, in words.
+
+    Standard deviations fall with the root of the length, and with the amplitude.
+    """
+    shown = [each for each in disturbances(base.fit) if each.shown]
+    least = min((each.coverage_percent for each in silent), default=0.0)
+    if not shown or least <= 0.0:
+        return ""
+    times, span = 100.0 / least, base.fit.problem.span
+    return (
+        f" Beside a {in_words(shown)}, {span * times**2:.0f} s of this excitation would do, or one {times:.2g} times as"
+        " large."
+    )
 
 
 def _left(before: float, after: float) -> str:

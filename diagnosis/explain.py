@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from diagnosis.candidates import Candidate
+from diagnosis.instants import INSTANT
 from diagnosis.screen import Score
 from estimators.contract import ParameterEstimate
 from estimators.report import significant
@@ -23,6 +24,9 @@ def explain(finding: Finding, score: Score) -> str:
     sizes = _sizes(finding.parameters, f"{candidate.name}.")
     told = [f"{effect.name}: {effect.title} ({effect.equation})" + (f"; {sizes}" if sizes else "") + "."]
     told.append(effect.signature)
+    instant = finding.parameters.get(candidate.attached.qualified(INSTANT))
+    if instant is not None and instant.value is not None:
+        told.append(f"It sets in at {instant.value:.1f} s: an event, no property of the vehicle.")
     if all(finding.parameters[name].value is None for name in candidate.amplitudes if name in finding.parameters):
         told.append("How large it is, these data do not tell.")
     first = candidate.amplitudes[0]

@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from diagnosis.adequacy import Adequacy
+from diagnosis.events import Event
 from diagnosis.refit import FullFit
 from diagnosis.relevance import Relevance
 from diagnosis.screen import Screen
@@ -129,9 +130,9 @@ class Diagnosis:
     and after each effect that was added.
 
     `steps`: the fit of the model alone, then that after each of `findings`. `disturbance`: the random force that the
-    last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `untried`: what
-    was left for want of time. `parts`: those of a vehicle and of its
-    actuators that this one is made of (diagnosis.parts), none where it is of one model.
+    last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `events`: where
+    it changes, which is left out of all else. `untried`: what was left for want of time. `parts`: those of a vehicle
+    and of its actuators that this one is made of (diagnosis.parts), none where it is of one model.
     """
 
     verdict: Verdict
@@ -149,6 +150,7 @@ class Diagnosis:
     disturbance: tuple[DisturbanceEstimate, ...] = ()
     prediction_limit: PredictionLimit | None = None
     untried: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
     parts: tuple[Diagnosis, ...] = ()
 
     @property
@@ -168,6 +170,7 @@ class Diagnosis:
             "innovation_ratio_after": self.innovation_ratio_after,
             "disturbance": {each.joint: each.to_json() for each in self.disturbance},
             "untried": list(self.untried),
+            "events": [each.to_json() for each in self.events],
             "prediction_limit": self.prediction_limit.to_json() if self.prediction_limit else None,
             "not_candidates": dict(self.left_out or {}),
         }

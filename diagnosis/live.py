@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from estimators.problem import Problem
 from estimators.problem import at_rest as moment_at_rest
 from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, at_rest
 from estimators.recursive_predictor import Seen, inputs_at, measured_state
+from models.disturbance import disturbed
 from models.effect import Effect
 from models.effects import CATALOGUE
 from models.kernel import Kernel, Memory, Progress, compile_model
@@ -79,6 +81,7 @@ class LiveDiagnosis:
         effects: Sequence[str | Effect] | None = None,
         progress: Progress | None = None,
     ) -> None:
+        model = disturbed(model, ())
         self.estimator = RecursivePredictionError(
             model,
             parameters=parameters,
@@ -136,7 +139,8 @@ class LiveDiagnosis:
 
     def result(self) -> LiveResult:
         """What is missing, as far as it shows."""
-        return LiveResult((), {}, 0, self._failure) if self._failure else self._result
+        found = LiveResult((), {}, 0, self._failure) if self._failure else self._result
+        return replace(found, disturbance=self.estimator.result().disturbance)
 
     def _see(self, seen: Seen) -> None:
         """A chunk of the recursion. Whatever goes wrong here, the recursion goes on."""

@@ -22,6 +22,7 @@ from diagnosis.live_odds import Weighed, weigh
 from diagnosis.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.products import Products
 from diagnosis.ties import SIMPLER, alike
+from estimators.disturbance import DisturbanceEstimate
 from estimators.problem import Problem
 from estimators.recursive_predictor import Seen
 from estimators.report import significant
@@ -101,12 +102,14 @@ class LiveFinding:
 
 @dataclass(frozen=True, slots=True)
 class LiveResult:
-    """What is known now. `seconds` of free motion that it rests on, `detectable` by effect, in its first amplitude."""
+    """What is known now. `seconds` of free motion that it rests on, `detectable` by effect, in its first amplitude;
+    `disturbance`: the random force at each joint, which no effect explains."""
 
     findings: tuple[LiveFinding, ...]
     detectable: Mapping[str, float]
     seconds: int
     reason: str = ""
+    disturbance: tuple[DisturbanceEstimate, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -125,6 +128,7 @@ class LiveResult:
             "suggested_experiment": None,
             "innovation_ratio_before": None,
             "innovation_ratio_after": None,
+            "disturbance": {each.joint: each.to_json() for each in self.disturbance},
             "seconds": self.seconds,
         }
 

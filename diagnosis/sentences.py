@@ -46,7 +46,11 @@ def disturbance_sentences(diagnosis: Diagnosis) -> str:
     limits = " and ".join(_limits(diagnosis, shown))
     if diagnosis.prediction_limit is None or not limits:
         return told
-    return f"{told} The best possible prediction {diagnosis.prediction_limit.horizon:.3g} s ahead has {limits}."
+    # What happened once is in the reason, which the pages show where there is no finding.
+    happened = "".join(f" {each}" for each in diagnosis.events) if diagnosis.findings else ""
+    return (
+        f"{told} The best possible prediction {diagnosis.prediction_limit.horizon:.3g} s ahead has {limits}.{happened}"
+    )
 
 
 def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:

@@ -162,7 +162,7 @@ def folds(model: Model, recordings: Sequence[Recording], support: float | None) 
     found = []
     for third in range(THIRDS):
         pieces = tuple(every[third::THIRDS])
-        found.append(Fold((_without(model, whole, pieces),), whole, pieces))
+        found.append(Fold((hidden(model, whole, pieces),), whole, pieces))
     return found
 
 
@@ -301,7 +301,7 @@ def _innovations(fitted: Fit, task: Problem) -> list[Array]:
     ]
 
 
-def _without(model: Model, recording: Recording, pieces: Pieces) -> Recording:
+def hidden(model: Model, recording: Recording, pieces: Pieces) -> Recording:
     """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
     kept = ~_inside(recording.time, pieces)
     hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}

@@ -102,18 +102,28 @@ def with_error(value: float, std: float) -> str:
 
 def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint that has one, in the model's order."""
-    task, noise = fitted.problem, NoiseModel.of(fitted.problem)
-    size, covariance = len(task.free), inverse(fitted.minimum.information)
-    found = []
+    noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
+    logarithms, covariance = fitted.minimum.common[size:], inverse(fitted.minimum.information)
+    return told(noise, fitted.values, logarithms, covariance, noise.unit(fitted.values, logarithms, fitted.covariance))
+
+
+def told(
+    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, unit: float
+) -> tuple[DisturbanceEstimate, ...]:
+    """Of each joint, at parameter values (np,) and logarithms (q,) of the noise; `covariance` (p + q, p + q) is that of
+    the estimated parameters and the logarithms, `unit` as of NoiseModel."""
+    task = noise.problem
+    size, found = len(task.free), []
     for joint in task.model.joints:
         for state in task.model.base_states:
             if not state.correlation_time or state.name not in joint.load.split():
                 continue
             time_place = task.kernel.index(state.correlation_time)
-            time = float(fitted.values[time_place])
+            time = float(values[time_place])
             number = noise.logarithm_of(state.name)
-            grown = 0.0 if number is None else float(fitted.minimum.common[size + number])
-            std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time)
+            grown = 0.0 if number is None else float(logarithms[number])
+            # What was stated is absolute.
+            std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time) * (1.0 if number is None else unit)
             # Derivatives of the logarithms of both by the unknowns.
             by_std, by_time = np.zeros(len(covariance)), np.zeros(len(covariance))
             if number is not None:
@@ -159,12 +169,18 @@ def stated(model: Model, fitted: Fit) -> Model:
 def densities(fitted: Fit) -> Mapping[str, float]:
     """By state, the fitted root q of the density of the white noise that drives each disturbance, unit/sqrt(s)."""
     task, noise = fitted.problem, NoiseModel.of(fitted.problem)
+    logarithms = fitted.minimum.common[len(task.free) :]
+    shaken = [state for state in task.model.base_states if state.correlation_time]
+    if not shaken:
+        return {}
+    if all(noise.logarithm_of(state.name) is None for state in shaken):
+        return {state.name: state.process_noise for state in shaken}
+    unit = noise.unit(fitted.values, logarithms, fitted.covariance)
     found = {}
-    for state in task.model.base_states:
-        if state.correlation_time:
-            number = noise.logarithm_of(state.name)
-            grown = 0.0 if number is None else float(fitted.minimum.common[len(task.free) + number])
-            found[state.name] = state.process_noise * math.exp(grown)
+    for state in shaken:
+        number = noise.logarithm_of(state.name)
+        grown = 1.0 if number is None else unit * math.exp(float(logarithms[number]))
+        found[state.name] = state.process_noise * grown
     return found
 
 

@@ -117,6 +117,14 @@ class NoiseModel:
         steady = _steady(*self.covariances(values, logarithms))
         return None if steady is None else steady.gain
 
+    def unit(self, values: Array, logarithms: Array, covariance: Array) -> float:
+        """By how much all noises are larger than they are told here, where the innovations have the `covariance` (ny,
+        ny): the gain depends on their ratios alone, and the last output's is their unit."""
+        steady = _steady(*self.covariances(values, logarithms))
+        if steady is None:
+            return 1.0
+        return float(np.sqrt(covariance[-1, -1] / steady.innovation[-1, -1]))
+
     def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
         """The linear system that the gain is for: A (nx, nx), C (ny, nx) and the covariances of a row's process noise
         (nx, nx), sensor noise (ny, ny) and of both together (nx, ny)."""

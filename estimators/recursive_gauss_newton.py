@@ -27,10 +27,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Covariances (p, p) of the unknowns asked for: `total`, and `alone`, by the data without any prior."""
+    """Covariances (p, p) of the unknowns asked for: `total`, and `alone`, by the data without any prior; `every` (n, n)
+    is the former of all unknowns."""
 
     total: Array
     alone: Array
+    every: Array
 
 
 class RecursiveGaussNewton:
@@ -132,7 +134,7 @@ class RecursiveGaussNewton:
         meat[places, places] += np.diag(self._prior)[: self._size]
         across = self._information[:end, self._held]
         total = with_known(spread @ meat @ spread, information, across, np.ones(across.shape[1]))
-        return Uncertainty(total[:asked, :asked], alone[:asked, :asked])
+        return Uncertainty(total[:asked, :asked], alone[:asked, :asked], total[: self._size, : self._size])
 
     def _own_prior(self) -> Array:
         """The prior of the stretch's own unknowns alone: a measurement like any other, of the stretch's first row."""

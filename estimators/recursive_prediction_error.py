@@ -24,6 +24,7 @@ from estimators.frame_chunks import FrameChunks
 from estimators.problem import FINEST, Problem, jacobian
 from estimators.recursive_predictor import RecursivePredictor, Seen
 from models import library
+from models.disturbance import disturbed
 from models.kernel import Progress, compile_model
 from models.model import Model, Parameter
 from models.segment import Segment
@@ -77,7 +78,8 @@ class RecursivePredictionError:
         names = {parameter.name for parameter in model.parameters}
         values = {name: value for name, value in (parameters or {}).items() if name in names}
         spread = {name: std for name, std in (deviations or {}).items() if name in names}
-        self._model = model = _computable(model.change(values, deviations=spread))
+        model = _computable(model.change(values, deviations=spread))
+        self._model = model = disturbed(model, ()) if method is Method.PREDICTION_ERROR else model
         if not any(parameter.estimated for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
         if not memory > 0.0:

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
+from estimators.disturbance import DisturbanceEstimate, is_of_disturbance, told
 from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
@@ -114,7 +115,10 @@ class RecursivePredictor:
         model, kernel = problem.model, problem.kernel
         free, logarithms = len(problem.free), self._noise.size if self._noise else 0
         self._roughly = np.array([is_known_roughly(parameter) for parameter in problem.parameters], dtype=bool)
-        self._one_place = bool(self._roughly.any())
+        # How long a disturbance lasts is known roughly, too, and is no factor of a product that is better known.
+        shaken = np.array([p.name in is_of_disturbance(problem.model) for p in problem.parameters], dtype=bool)
+        self._shaken = tuple(np.flatnonzero(shaken).tolist())
+        self._one_place = bool((self._roughly & ~shaken).any())
         self._usual = ROUGH if self._one_place else USUAL
         parameters, states, outputs = len(kernel.parameters), len(kernel.states), len(kernel.outputs)
         gains = range(states * outputs) if self._noise else ()
@@ -154,7 +158,7 @@ class RecursivePredictor:
         self._gain_at: Array | None = None
         self._gain_now: Array | None = None
         self._gain = np.zeros((states, outputs))
-        self._gain_slopes = np.zeros((len(gains), logarithms))
+        self._gain_slopes = np.zeros((len(gains), len(self._shaken) + logarithms))
         self._kept: list[Chunk] = []
         self._seen_from, self._seen_at = self._regression.z, 0.0
         self._rounds = 0
@@ -224,7 +228,17 @@ class RecursivePredictor:
             data_covariance=uncertainty.alone * units,
             fit_percent={},
             seconds=0.0,
+            disturbance=self._disturbance(uncertainty.every),
         )
+
+    def _disturbance(self, covariance: Array) -> tuple[DisturbanceEstimate, ...]:
+        """What shakes the vehicle; `covariance` (n, n) of the unknowns."""
+        if self._noise is None:
+            return ()
+        sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
+        values, logarithms = self._values, self._regression.z[self._free :]
+        unit = self._noise.unit(values, logarithms, self._covariance())
+        return told(self._noise, values, logarithms, covariance * np.outer(sizes, sizes), unit)
 
     @property
     def _values(self) -> Array:
@@ -282,7 +296,10 @@ class RecursivePredictor:
         free = self._free
         direct = free + len(self._others)
         scaled = white[:, :direct] * np.concatenate((self._sizes, self._others))
-        columns = np.concatenate((scaled[:, :free], white[:, direct:] @ self._gain_slopes, scaled[:, free:]), axis=1)
+        by_gain = white[:, direct:] @ self._gain_slopes
+        for column, place in enumerate(self._shaken):
+            scaled[:, place] += by_gain[:, column] * self._sizes[place]
+        columns = np.concatenate((scaled[:, :free], by_gain[:, len(self._shaken) :], scaled[:, free:]), axis=1)
         residual = (error @ whitening.T).ravel()
         self._regression.add(residual, columns, self._kept_share(error))
         if self._watch is not None:
@@ -321,9 +338,12 @@ class RecursivePredictor:
         if self._gain_at is not None:
             moved = z - self._gain_at
             if (np.abs(moved) <= self._gain_moves).all():
-                return self._gain + (self._gain_slopes @ moved[free:]).reshape(self._gain.shape)
+                by_logarithms = self._gain_slopes[:, len(self._shaken) :]
+                return self._gain + (by_logarithms @ moved[free:]).reshape(self._gain.shape)
         gain = self._noise.gain(values, z[free:])
-        slopes = self._noise.slopes(values, z[free:], (), np.zeros(0))
+        times = tuple(self._problem.free[place] for place in self._shaken)
+        typical = np.array([values[place] for place in times])
+        slopes = self._noise.slopes(values, z[free:], times, typical)
         if gain is not None and slopes is not None:
             self._gain, self._gain_slopes, self._gain_at = gain, np.ascontiguousarray(slopes), z
         return self._gain

@@ -47,13 +47,14 @@ def time_of(joint: str) -> str:
 
 
 def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with a disturbance at each joint that says so, for records as long and as fast as `recordings`.
+    """`model` with a disturbance at each joint that says so, for records as long and as fast as `recordings`; without
+    any, as while a vehicle runs, for correlation times of a tenth to ten times of where their estimation starts.
 
     Where a joint has a random force of the model's own, a state that only noise drives, that is its disturbance.
     """
     times = [each.timestamp_ns for each in recordings if len(each.timestamp_ns) > 1]
     steps = [float(np.median(np.diff(each))) * 1e-9 for each in times]
-    longest = max((float(each[-1] - each[0]) * 1e-9 for each in times), default=math.inf)
+    longest = max((float(each[-1] - each[0]) * 1e-9 for each in times), default=0.0)
     for joint in model.joints:
         if joint.disturbance is not None and not _has_own(model, joint):
             model = _with(model, joint, joint.disturbance, max(steps, default=0.0), longest)
@@ -84,9 +85,9 @@ def _has_own(model: Model, joint: Joint) -> bool:
 
 
 def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: float) -> Model:
-    shortest = max(known.shortest, LEAST_ROWS * step)
-    most = max(min(known.longest, longest / LEAST_TIMES), 2.0 * shortest)
     time = known.correlation_time or joint.coordinate_scale / joint.rate_scale
+    shortest = max(known.shortest, LEAST_ROWS * step if step else time / LEAST_TIMES)
+    most = max(min(known.longest, longest / LEAST_TIMES if longest else time * LEAST_TIMES), 2.0 * shortest)
     time = time if known.known else float(np.clip(time, shortest, most))
     std = known.std or SMALL * joint.force_scale
     state = State(

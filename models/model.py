@@ -182,7 +182,7 @@ class Actuator:
     it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives; `inertia` is
     that of the actuator itself, which is a part of the joint's.
     `also`: further inputs that are commands of its kind, as of two wheels: an effect acts on all of them alike.
-    Where it is not `commanded`, `command` is the motion as it was measured, which no effect of a command can change.
+    Where it is not `commanded`, `command` is motion that nothing passes on, so that no effect of an input acts there.
     """
 
     name: str

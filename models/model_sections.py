@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
@@ -39,6 +40,8 @@ class StateSection(Section):
     noise_known: bool = False
     noise_of: str = ""
     error_of: str = ""
+    noise_spread: Positive = 1.0
+    correlation_time: str = ""
     meaning: str = ""
 
 
@@ -77,17 +80,30 @@ class ParameterSection(Section):
     meaning: str | None = None
 
 
+class DisturbanceSection(Section):
+    """As models.model.Disturbance."""
+
+    std: NotNegative = 0.0
+    correlation_time: NotNegative = 0.0
+    known: bool = False
+    shortest: NotNegative = 0.0
+    longest: Annotated[float, Field(gt=0, allow_inf_nan=True)] = math.inf
+
+
 class JointSection(Section):
-    coordinate: Equation
-    rate: Equation
-    inertia: Equation
-    load: Equation
-    force_unit: str
-    coordinate_unit: str
-    force_scale: Positive
-    coordinate_scale: Positive
-    rate_scale: Positive
-    smooth_rate: Positive
+    """All but `disturbance` is needed in equations of the user's own, and is the base's where there is one."""
+
+    coordinate: Equation | None = None
+    rate: Equation | None = None
+    inertia: Equation | None = None
+    load: Equation | None = None
+    force_unit: str | None = None
+    coordinate_unit: str | None = None
+    force_scale: Positive | None = None
+    coordinate_scale: Positive | None = None
+    rate_scale: Positive | None = None
+    smooth_rate: Positive | None = None
+    disturbance: DisturbanceSection | Literal[False] | None = None
 
 
 class ActuatorSection(Section):

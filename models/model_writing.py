@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from models import library
 from models.effect import AttachedEffect, attach
-from models.model import Filter, Model, Parameter
+from models.model import Disturbance, Filter, Model, Parameter
 
 if TYPE_CHECKING:
     from models.model_file import ModelFile
@@ -43,6 +43,9 @@ def fresh(file: ModelFile) -> str:
             for each, default in zip(model.base_parameters, base.base_parameters, strict=True)
         }
         lines += _aligned(entries, {each.name: _comment(each) for each in model.base_parameters})
+        for joint, usual in zip(model.joints, base.joints, strict=True):
+            if joint.disturbance != usual.disturbance:
+                lines += ["", f"[joints.{joint.name}]", f"disturbance = {_toml(joint.disturbance)}"]
     else:
         lines += _equations(model)
     for attached in model.effects:
@@ -101,10 +104,15 @@ def _unnamed(model: Model) -> Model:
 
 
 def _bare(model: Model) -> Model:
-    """Without effects and parameter values: what a change of values leaves as it is."""
+    """Without effects, parameter values and disturbances: what a change of values leaves as it is."""
     plain = Parameter("", "", 0.0)
     values: dict[str, Any] = {key: getattr(plain, key) for key in _VALUES}
-    return replace(model, effects=(), base_parameters=tuple(replace(each, **values) for each in model.base_parameters))
+    return replace(
+        model,
+        effects=(),
+        base_parameters=tuple(replace(each, **values) for each in model.base_parameters),
+        joints=tuple(replace(each, disturbance=Disturbance()) for each in model.joints),
+    )
 
 
 def _values(parameter: Parameter, default: Parameter, always: Iterable[str] = ("value",)) -> dict[str, Any]:
@@ -190,6 +198,10 @@ def _toml(value: Any) -> str:
             return "[" + ", ".join(map(_toml, value)) + "]"
         case Filter():
             return _toml(asdict(value))
+        case Disturbance():
+            return _toml(_fields(value))
+        case None:  # a joint without a disturbance
+            return "false"
         case float():
             return repr(float(value))
         case str():

@@ -7,13 +7,26 @@ references that lead nowhere, values out of bounds. Effects come after it (model
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from typing import Any, TypeVar
 
 from models import library
 from models.expressions import check, length, name_problem, names_in
-from models.model import Actuator, Filter, Hold, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
-from models.model_sections import ModelSection, ParameterSection, Section, one_of
+from models.model import (
+    Actuator,
+    Disturbance,
+    Filter,
+    Hold,
+    Input,
+    Joint,
+    Model,
+    ModelError,
+    Output,
+    Parameter,
+    Sensor,
+    State,
+)
+from models.model_sections import JointSection, ModelSection, ParameterSection, Section, one_of
 
 Build = TypeVar("Build")
 
@@ -27,7 +40,7 @@ EQUATIONS = ("states", "inputs", "outputs", "joints", "actuators", "sensors", "d
 
 def base_model(tables: ModelSection, file: str, name: str) -> Model:
     """The model called `name` that `tables` describe, without effects. Raises ModelError."""
-    own = [key for key in EQUATIONS if getattr(tables, key)]
+    own = [key for key in EQUATIONS if getattr(tables, key) and (key != "joints" or tables.base is None)]
     if tables.base is None:
         if not own:
             remedy = f"give base = one of {', '.join(library.MODELS)}, or states and outputs of your own."
@@ -46,8 +59,46 @@ def base_model(tables: ModelSection, file: str, name: str) -> Model:
         title=base.title if tables.title is None else tables.title,
         source=base.source if tables.source is None else tables.source,
         settling=base.settling if tables.settling is None else tables.settling,
+        joints=_shaken(base.joints, tables.joints, file),
         base_parameters=given(base.base_parameters, tables.parameters, f"{file}: parameters"),
     )
+
+
+def _shaken(joints: tuple[Joint, ...], entries: Mapping[str, JointSection], file: str) -> tuple[Joint, ...]:
+    """The `joints` of a base, with the disturbances that a file states."""
+    names = [joint.name for joint in joints]
+    for name, entry in entries.items():
+        if name not in names:
+            raise ModelError(f"{file}: joints.{name}", "the base has no such joint", remedy=one_of(name, names))
+        more = [key for key in entry.model_fields_set if key != "disturbance"]
+        if more:
+            what, remedy = "is the base's", "remove it: a file with a base states the disturbance of a joint alone."
+            raise ModelError(f"{file}: joints.{name}.{more[0]}", what, remedy=remedy)
+    return tuple(
+        replace(joint, disturbance=_disturbance(entries[joint.name], f"{file}: joints.{joint.name}"))
+        if joint.name in entries
+        else joint
+        for joint in joints
+    )
+
+
+def _disturbance(entry: JointSection, where: str) -> Disturbance | None:
+    """What a file says of the disturbance at a joint; None where it has none."""
+    if entry.disturbance is None:
+        return Disturbance()
+    if entry.disturbance is False:
+        return None
+    found, where = Disturbance(**entry.disturbance.model_dump()), f"{where}.disturbance"
+    if not found.shortest < found.longest:
+        what = f"its bounds cross: shortest is {found.shortest:.6g} s, longest is {found.longest:.6g} s"
+        raise ModelError(where, what, remedy="make shortest the smaller one.")
+    if found.known and not (found.std and found.correlation_time):
+        what = "is known, and its std or its correlation_time is missing"
+        raise ModelError(where, what, remedy="give both, or leave out `known`.")
+    if found.correlation_time and not found.shortest <= found.correlation_time <= found.longest:
+        what = f"{found.correlation_time:.6g} s is out of its bounds, {found.shortest:.6g} to {found.longest:.6g} s"
+        raise ModelError(f"{where}.correlation_time", what, remedy="correct it, or the bounds.")
+    return found
 
 
 def given(
@@ -95,6 +146,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
             if getattr(entry, key) is None:
                 what = "is missing, and there is no base to take it from"
                 raise ModelError(f"{file}: parameters.{each}.{key}", what, remedy="add it.")
+    _own_joints(tables.joints, file)
     _check_names(tables, file)
     _check_references(tables, file)
     _check_expressions(tables, file)
@@ -118,11 +170,24 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
         inputs=built(Input, tables.inputs, hold=Hold, delays=tuple),
         outputs=built(Output, tables.outputs),
         base_parameters=tuple(_in_bounds(each, f"{file}: parameters.{each.name}") for each in parameters),
-        joints=built(Joint, tables.joints),
+        joints=_own_joints(tables.joints, file),
         actuators=built(Actuator, tables.actuators, also=tuple),
         sensors=built(Sensor, tables.sensors, filter=lambda each: Filter(**each)),
         definitions=dict(tables.definitions),
     )
+
+
+def _own_joints(entries: Mapping[str, JointSection], file: str) -> tuple[Joint, ...]:
+    """The joints of equations of the user's own."""
+    found = []
+    for name, entry in entries.items():
+        values = entry.model_dump(exclude={"disturbance"}, exclude_none=True)
+        for each in fields(Joint):
+            if each.default is MISSING and each.name not in {"name", *values}:
+                what = f"is missing in [joints.{name}]"
+                raise ModelError(f"{file}: joints.{name}.{each.name}", what, remedy=f"add {each.name} = ... to it.")
+        found.append(Joint(name=name, **values, disturbance=_disturbance(entry, f"{file}: joints.{name}")))
+    return tuple(found)
 
 
 def _check_names(tables: ModelSection, file: str) -> None:
@@ -145,6 +210,10 @@ def _check_references(tables: ModelSection, file: str) -> None:
     """What names an input, an output, a joint or a parameter names one that is there."""
     references = [(f"states.{name}.noise_of", state.noise_of, "outputs") for name, state in tables.states.items()]
     references += [(f"states.{name}.error_of", state.error_of, "outputs") for name, state in tables.states.items()]
+    references += [
+        (f"states.{name}.correlation_time", state.correlation_time, "parameters")
+        for name, state in tables.states.items()
+    ]
     for name, each in tables.inputs.items():
         references += [(f"inputs.{name}.delays", delay, "parameters") for delay in each.delays]
         references += [(f"inputs.{name}.lag", each.lag, "parameters")]
@@ -208,7 +277,7 @@ def _check_expressions(tables: ModelSection, file: str) -> None:
         names.add(name)
     for name, joint in tables.joints.items():
         for key in ("coordinate", "rate", "inertia", "load"):
-            lengths[f"{name}_force"] = looked_at(getattr(joint, key), f"joints.{name}.{key}")
+            lengths[f"{name}_force"] = looked_at(str(getattr(joint, key)), f"joints.{name}.{key}")
         names.add(f"{name}_force")
     for name, state in tables.states.items():
         looked_at(state.derivative, f"states.{name}.derivative")

@@ -11,6 +11,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from models.effect import Place
 from models.effects import CATALOGUE
 from models.expressions import number
 from models.fingerprint import fingerprint
-from models.model import Actuator, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
+from models.model import Actuator, Disturbance, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
 from models.model_file import ModelFile, load_model, parse, read, write
 from service import cli
 from service.vehicle_file import load
@@ -693,7 +694,7 @@ def test_add_and_remove(based: Path) -> None:
     for arguments, said in (
         (("add", based, "viscous_friction"), "has it already"),
         (("add", based, "viscos_friction"), "did you mean viscous_friction"),
-        (("add", based, "input_gain"), "driven by the motion as it was measured"),
+        (("add", based, "sensor_offset", "--at", "gimbals"), "there is no sensor 'gimbals'"),
         (("add", based, "quadratic_drag", "--at", "gimbals"), "there is no joint 'gimbals'"),
         (("remove", based, "coulomb_friction"), "its effects: static_torque, viscous_friction"),
     ):
@@ -774,8 +775,10 @@ def test_the_manuals_examples_are_models(tmp_path: Path) -> None:
     model = load_model(tmp_path / "pendulum.toml")
     assert [effect.name for effect in model.effects] == ["bearing_dent"]
     assert model.add("input_deadband").add("sensor_offset").values["input_deadband.width"] == 0.0
-    (based,) = _blocks("reference/model-file.md", "toml")
+    based, disturbance = _blocks("reference/model-file.md", "toml")
     assert parse(based, "hall.toml").model.values["coulomb_friction.torque"] == 12.5
+    (joint,) = parse(f'base = "monocab_roll"\n{disturbance}', "hall.toml").model.joints
+    assert joint.disturbance == Disturbance(8.0, 0.3)
 
 
 @pytest.mark.parametrize("section", model_sections.Section.__subclasses__(), ids=lambda section: section.__name__)
@@ -784,3 +787,51 @@ def test_every_key_of_a_model_file_is_explained(section: Any) -> None:
     keys = set(section.model_fields)
     assert keys
     assert not sorted(key for key in keys if not re.search(rf"`{key}`|`\[+{key}\b", page))
+
+
+class TestDisturbance:
+    """`[joints.NAME.disturbance]`, in equations of one's own and beside a base."""
+
+    BASED = 'base = "monocab_roll"\n'
+
+    @pytest.mark.parametrize(
+        ("text", "stated"),
+        [
+            ("", Disturbance()),
+            ("[joints.roll]\ndisturbance = false\n", None),
+            ("[joints.roll.disturbance]\nstd = 8.0\ncorrelation_time = 0.3\n", Disturbance(8.0, 0.3)),
+            (
+                "[joints.roll.disturbance]\nstd = 8.0\ncorrelation_time = 0.3\nknown = true\n",
+                Disturbance(8.0, 0.3, known=True),
+            ),
+            (
+                "[joints.roll.disturbance]\nshortest = 0.1\nlongest = 2.0\n",
+                Disturbance(shortest=0.1, longest=2.0),
+            ),
+        ],
+    )
+    def test_a_file_states_it(self, tmp_path: Path, text: str, stated: Disturbance | None) -> None:
+        path = tmp_path / "mine.toml"
+        file = parse(self.BASED + text, path)
+        assert file.model.joints[0].disturbance == stated
+        write(file, path)
+        assert read(path) == file
+        write(replace(file, model=file.model.change({"inertia": 1500.0})), path)
+        assert read(path).model.joints[0].disturbance == stated
+        assert 'base = "monocab_roll"' in path.read_text()
+
+    @pytest.mark.parametrize(
+        ("text", "said"),
+        [
+            ("[joints.rol]\ndisturbance = false\n", "did you mean 'roll'"),
+            ('[joints.roll]\nload = "0"\n', "states the disturbance of a joint alone"),
+            ("[joints.roll.disturbance]\nrms = 8.0\n", "is not a key"),
+            ("[joints.roll.disturbance]\nstd = -1.0\n", "joints.roll.disturbance"),
+            ("[joints.roll.disturbance]\nknown = true\n", "give both"),
+            ("[joints.roll.disturbance]\nshortest = 2.0\nlongest = 1.0\n", "bounds cross"),
+            ("[joints.roll.disturbance]\ncorrelation_time = 3.0\nlongest = 1.0\n", "out of its bounds"),
+        ],
+    )
+    def test_what_is_wrong_is_named(self, tmp_path: Path, text: str, said: str) -> None:
+        with pytest.raises(ModelError, match=said):
+            parse(self.BASED + text, tmp_path / "mine.toml")

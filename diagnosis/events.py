@@ -1,0 +1,149 @@
+"""Does the disturbance change during a record? A gust, a train that passes or somebody who steps on is an event.
+
+What a row tells of the disturbance at a joint is what it corrects of it, u = k e with k the disturbance's row of the
+filter's gain and e the innovation: white, of the variance k S k', as long as what shakes the vehicle is what it was. In
+a part of n rows the ratio r of the mean square of u to that variance has the log-likelihood ratio
+
+    n (r - 1 - ln r) / 2,
+
+twice which is chi squared with one degree of freedom where nothing changes. Parts of all lengths, each twice as long as
+the one before, are tried at steps of half their length; the p-value counts them all (Bonferroni). The ends of the best
+one are then moved to where the ratio is largest.
+Source: generalised likelihood ratio of a change of variance: Basseville, Nikiforov, "Detection of abrupt changes"
+(1993), sections 2.4 and 7.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+from estimators.methods.prediction_error import Fit
+from estimators.segments import SHORTEST
+from estimators.time_scale import time_scale
+
+Array = NDArray[np.float64]
+
+LEVEL = 1e-3
+"""Probability that a record in which nothing changes has an event."""
+LEAST = 2.5
+"""Time scales that an event lasts at least, 1 s of the MONOCAB: what is shorter is a blow of what shakes it anyway."""
+MOST = 0.5
+"""Share of a record that an event lasts at most: beyond it the rest would be the event."""
+MARGIN = 2.5
+"""Time scales before and after an event that are left out with it, in which the vehicle comes to rest from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """The disturbance at `joint` has `ratio` times the RMS that it has elsewhere, from `begin` to `end`, s from the
+    first row of `recording` on; `p_value` with all parts of the record looked at."""
+
+    joint: str
+    recording: str
+    begin: float
+    end: float
+    ratio: float
+    p_value: float
+
+    def to_json(self) -> dict[str, Any]:
+        """One of `events` in `diagnose --json`."""
+        return {
+            "joint": self.joint,
+            "recording": self.recording,
+            "from": self.begin,
+            "to": self.end,
+            "times_as_strong": self.ratio,
+            "p_value": self.p_value,
+        }
+
+    def __str__(self) -> str:
+        """`From 22.0 to 26.5 s the disturbance at roll is 4.1 times as strong: an event, no effect of the vehicle.`"""
+        return (
+            f"From {self.begin:.1f} to {self.end:.1f} s the disturbance at {self.joint} is {self.ratio:.2g} times as"
+            " strong: an event, no effect of the vehicle."
+        )
+
+
+def events(fitted: Fit) -> list[Event]:
+    """At most one of each stretch and joint, of a fit whose model is right but for them."""
+    task, errors = fitted.problem, fitted.innovations()
+    scale, spacing = time_scale(task.model, task.segments), float(np.median(np.diff(task.segments[0].time)))
+    shortest = max(SHORTEST, round(LEAST * scale / spacing))
+    found: list[tuple[float, Event]] = []
+    tried = 0
+    for joint in task.model.joints:
+        for place, state in enumerate(task.model.base_states):
+            if not state.correlation_time or state.name not in joint.load.split():
+                continue
+            row = fitted.gain[place]
+            variance = float(row @ fitted.covariance @ row)
+            if variance <= 0.0:
+                continue
+            fading = float(np.exp(-spacing / fitted.values[task.kernel.index(state.correlation_time)]))
+            for segment, each in zip(task.segments, errors, strict=True):
+                corrected = np.nan_to_num(each @ row)
+                best, count = _best(corrected**2 / variance, shortest)
+                tried += count
+                if best is not None:
+                    first, last, gain = best
+                    filtered = lfilter([1.0], [1.0, -fading], corrected) ** 2
+                    inside = np.zeros(len(filtered), dtype=bool)
+                    inside[first:last] = True
+                    ratio = float(np.sqrt(np.mean(filtered[inside]) / np.mean(filtered[~inside])))
+                    begin, end = float(segment.time[first]), float(segment.time[last - 1])
+                    found.append((gain, Event(joint.name, segment.source, begin, end, ratio, 1.0)))
+    told = [replace(each, p_value=min(1.0, tried * float(chi2.sf(2.0 * gain, 1)))) for gain, each in found]
+    return [each for each in told if each.p_value < LEVEL]
+
+
+def _best(squares: Array, shortest: int) -> tuple[tuple[int, int, float] | None, int]:
+    """The part of `squares` (n,), of unit mean, that is least like the rest: its first row, the one after its last, and
+    its log-likelihood ratio; and how many were tried."""
+    sums = np.concatenate(([0.0], np.cumsum(squares)))
+    best: tuple[int, int, float] | None = None
+    tried = 0
+    for first, last in _parts(len(squares), shortest):
+        tried += 1
+        ratio = float(sums[last] - sums[first]) / (last - first)
+        gain = _gain(ratio, last - first)
+        if ratio > 1.0 and (best is None or gain > best[2]):
+            best = (first, last, gain)
+    if best is None:
+        return None, tried
+    # Ends to a quarter of the shortest part.
+    step = max(1, shortest // 4)
+    first, last = best[:2]
+    reach = last - first
+    for low in range(max(0, first - reach), last - shortest + 1, step):
+        for high in range(max(low + shortest, first), min(len(squares), last + reach) + 1, step):
+            ratio = float(sums[high] - sums[low]) / (high - low)
+            gain = _gain(ratio, high - low)
+            if ratio > 1.0 and gain > best[2] and high - low <= MOST * len(squares):
+                best = (low, high, gain)
+    return best, tried
+
+
+def _parts(rows: int, shortest: int) -> Iterator[tuple[int, int]]:
+    length = shortest
+    while length <= MOST * rows:
+        for first in range(0, rows - length + 1, max(1, length // 2)):
+            yield first, first + length
+        length *= 2
+
+
+def _gain(ratio: float, rows: int) -> float:
+    return 0.5 * rows * (ratio - 1.0 - float(np.log(max(ratio, 1e-300))))
+
+
+def pieces(found: Sequence[Event], recording: str, scale: float) -> tuple[tuple[float, float], ...]:
+    """What to leave out of `recording`, from and to s of its first row: its events with MARGIN time scales of `scale` s
+    around them."""
+    around = MARGIN * scale
+    return tuple((each.begin - around, each.end + around) for each in found if each.recording == recording)

@@ -1,0 +1,277 @@
+"""A vehicle that is shaken is not a model that lacks something: the random disturbance in fits and in a diagnosis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from shaken_plant import Shaken
+
+from diagnosis.compare import compare
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.ready import ready, unready
+from estimators.budget import Budget, OutOfTime
+from estimators.disturbance import disturbances, with_error
+from estimators.identify import nominal_model, with_values
+from estimators.likelihood import Likelihood
+from estimators.methods.prediction_error import Fit, fit, prediction_error
+from estimators.problem import Problem, problem
+from models.disturbance import disturbed, undisturbed
+from models.effect import Effect, EffectParameter, EffectState, Family, Place
+from models.library.axis import axis
+from models.model import Disturbance, Model, State
+from service.vehicle_file import load
+from telemetry.channels import Channel, ChannelTable
+from telemetry.recording import Recording
+
+VEHICLE = load("monocab")
+NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(
+    "static_torque"
+)
+
+
+def _task(record: Recording, model: Model = NOMINAL) -> Problem:
+    return problem(ready(model, [record]), [record], support=VEHICLE.support)
+
+
+@pytest.fixture(scope="module")
+def shaken() -> Recording:
+    return Shaken().record(1)
+
+
+@pytest.fixture(scope="module")
+def fitted(shaken: Recording) -> Fit:
+    return fit(_task(shaken))
+
+
+class TestModel:
+    def test_every_joint_has_one(self, shaken: Recording) -> None:
+        model = disturbed(NOMINAL, [shaken])
+        assert [state.name for state in model.base_states if state.correlation_time] == ["disturbance_roll"]
+        assert model.parameter("disturbance_roll_time").upper == pytest.approx(3.0, rel=0.01)  # a tenth of the record
+        assert undisturbed(NOMINAL, model).base_parameters == NOMINAL.base_parameters
+
+    def test_it_is_put_in_once(self, shaken: Recording) -> None:
+        once = disturbed(NOMINAL, [shaken])
+        assert disturbed(once, [shaken]) == once
+
+    def test_it_can_be_switched_off_and_stated(self, shaken: Recording) -> None:
+        (joint,) = NOMINAL.joints
+        off = replace(NOMINAL, joints=(replace(joint, disturbance=None),))
+        assert disturbed(off, [shaken]) == off
+        stated = replace(NOMINAL, joints=(replace(joint, disturbance=Disturbance(8.0, 0.3, known=True)),))
+        (found,) = disturbances(fit(_task(shaken, stated)))
+        assert (found.std, found.correlation_time, found.known) == (pytest.approx(8.0), 0.3, True)
+
+    def test_a_random_force_of_ones_own_is_the_disturbance(self, shaken: Recording) -> None:
+        own = axis(load="wind", process_noise=0.0)
+        own = replace(own, base_states=(*own.base_states, State("wind", "N", "-2 * wind", process_noise=1.0)))
+        assert disturbed(own, [shaken]) == own
+
+    def test_the_machine_is_given_back_without_it(self, shaken: Recording) -> None:
+        made = ready(NOMINAL, [shaken])
+        assert {each.name for each in unready(NOMINAL, made).parameters} == {each.name for each in NOMINAL.parameters}
+
+
+class TestLikelihood:
+    def test_its_slope_is_that_of_differences(self, shaken: Recording) -> None:
+        """Also by the RMS and the correlation time, which say how far off the disturbance may begin."""
+        task = _task(shaken.between(0.0, 4.0))
+        likelihood = Likelihood.of(task, np.array([parameter.std for parameter in task.parameters]))
+        common = np.concatenate((1.02 * task.start, 0.4 * np.cos(np.arange(likelihood.noise.size))))
+        scale = np.concatenate((task.scale, np.ones(likelihood.noise.size)))
+        own = [part + 0.3 * spread for part, spread in zip(task.own_start, [task.spread], strict=True)]
+        seen = likelihood(common, own)
+        assert seen is not None
+        slope = sum(normal.vector[: len(common)] for normal in seen.normals)
+        for place in range(len(common)):
+            step = np.zeros(len(common))
+            step[place] = 1e-4 * scale[place]
+            ends = [likelihood(common + sign * step, own) for sign in (1.0, -1.0)]
+            assert all(ends)
+            rise = (ends[0].cost - ends[1].cost) / (2.0 * step[place])  # type: ignore[union-attr]
+            assert slope[place] == pytest.approx(rise, rel=2e-3, abs=1e-3 / scale[place])
+
+    def test_both_numbers_and_the_vehicle_are_within_their_intervals(self) -> None:
+        """40 records: of each number as many 95 % intervals hold the truth as chance has it, at one in a thousand."""
+        truth = {"inertia": 1620.0, "gravity_stiffness": 13650.0, "std": 8.0, "time": 0.3}
+        held = dict.fromkeys(truth, 0)
+        for seed in range(40):
+            found = fit(_task(Shaken().record(seed, 20.0)))
+            (each,) = disturbances(found)
+            assert each.std_error is not None
+            assert each.correlation_time is not None
+            assert each.correlation_time_error is not None
+            deviations = np.sqrt(np.diag(np.linalg.inv(found.minimum.information)))
+            names = [parameter.name for parameter in found.problem.parameters]
+            told = {
+                name: (found.minimum.common[names.index(name)], deviations[names.index(name)])
+                for name in ("inertia", "gravity_stiffness")
+            }
+            # Their logarithms are nearer to normal than they are.
+            told["std"] = (math.log(each.std), each.std_error / each.std)
+            told["time"] = (math.log(each.correlation_time), each.correlation_time_error / each.correlation_time)
+            for name, (value, std) in told.items():
+                right = math.log(truth[name]) if name in ("std", "time") else truth[name]
+                held[name] += abs(value - right) < 1.96 * std
+        least = int(binom.ppf(1e-3, 40, 0.95))
+        assert all(count >= least for count in held.values()), held
+
+    def test_where_there_is_none_its_rms_has_a_bound(self) -> None:
+        (found,) = disturbances(fit(_task(Shaken(rms=0.0).record(2))))
+        assert not found.shown
+        assert found.std < 1.0
+        assert "less than" in str(found)
+
+    def test_it_is_told_beside_the_parameters(self, shaken: Recording) -> None:
+        estimate = prediction_error(NOMINAL, [shaken], support=VEHICLE.support)
+        assert "disturbance_roll_time" not in estimate.parameters
+        assert estimate.to_json()["disturbance"]["roll"]["rms"] == pytest.approx(8.0, abs=1.5)
+
+
+def test_numbers_for_people() -> None:
+    assert with_error(8.123, 0.4123) == "8.1 ± 0.4"
+    assert with_error(0.3142, 0.0312) == "0.31 ± 0.03"
+    assert with_error(1613.0, 152.0) == "1610 ± 150"
+
+
+class TestCompare:
+    def test_all_models_are_held_against_what_the_best_one_leaves(self) -> None:
+        record = Shaken(more=lambda time, roll, rate: -900.0 * rate).record(3)
+        with_it = NOMINAL.add("viscous_friction").change({"viscous_friction.coefficient": 900.0})
+        values = {"inertia": 1620.0, "gravity_stiffness": 13650.0}
+        without, right = compare(
+            {"without": NOMINAL.change(values), "right": with_it.change(values)}, [record], support=VEHICLE.support
+        )
+        assert right.adequate
+        assert not without.adequate
+        assert right.innovation_ratio == pytest.approx(1.0, abs=0.05)
+        assert without.rmse["roll"] > 1.5 * right.rmse["roll"]
+        assert without.disturbance[0].std > 1.5 * right.disturbance[0].std
+        assert right.disturbance[0].std == pytest.approx(8.0, abs=1.5)
+
+
+def _diagnosed(record: Recording, **options: object) -> Diagnosis:
+    return diagnose(NOMINAL, [record], support=VEHICLE.support, **options)  # type: ignore[arg-type]
+
+
+class TestDiagnosis:
+    @pytest.mark.parametrize("time", [0.05, 0.3, 1.5])
+    def test_nothing_is_missing_but_a_random_torque(self, time: float) -> None:
+        found = _diagnosed(Shaken(rms=12.0, correlation_time=time).record(4))
+        assert found.verdict is Verdict.ADEQUATE
+        assert found.disturbance[0].std == pytest.approx(12.0, rel=0.35)
+        assert found.prediction_limit is not None
+        assert found.prediction_limit.disturbed["roll"] > 1.5 * found.prediction_limit.undisturbed["roll"]
+
+    def test_what_follows_a_state_stays_an_effect(self) -> None:
+        record = Shaken(more=lambda time, roll, rate: -600.0 * rate).record(5)
+        found = _diagnosed(record)
+        assert [each.effect for each in found.findings] == ["viscous_friction"]
+        assert found.disturbance[0].std == pytest.approx(8.0, abs=1.5)
+        coefficient = found.findings[0].parameters["viscous_friction.coefficient"]
+        assert coefficient.value is not None
+        assert coefficient.std is not None
+        assert abs(coefficient.value - 600.0) < 3.0 * coefficient.std
+        assert found.findings[0].relevance is not None
+        assert found.findings[0].relevance.ahead > 10.0
+
+    def test_what_is_periodic_stays_an_effect(self) -> None:
+        record = Shaken(more=lambda time, roll, rate: 15.0 * math.sin(2.0 * math.pi * 1.7 * time)).record(6)
+        assert [each.effect for each in _diagnosed(record).findings] == ["periodic_disturbance"]
+
+    def test_a_gust_is_an_event(self) -> None:
+        found = _diagnosed(Shaken(gust=5.0, gust_from=20.0, gust_to=25.0).record(7, 60.0))
+        assert found.verdict is Verdict.ADEQUATE
+        (event,) = found.events
+        assert event.begin == pytest.approx(20.0, abs=1.0)
+        assert event.end == pytest.approx(25.0, abs=1.0)
+        assert event.ratio > 2.0
+        assert "event" in found.reason
+        assert found.disturbance[0].std == pytest.approx(8.0, abs=1.5)
+
+    def test_where_nothing_changes_there_is_no_event(self) -> None:
+        assert not any(_diagnosed(Shaken().record(seed, 60.0), candidates=()).events for seed in range(8))
+
+    def test_a_disturbance_beside_which_nothing_shows_says_what_would_do(self) -> None:
+        """A carriage of 2 kg that is pushed by hundredths of a newton, and shaken by whole ones."""
+        random, spacing, rows = np.random.default_rng(9), 0.01, 4000
+        force = 0.02 * np.sign(np.sin(2.0 * np.pi * 0.37 * spacing * np.arange(rows)))
+        torque = position = rate = 0.0
+        shown = []
+        for push in force.tolist():
+            shown.append(position)
+            torque = 0.97 * torque + 1.5 * math.sqrt(1.0 - 0.97**2) * float(random.standard_normal())
+            rate += spacing * (push + torque) / 2.0
+            position += spacing * rate
+        model = axis(force_scale=1.0).change({"inertia": 1.5}, deviations={"inertia": 0.5})
+        channels = ChannelTable(Channel(name, unit, "") for name, unit in (("position", "m"), ("force", "N")))
+        values = {"position": np.array(shown) + 1e-4 * random.standard_normal(rows), "force": force}
+        record = Recording(channels, np.arange(rows, dtype=np.int64) * 10_000_000, values)
+        found = diagnose(model, [record])
+        assert found.verdict is Verdict.INSUFFICIENT_DATA
+        assert "N RMS" in found.reason
+        assert "times as large" in found.reason
+
+
+class TestBudget:
+    def test_a_piece_of_work_that_takes_too_long_fails(self, shaken: Recording) -> None:
+        with pytest.raises(OutOfTime):
+            fit(replace(_task(shaken), budget=Budget.of(0.0)))
+
+    def test_a_search_without_time_says_what_it_left(self, shaken: Recording) -> None:
+        record = Shaken(more=lambda time, roll, rate: -600.0 * rate).record(5)
+        found = _diagnosed(record, budget=0.0)
+        assert "viscous_friction" in found.untried
+        assert not found.findings
+
+    def test_one_stiff_effect_does_not_keep_the_others_from_being_tried(self) -> None:
+        record = Shaken(more=lambda time, roll, rate: -600.0 * rate).record(5)
+        stiff = Effect(
+            name="stiff_spring",
+            family=Family.MEMORY,
+            title="a spring that is far too stiff to follow",
+            place=Place.JOINT,
+            equation="F = -torque z",
+            parameters=(EffectParameter("torque", "{force}", "size", amplitude=True, scale="force_scale"),),
+            signature="None.",
+            confused_with=(),
+            separated_by="Nothing.",
+            force="-torque * z",
+            states=(EffectState("z", "1", "5e4 * (tanh(rate / smooth_rate) - z)", "of the spring"),),
+        )
+        found = _diagnosed(record, candidates=(stiff, "viscous_friction", "coulomb_friction"), budget=8.0)
+        assert [each.effect for each in found.findings] == ["viscous_friction"]
+
+
+RIGHT = {
+    "clean": None,
+    "clean_slow": None,
+    "cubic_stiffness_9e6": "cubic_stiffness",
+    "input_asymmetry_7pct": "input_asymmetry",
+    "input_delay_20ms": "input_delay",
+}
+
+
+@pytest.mark.parametrize(("name", "effect"), RIGHT.items())
+def test_records_of_another_simulator(measured_data: Path, name: str, effect: str | None) -> None:
+    """What they hide is first, or tied with the first: a delay of what drives a model is one of what it shows."""
+    found = _diagnosed(Recording.load(measured_data / "shaken" / f"{name}.csv"))
+    if effect is None:
+        assert found.verdict is Verdict.ADEQUATE
+        assert not found.findings
+    else:
+        first = found.findings[0]
+        assert effect in (first.effect, *first.tied_with)
+        assert len(first.tied_with) <= 1
+    rms, time = {"clean_slow": (15.0, 2.0)}.get(name, (8.0, 0.3))
+    (told,) = found.disturbance
+    assert told.std_error is not None
+    assert told.correlation_time is not None
+    assert told.correlation_time_error is not None
+    assert abs(told.std - rms) < 3.0 * told.std_error
+    assert abs(told.correlation_time - time) < 3.0 * told.correlation_time_error
