@@ -65,8 +65,13 @@ def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:
         if output.name in coordinates and output.name in limit.disturbed:
             unit, factor = readable(output.unit)
             error, without = (factor * each[output.name] for each in (limit.disturbed, limit.undisturbed))
-            apart = f" with it, {without:.2g} {unit} without" if shown else ""
-            yield f"{error:.2g} {unit} RMS in {output.name}{apart}"
+            apart = f" with it, {two_digits(without)} {unit} without" if shown else ""
+            yield f"{two_digits(error)} {unit} RMS in {output.name}{apart}"
+
+
+def two_digits(value: float) -> str:
+    """`0.032`, `840`: two digits, and no power of ten in place of a large number."""
+    return f"{float(f'{value:.2g}'):.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
 def untried_sentence(diagnosis: Diagnosis, seconds: float | None = None) -> str:

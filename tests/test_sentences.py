@@ -11,7 +11,14 @@ from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.explain import together
 from diagnosis.parts import merged
 from diagnosis.relevance import Relevance, percent
-from diagnosis.sentences import disturbance_sentences, disturbance_text, mattering, to_within, untried_sentence
+from diagnosis.sentences import (
+    disturbance_sentences,
+    disturbance_text,
+    mattering,
+    to_within,
+    two_digits,
+    untried_sentence,
+)
 from estimators.disturbance import DisturbanceEstimate
 
 SHAKEN = DisturbanceEstimate("roll", "N m", 8.1, 0.4, 0.31, 0.03)
@@ -57,6 +64,10 @@ def test_where_none_shows_no_effect_has_to_explain_it() -> None:
     assert told == "Disturbance: 8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s; no effect explains it."
     assert disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "")) == ""
     assert disturbance_text((STILL,)) == "none shows; less than 2 N m RMS"
+
+
+def test_a_large_error_has_no_power_of_ten() -> None:
+    assert [two_digits(each) for each in (0.0317, 3.17, 99.4, 843.0)] == ["0.032", "3.2", "99", "840"]
 
 
 def test_what_is_untried_has_its_remedy() -> None:

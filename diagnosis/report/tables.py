@@ -12,6 +12,7 @@ from diagnosis.diagnose import Diagnosis, Finding
 from diagnosis.relevance import percent
 from diagnosis.report.drawing import shown
 from diagnosis.screen import Score, Screen
+from diagnosis.sentences import two_digits
 from estimators.contract import ParameterEstimate
 from estimators.disturbance import disturbances
 from estimators.methods.prediction_error import result
@@ -127,7 +128,9 @@ def limits(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         if output.name in limit.disturbed:
             factor, unit = shown(output.unit)
             error, without = (factor * each[output.name] for each in (limit.disturbed, limit.undisturbed))
-            rows.append((output.name, f"{error:.2g}{HARD_SPACE}{unit}", f"{without:.2g}{HARD_SPACE}{unit}"))
+            rows.append(
+                (output.name, f"{two_digits(error)}{HARD_SPACE}{unit}", f"{two_digits(without)}{HARD_SPACE}{unit}")
+            )
     return rows
 
 
