@@ -12,12 +12,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from diagnosis.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.force_probe import probe
 from diagnosis.shapes import Shape, shapes
 from diagnosis.where_it_fails import Views, summary, views
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
+
+Array = NDArray[np.float64]
 
 LEFT = 0.05
 """Share of the energy over the floor, before anything was added, that an effect by its right name may leave."""
@@ -110,11 +115,11 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
     return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained, struck)
 
 
-def over_floor(fitted: Fit, best: Fit) -> float:
+def over_floor(fitted: Fit, best: Fit, values: Array | None = None) -> float:
     """Innovation energy over the floor, beside the disturbance that the fit `best` leaves; without end where no
-    predictor is stable."""
+    predictor is stable. `values` (np,) are those of the parameters, in place of the fitted ones."""
     try:
-        task, values = shaken_as(fitted.problem, fitted.values, best)
+        task, values = shaken_as(fitted.problem, fitted.values if values is None else values, best)
         return innovations(task, values, floor(task, values)).ratio
     except EstimationError:
         return float("inf")

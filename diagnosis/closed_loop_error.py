@@ -62,6 +62,10 @@ class Loop:
     channels: tuple[str, ...]
     limits: tuple[Limit, ...] = ()
 
+    def of_part(self, begin: float) -> Loop:
+        """The same on a part of the recording whose first row is at `begin` s."""
+        return replace(self, begins=self.begins - begin, ends=self.ends - begin)
+
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:

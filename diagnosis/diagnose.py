@@ -16,6 +16,7 @@ from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.closed_loop_error import Loop
 from diagnosis.events import Event, events, pieces
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
+from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
@@ -76,14 +77,15 @@ def diagnose(
     known, model = model, ready(model, recordings)
     chosen = None if candidates is None else tuple(candidates)
 
-    def whole(recordings: Sequence[Recording]) -> tuple[Diagnosis, list[Event]]:
+    def whole(given: Sequence[Recording]) -> tuple[Diagnosis, list[Event]]:
         try:
-            recordings = after_settling(model, recordings, support)
+            recordings = after_settling(model, given, support)
             check(model, recordings, support)
             workspace = Workspace.of(model, recordings, support, chosen)
         except DataError as error:
             return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error)), []
-        return _whole(replace(workspace, budget=bound), model, most, masked, unasked, loops, tell)
+        begun = [_begun_at(loop, *both) for loop, *both in zip(loops, given, recordings, strict=False)]
+        return _whole(replace(workspace, budget=bound), model, most, masked, unasked, begun, tell)
 
     found, happened = whole(recordings)
     if happened:
@@ -131,9 +133,15 @@ def _whole(
         found,
         disturbance=disturbances(shown),
         prediction_limit=prediction_limit(shown),
-        untried=tuple(workspace.untried),
+        untried=tuple(each for each in workspace.untried if each not in {one.effect for one in findings}),
     )
     return found, events(last.fit)
+
+
+def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str:
+    """`loop` of the recording `whole`, in the time of `part`, whose first row may be a later one."""
+    later = float(part.timestamp_ns[0] - whole.timestamp_ns[0]) * 1e-9
+    return loop if isinstance(loop, str) else loop.of_part(later)
 
 
 def _by_relevance(
@@ -277,15 +285,6 @@ def _left(before: float, after: float) -> str:
     return f" What is left is {share:.2g} % of the energy that exceeded the noise."
 
 
-def _negligible(findings: Sequence[Finding]) -> str:
-    """What is there and does not matter, in words."""
-    return "".join(
-        f" {each.effect} shows, and is negligible: {str(each.relevance).removesuffix(': negligible.').lower()}."
-        for each in findings
-        if each.negligible
-    )
-
-
 def _left_by_blows(rest: Adequacy) -> str:
     """What is left where parts strike each other, in words."""
     left = _left(rest.before, rest.after) if rest.struck else ""
@@ -313,8 +312,7 @@ def _verdict(
             reason = f"{names} {verb} missing, and {reason}{_left(before, after)}"
     elif findings:
         verdict = Verdict.MISSING_EFFECT
-        matter = [each.explanation for each in findings if not each.negligible] or ["nothing is missing that matters."]
-        reason = "; ".join(matter) + _negligible(findings) + _left_by_blows(rest)
+        reason = together(findings) + _left_by_blows(rest)
     else:
         verdict = Verdict.ADEQUATE
         reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from diagnosis.candidates import Candidate
@@ -59,6 +59,16 @@ def explain(finding: Finding, score: Score) -> str:
     else:
         told.append("No part of these data tells enough of it to be held against another: record once more.")
     return " ".join(told)
+
+
+def together(findings: Sequence[Finding]) -> str:
+    """Several as one reason: those that matter as they are explained, in a sentence each those that are negligible."""
+    matter = [each.explanation for each in findings if not each.negligible] or ["nothing is missing that matters."]
+    return "; ".join(matter) + "".join(
+        f" {each.effect} shows, and is negligible: {str(each.relevance).removesuffix(': negligible.').lower()}."
+        for each in findings
+        if each.negligible
+    )
 
 
 def _sizes(parameters: Mapping[str, ParameterEstimate], prefix: str = "") -> str:

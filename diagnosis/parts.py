@@ -17,6 +17,7 @@ from dataclasses import replace
 from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.closed_loop_error import Loop
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
+from diagnosis.explain import together
 from diagnosis.masked import LAG
 from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
 from diagnosis.step import retold, reworded
@@ -138,8 +139,7 @@ def quiet(found: Diagnosis) -> Diagnosis:
     if over < FITS:
         if not found.findings:
             return found
-        reason = "; ".join(each.explanation for each in found.findings)
-        return replace(found, verdict=Verdict.MISSING_EFFECT, reason=reason)
+        return replace(found, verdict=Verdict.MISSING_EFFECT, reason=together(found.findings))
     if found.verdict is Verdict.UNKNOWN:
         return found
     reason = f"the innovations of the actuators' rate are {over:.2g} times its sensor's noise"
@@ -168,13 +168,14 @@ def _further(
     return replace(
         more,
         verdict=Verdict.MISSING_EFFECT if named else Verdict.UNKNOWN,
-        reason="; ".join(each.explanation for each in findings) if named else more.reason,
+        reason=together(findings) if named else more.reason,
         findings=findings,
         minimum_detectable=found.minimum_detectable,
         innovation_ratio_before=found.innovation_ratio_before,
         left_out=found.left_out,
         screens=(*found.screens, *more.screens),
         steps=steps,
+        untried=tuple(dict.fromkeys((*found.untried, *more.untried))),
     )
 
 
@@ -224,21 +225,24 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
     """
     left_out = {name: why for name, why in (vehicle.left_out or {}).items() if name not in {e.name for e in effects}}
     left_out |= actuators.left_out or {}
+    untried = (*vehicle.untried, *(f"actuators: {each}" for each in actuators.untried))
+    vehicle = replace(vehicle, left_out=left_out, untried=untried, parts=(vehicle, actuators))
     verdict, reason = vehicle.verdict, vehicle.reason
     if actuators.verdict in (Verdict.UNKNOWN, Verdict.INSUFFICIENT_DATA):
         why = f"the actuators' speed loop is none that is known: {actuators.reason}"
-        left_out |= {each.name: why for each in effects}
+        vehicle = replace(vehicle, left_out=left_out | {each.name: why for each in effects})
         if actuators.verdict is Verdict.UNKNOWN:
             # What was found in the vehicle's motion needs no command; but nothing else is said to be all right.
             reason = why if verdict is Verdict.ADEQUATE else f"{reason}; {why}"
             verdict = Verdict.UNKNOWN if verdict is Verdict.ADEQUATE else verdict
-        return replace(vehicle, verdict=verdict, reason=reason, left_out=left_out, parts=(vehicle, actuators))
-    findings = sorted((*vehicle.findings, *actuators.findings), key=lambda each: -each.log_likelihood_gain)
+        return replace(vehicle, verdict=verdict, reason=reason)
+    both = (*vehicle.findings, *actuators.findings)
+    findings = sorted(both, key=lambda each: (each.negligible, -each.log_likelihood_gain))
     first = actuators if findings and findings[0] in actuators.findings else vehicle
     if actuators.findings:
         verdict = Verdict.MISSING_EFFECT if verdict is Verdict.ADEQUATE else verdict
-        told = [each.explanation for each in findings]
-        reason = "; ".join([reason, *told] if vehicle.verdict is Verdict.UNKNOWN else told)
+        told = together(findings)
+        reason = f"{reason}; {told}" if vehicle.verdict is Verdict.UNKNOWN else told
     return replace(
         vehicle,
         verdict=verdict,
@@ -247,7 +251,4 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
         minimum_detectable={**(vehicle.minimum_detectable or {}), **(actuators.minimum_detectable or {})},
         innovation_ratio_before=first.innovation_ratio_before,
         innovation_ratio_after=first.innovation_ratio_after,
-        untried=(*vehicle.untried, *actuators.untried),
-        left_out=left_out,
-        parts=(vehicle, actuators),
     )

@@ -54,9 +54,9 @@ class Relevance:
 
     def __str__(self) -> str:
         """`It makes 43 % of the error 0.5 s ahead, and 70 % of that in the closed loop.`"""
-        shares = [f"{_percent(self.ahead)} of the error {self.horizon:g} s ahead"]
+        shares = [f"{percent(self.ahead)} of the error {self.horizon:g} s ahead"]
         if self.closed_loop is not None:
-            shares.append(f"{_percent(self.closed_loop)} of that in the closed loop")
+            shares.append(f"{percent(self.closed_loop)} of that in the closed loop")
         return f"It makes {', and '.join(shares)}{': negligible' if self.negligible else ''}."
 
 
@@ -106,5 +106,6 @@ def _share(without: float | None, with_it: float | None) -> float | None:
     return float(100.0 * max(0.0, without - with_it) / without)
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """`43 %`, and of less than one percent one digit."""
     return f"{share:.0f} %" if share >= 1.0 else f"{share:.1g} %" if share > 0.0 else "nothing"

@@ -14,6 +14,7 @@ from diagnosis.screen import screen
 from diagnosis.stationary import stationary
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
+from estimators.budget import UNLIMITED, Budget, OutOfTime
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
 from estimators.segments import after_settling
@@ -102,25 +103,31 @@ def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, g
     return np.asarray(output @ state @ output.T + sensor)
 
 
-def fitted(model: Model, recordings: Sequence[Recording], support: float | None) -> Rival:
-    """`model` as it is, fitted to `recordings`. Raises DataError where they cannot be used."""
+def fitted(model: Model, recordings: Sequence[Recording], support: float | None, budget: Budget = UNLIMITED) -> Rival:
+    """`model` as it is, fitted to `recordings`. Raises DataError where these cannot be used, OutOfTime."""
     workspace = Workspace.of(model, after_settling(model, recordings, support), support, ())
+    workspace = replace(workspace, budget=budget)
     return Rival.of(NOTHING_MORE, full(model, workspace))
 
 
 def fitted_rivals(
-    model: Model, recordings: Sequence[Recording], support: float | None, effects: Sequence[str]
+    model: Model,
+    recordings: Sequence[Recording],
+    support: float | None,
+    effects: Sequence[str],
+    budget: Budget = UNLIMITED,
 ) -> list[Rival]:
     """`model` with each of `effects` (EFFECT, or EFFECT@PLACE as a finding names it), fitted to `recordings`; an effect
     under which it runs away is left out.
 
     All count with the noise of the one that explains them best: what the others have more is what they fail to explain.
-    Raises DataError where the recordings cannot be used.
+    Raises DataError where the recordings cannot be used, OutOfTime after `budget`.
     """
     asked = [with_named(model, name).effects[-1].name for name in effects]
     recordings = after_settling(model, recordings, support)
     workspace = Workspace.of(model, recordings, support, tuple(dict.fromkeys(name.split("@")[0] for name in asked)))
-    workspace = replace(workspace, candidates=tuple(each for each in workspace.candidates if each.name in asked))
+    wanted = tuple(each for each in workspace.candidates if each.name in asked)
+    workspace = replace(workspace, candidates=wanted, budget=budget)
     base = full(model, workspace)
     screened = screen(
         Whitened.of(base.fit),
@@ -134,6 +141,8 @@ def fitted_rivals(
             fits[score.candidate.name] = full(
                 with_effect(base.model, score.candidate, start), workspace, score.candidate
             )
+        except OutOfTime:
+            raise  # fewer rivals would ask another question
         except ArithmeticError:
             continue
     if not fits:

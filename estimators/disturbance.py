@@ -50,6 +50,15 @@ class DisturbanceEstimate:
     shown: bool = True
     known: bool = False
 
+    @classmethod
+    def from_json(cls, joint: str, entry: Mapping[str, Any]) -> DisturbanceEstimate:
+        """What `to_json` made of one."""
+        rms, time = entry["rms"], entry["correlation_time"]
+        known = bool(entry["shown"] and entry["rms_std"] is None)
+        return cls(
+            joint, entry["unit"], rms, entry["rms_std"], time, entry["correlation_time_std"], entry["shown"], known
+        )
+
     def to_json(self) -> dict[str, Any]:
         """JSON-ready."""
         return {
@@ -68,9 +77,14 @@ class DisturbanceEstimate:
         if self.known or self.std_error is None or self.correlation_time_error is None:
             return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, as stated"
         return (
-            f"{with_error(self.std, self.std_error)} {self.unit} RMS,"
-            f" correlation time {with_error(self.correlation_time or 0.0, self.correlation_time_error)} s"
+            f"{rms(self)}, correlation time {with_error(self.correlation_time or 0.0, self.correlation_time_error)} s"
         )
+
+
+def rms(found: DisturbanceEstimate) -> str:
+    """`8.1 ± 0.4 N m RMS`."""
+    size = f"{found.std:.3g}" if found.std_error is None else with_error(found.std, found.std_error)
+    return f"{size} {found.unit} RMS"
 
 
 def with_error(value: float, std: float) -> str:

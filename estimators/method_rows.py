@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from estimators.disturbance import DisturbanceEstimate
 from estimators.method_table import Domain
 from estimators.report import significant
 
@@ -45,6 +46,14 @@ def joint_columns(methods: Mapping[str, Any], document: Mapping[str, Any], truth
     groups.append([[heading, "%", *(_number(fit, 1) for fit in fits)]])
     groups.append([["took", "s", *(_number(each, 1) for each in seconds)]])
     return groups
+
+
+def disturbances(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Method, and the disturbance that it found at each joint, of those that estimate one."""
+    for name, entry in document["methods"].items():
+        found = [DisturbanceEstimate.from_json(*each) for each in entry.get("disturbance", {}).items()]
+        for each in found:
+            yield name, f"{each.joint}: {each}" if len(found) > 1 else str(each)
 
 
 def mean_columns(methods: Mapping[str, Any], document: Mapping[str, Any]) -> list[Columns]:

@@ -14,6 +14,7 @@ from diagnosis.closed_loop import Experiment, simulate
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
+from estimators.budget import UNLIMITED, Budget, OutOfTime
 from models.model import Model, ModelError
 from service.excitation import ExcitationError, InjectionPoint
 from service.monocab import predicted as monocab
@@ -80,15 +81,25 @@ def suggest_for(
     model: Model,
     recordings: Sequence[Recording],
     progress: Progress | None = None,
+    budget: Budget = UNLIMITED,
 ) -> Mapping[str, Any] | None:
     """What to record next after a `diagnosis` of `model` from `recordings`, as `Diagnosis.suggested_experiment`.
 
     Tied effects are to be told apart. Where no effect was found, it is asked what would show the largest that may have
     been missed; where the recordings could not be used, what tells dry from viscous friction. None where nothing is in
     question, no experiment of the vehicle tells it, or the vehicle's loop cannot be predicted with this model.
+    Raises OutOfTime after `budget`.
     """
+
+    def tell(text: str, share: float) -> None:
+        budget.check()
+        if progress is not None:
+            progress(text, share)
+
     try:
-        return _suggestion(vehicle, diagnosis, model, recordings, progress)
+        return _suggestion(vehicle, diagnosis, model, recordings, tell, budget)
+    except OutOfTime:
+        raise
     except (UprightError, ArithmeticError):
         # A diagnosis is worth having without a suggestion.
         return None
@@ -99,7 +110,8 @@ def _suggestion(
     diagnosis: Diagnosis,
     model: Model,
     recordings: Sequence[Recording],
-    progress: Progress | None,
+    progress: Progress,
+    budget: Budget,
 ) -> Mapping[str, Any] | None:
     if diagnosis.verdict is Verdict.INSUFFICIENT_DATA:
         return _as_json(separating(vehicle, model, _prediction(vehicle, model).untold, progress=progress))
@@ -112,10 +124,10 @@ def _suggestion(
         if tied is None:
             return None
         names = [tied.effect, *sorted(tied.tied_with, key=lambda name: -tied.odds[name])][:MOST_RIVALS]
-        rivals = fitted_rivals(repaired.remove(tied.effect), recordings, vehicle.support, names)
+        rivals = fitted_rivals(repaired.remove(tied.effect), recordings, vehicle.support, names, budget)
         return _as_json(suggest(rivals, experiments, progress)) if len(rivals) > 1 else None
     if diagnosis.verdict is Verdict.ADEQUATE:
-        bare = fitted(repaired, recordings, vehicle.support)
+        bare = fitted(repaired, recordings, vehicle.support, budget)
         for effect, size in _unseen(repaired, diagnosis.minimum_detectable or {})[:MOST_UNSEEN]:
             missed = replace(bare, name=effect, model=_with(bare.model, effect, size))
             found = suggest((missed, bare), experiments, progress)

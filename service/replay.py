@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators.budget import UNLIMITED, Budget
 from service import assembly, export, kinds
 from service.online_estimators import EstimatorBank, online_estimators
 from service.rows import rows_from_frames
@@ -25,6 +26,8 @@ from telemetry.recording import Recording
 
 AGE = "drive_age"
 """The channels after this one, reference, excitation and phase, were never on the bus."""
+BATCH = 1000
+"""Rows between two looks at the time."""
 
 CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
 
@@ -105,20 +108,23 @@ def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
     return _replayed(recording, vehicle).results()
 
 
-def live_diagnosis(recording: Recording, vehicle: VehicleFile) -> dict[str, Any] | None:
+def live_diagnosis(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIMITED) -> dict[str, Any] | None:
     """Which effect a run of the recording would have shown, and since when; None where nothing diagnoses this kind.
 
-    Raises RecordingError as `replay` does.
+    Raises RecordingError as `replay` does, OutOfTime after `budget`.
     """
-    return _replayed(recording, vehicle).diagnosis()
+    return _replayed(recording, vehicle, budget).diagnosis()
 
 
-def _replayed(recording: Recording, vehicle: VehicleFile) -> EstimatorBank:
+def _replayed(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIMITED) -> EstimatorBank:
     bank = online_estimators(
         vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
     )
     bank.join()
-    bank.update(recording.frames(assembly.channels(vehicle)))
+    frames = list(recording.frames(assembly.channels(vehicle)))
+    for begin in range(0, len(frames), BATCH):
+        budget.check()
+        bank.update(frames[begin : begin + BATCH])
     return bank
 
 

@@ -529,6 +529,9 @@ def test_what_is_missing_is_told_and_what_was_added_is_taken_back(asked: None, w
     # With the friction that was added nothing is.
     expect(page.locator("#gap-ranked")).to_contain_text("The model is adequate", timeout=120_000)
     expect(page.locator("#gap-ranked")).to_contain_text("Next experiment: ")
+    told = page.locator("#gap-ranked [data-told=disturbance]")
+    expect(told).to_contain_text("The best possible prediction 0.5 s ahead has ")
+    expect(told).to_contain_text("deg RMS in roll")
     page.click("#gap-undo")
     expect(page.locator("#gap-model")).to_contain_text("nothing", timeout=PATIENCE)
 
@@ -542,6 +545,7 @@ def test_methods_stand_side_by_side(asked: None, watched: Watched) -> None:
     expect(choice).to_contain_text("To rely on: ")
     expect(choice).to_contain_text("it is sound here")
     expect(choice).to_contain_text("Why not the others")
+    expect(choice).to_contain_text("Disturbance that prediction_error found beside these: ")
     for method in METHODS:
         row = inertia.get_by_role("row").filter(has=watched.page.get_by_role("rowheader", name=method, exact=True))
         # Without the friction a model of the roll motion explains it by another inertia, but not by any.

@@ -14,7 +14,10 @@ from typer.testing import CliRunner
 import diagnosis.parts
 from models.model_file import read
 from service.cli import app
+from service.cli.diagnose import default_budget
+from service.cli.diagnose_page import print_diagnosis
 from service.virtual_run import record
+from tests.test_report import of_little_matter
 from tests.virtual_records import multisine
 
 EFFECTS = ("--effect", "viscous_friction", "--effect", "quadratic_drag")
@@ -64,6 +67,49 @@ def test_for_people(recording: Path) -> None:
     text = upright(recording, *EFFECTS)
     for part in ("missing effect", "1. viscous_friction", "Innovation energy", "smallest effects", "N m s/rad"):
         assert part in text
+    said = " ".join(text.split())
+    assert "Disturbance: " in said
+    assert "The best possible prediction 0.5 s ahead has " in said
+    assert " of the error 0.5 s ahead, and " in said  # the recording knows its loop
+    assert "Left untried" not in said
+
+
+def test_a_script_reads_the_disturbance_and_what_each_effect_matters(recording: Path) -> None:
+    document = json.loads(upright(recording, *EFFECTS, "--budget", "inf", "--json"))
+    assert document["untried"] == []
+    assert document["disturbance"]["roll"]["unit"] == "N m"
+    assert set(document["prediction_limit"]["rmse"]) == {"roll", "roll_rate"}
+    relevance = document["findings"][0]["relevance"]
+    assert relevance["horizon"] == 0.5
+    assert relevance["ahead_percent"] > 1.0
+    assert relevance["closed_loop_percent"] > 1.0
+    assert not relevance["negligible"]
+
+
+def test_a_budget_ends_it_with_what_it_has(recording: Path) -> None:
+    """The choice of the next experiment alone takes longer."""
+    text = " ".join(upright(recording, "--budget", "2").split())
+    assert "Left untried for want of time (2 s): " in text
+    assert "Remedy: --budget 10." in text
+
+
+def test_a_budget_has_to_be_some_time(recording: Path) -> None:
+    upright(recording, "--budget", "0", code=2)
+
+
+def test_the_usual_budget_goes_with_the_rows() -> None:
+    rows = len(multisine("viscous_friction"))
+    assert default_budget([multisine("viscous_friction")]) == pytest.approx(60.0 * max(1.0, rows / 12_000))
+    assert default_budget([multisine("viscous_friction")] * 10) == pytest.approx(600.0 * rows / 12_000)
+
+
+def test_what_is_negligible_is_listed_below_and_makes_no_headline(capsys: pytest.CaptureFixture[str]) -> None:
+    print_diagnosis(of_little_matter(), 60.0)
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.startswith("negligible effect: Nothing is missing that matters.")
+    above, below = text.split("Negligible: what shows, and makes less than 1 % of the error")
+    assert "coulomb_friction" not in above
+    assert "1. coulomb_friction" in below
 
 
 def test_everything_that_is_written(recording: Path, tmp_path: Path) -> None:

@@ -166,6 +166,8 @@ def test_the_document_tells_the_whole_repair(added: tuple[str, dict[str, Any], b
     assert document["effect"] == repair["effect"] == "coulomb_friction"
     assert repair["needed"]
     assert sum(repair["budget"].values()) == pytest.approx(1.0)
+    left = [repair[when]["disturbance"]["axis"]["rms"] for when in ("before", "after")]
+    assert left[0] > left[1]
     assert repair["after"]["held_out"]["position"][-1] < repair["before"]["held_out"]["position"][-1]
     assert "the held-out error 0.5 s ahead falls by" in repair["words"][0]
     assert picture == b"\x89PNG\r\n\x1a\n"
@@ -257,6 +259,8 @@ def test_the_page_shows_the_budget_and_says_it_in_words(tmp_path: Path, recordin
     assert "last third of first.csv" in page
     assert "position, mm" in page
     assert "█" in page
+    assert "Disturbance before: " in page
+    assert "Disturbance after: " in page
     assert "the held-out error 0.5 s ahead falls by" in page
     assert "upright model undo" in page
 

@@ -18,6 +18,7 @@ from diagnosis.next_experiment import ENOUGH, LONGEST, Choice, expected_log_odds
 from diagnosis.refit import full
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
 from diagnosis.workspace import Workspace
+from estimators.budget import Budget, OutOfTime
 from estimators.identify import nominal_model, with_values
 from estimators.problem import problem
 from models import library
@@ -206,6 +207,8 @@ def test_a_diagnosis_gets_what_separates_its_tied_effects() -> None:
     # Whatever cannot be predicted costs the suggestion, not the diagnosis.
     strange = replace(tied, repaired=library.get("axis").add("coulomb_friction"))
     assert suggest_for(vehicle, strange, model, [recording]) is None
+    with pytest.raises(OutOfTime):
+        suggest_for(vehicle, tied, model, [recording], budget=Budget.of(0.0))
 
 
 def test_recordings_that_could_not_be_used_are_followed_by_what_tells_friction() -> None:

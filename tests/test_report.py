@@ -12,11 +12,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.relevance import Relevance, percent
 from diagnosis.report import Provenance, write_report
 from diagnosis.report.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
 from diagnosis.report.pictures import staircase
 from diagnosis.report.tables import p_text
 from diagnosis.report.words import headline
+from estimators.disturbance import disturbances, rms
 from estimators.identify import nominal_model, with_values
 from service.vehicle_file import load
 from telemetry.recording import Recording
@@ -29,8 +31,8 @@ MODEL = with_values(
 HOSTILE = 'runs/<script>alert("1")</script> & $x^2$ "a" <b>.arrow'
 HASH = "5e" * 32
 PROVENANCE = Provenance(vehicle="monocab", version="1.2.3", date="2031-02-03 04:05", hashes={HOSTILE: HASH})
-CANDIDATES = ("coulomb_friction", "stribeck_friction", "viscous_friction", "input_gain")
-"""Few, for the tests' time: the effect, what it is confused with, another, and one that this model cannot have."""
+CANDIDATES = ("coulomb_friction", "stribeck_friction", "viscous_friction", "gyro_bias")
+"""Few, for the tests' time: the effect, what it is confused with, another, and one that a filter has learned."""
 LARGEST = 3_000_000
 """Bytes of a page that goes by mail."""
 VOID = frozenset({"meta", "br", "link", "img", "input", "hr"})
@@ -208,12 +210,62 @@ class TestWhatWasFound:
 
     def test_what_was_not_looked_at_has_its_reason(self) -> None:
         rest = page().text.split("What was not looked at")[1]
-        reason = (found().left_out or {})["input_gain"].removeprefix("effect input_gain: ")
+        reason = (found().left_out or {})["gyro_bias"].removeprefix("effect gyro_bias: ")
         assert reason
-        assert f"input_gain {reason}" in rest
+        assert f"gyro_bias {reason}" in rest
         for name, size in (found().minimum_detectable or {}).items():
             assert name in rest
             assert f"{size:.2g}" in rest
+
+
+def of_little_matter() -> Diagnosis:
+    """What was found, as if it made 0.2 % of the error."""
+    finding = replace(found().findings[0], relevance=Relevance(0.5, 0.2, 0.1))
+    return replace(found(), findings=(finding,))
+
+
+class TestWhatShakesTheVehicle:
+    def test_the_disturbance_is_told_with_what_it_was_before(self) -> None:
+        section = page().text.split("What shakes the vehicle")[1].split("Which effect")[0]
+        (after,) = found().disturbance
+        (before,) = disturbances(found().steps[0].fit)
+        assert str(after) in section
+        assert str(before) in section
+        assert before.std > after.std
+
+    def test_so_is_the_best_possible_prediction(self) -> None:
+        limit = found().prediction_limit
+        assert limit is not None
+        error = np.degrees(limit.disturbed["roll"])
+        assert f"The best possible prediction 0.5 s ahead has {error:.2g} deg RMS in roll" in page().text
+
+    def test_the_share_of_the_error_stands_beside_each_finding(self) -> None:
+        relevance = found().findings[0].relevance
+        assert relevance is not None
+        section = page().text.split("Which effect")[1].split("probability")[0]
+        assert "makes of the error0.5 s ahead" in section
+        assert percent(relevance.ahead) in section
+
+    def test_what_is_negligible_stands_apart_and_makes_no_headline(self) -> None:
+        shown_page = Page(write_report(of_little_matter(), MODEL, [record()], support=VEHICLE.support))
+        assert "Negligible effect: nothing is missing that matters" in shown_page.text
+        assert "may be left out" in headline(of_little_matter()).next_step
+        above, below = shown_page.text.split("no controller would miss it.")
+        assert found().findings[0].definition.title in below
+        assert "Its nearest neighbour" not in above
+
+    def test_what_was_left_untried_is_told_with_the_remedy(self) -> None:
+        hurried = replace(found(), untried=("hysteresis", "further effects"))
+        text = write_report(hurried, MODEL, [record()], support=VEHICLE.support, seconds=60.0)
+        assert "Left untried for want of time (60 s): hysteresis; further effects. Remedy: --budget 300." in text
+        assert "Left untried" not in page().text
+
+    def test_an_adequate_model_is_so_beside_a_disturbance_of_its_size(self) -> None:
+        (shaken,) = found().disturbance
+        told = headline(replace(found(), verdict=Verdict.ADEQUATE, disturbance=(replace(shaken, shown=True),)))
+        assert told.text.endswith(f"to within their noise and a random disturbance of {rms(shaken)}")
+        told = headline(replace(found(), verdict=Verdict.ADEQUATE, disturbance=(replace(shaken, shown=False),)))
+        assert told.text.endswith("to within their noise")
 
 
 class TestOtherVerdicts:

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from diagnosis.compare import Comparison, compare
 from diagnosis.report import Provenance, write_comparison, write_identification
 from diagnosis.report.drawing import looks
+from estimators.disturbance import DisturbanceEstimate
 from estimators.identify import identify
 from models import library
 from service.cli import app
@@ -129,8 +130,11 @@ class TestTheCommands:
         told = json.loads(self.run("compare", file, "--report", report, "--json"))
         assert [each["closed_loop"]["available"] for each in told["models"]] == [False]
         assert told["models"][0]["closed_loop"]["rmse"] == {}
+        left = DisturbanceEstimate.from_json("roll", told["models"][0]["disturbance"]["roll"])
         page = Page(report.read_text())
         assert "CAD: not adequate" in page.text
+        assert str(left) in page.text
+        assert f"disturbance, CAD: {left}" in " ".join(self.run("compare", file).split())
         assert "sweep.csv SHA-256" in page.text
 
     def test_identify(self, file: Path, tmp_path: Path) -> None:
@@ -141,6 +145,15 @@ class TestTheCommands:
         page = Page(report.read_text())
         assert "No method to rely on" in page.text
         assert "run prediction_error" in page.text
+
+    def test_identify_says_what_shakes_the_vehicle(self, file: Path, tmp_path: Path) -> None:
+        report = tmp_path / "shaken.html"
+        asked = ("identify", file, "-m", "prediction_error", "-m", "least_squares", "--report", report)
+        methods = json.loads(self.run(*asked, "--json"))["methods"]
+        assert methods["least_squares"]["disturbance"] == {}
+        found = DisturbanceEstimate.from_json("roll", methods["prediction_error"]["disturbance"]["roll"])
+        assert f"Disturbance that prediction_error found beside these: {found}." in Page(report.read_text()).text
+        assert f"Disturbance (prediction_error): {found}" in " ".join(self.run(*asked).split())
 
     @pytest.mark.parametrize("command", ["compare", "identify"])
     def test_a_folder_that_is_not_there_is_told_before_the_work(self, command: str, file: Path) -> None:

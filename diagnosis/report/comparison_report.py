@@ -9,6 +9,7 @@ from diagnosis.compare import Comparison
 from diagnosis.report import tables
 from diagnosis.report.drawing import file_name, shown, units
 from diagnosis.report.page import Figures, Provenance, compared_figures, render
+from diagnosis.sentences import disturbance_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,7 @@ class VerdictRow:
     verdict: str
     ratio: str
     missing: str
+    disturbance: str
     loop: str
 
 
@@ -109,5 +111,6 @@ def verdict(recording: str, comparison: Comparison) -> VerdictRow:
         verdict="adequate" if comparison.adequate else "not adequate",
         ratio=f"{comparison.innovation_ratio:.3g}",
         missing=", ".join(f"{each.rms:.3g} {each.unit}" for each in comparison.views.forces),
+        disturbance=disturbance_text(comparison.disturbance) or "-",
         loop=", ".join(f"{name} {loop.over_floor(name):.3g}" for name in loop.measured) or "-",
     )

@@ -14,6 +14,7 @@ from estimators.contract import EstimationError
 from estimators.method_document import CANCELLED
 from estimators.method_rows import (
     Columns,
+    disturbances,
     joint_columns,
     mean_columns,
     others,
@@ -68,6 +69,7 @@ def write_identification(
         others=list(others(begun)),
         fit_note=_fit_note(document),
         estimates=list(_estimates(document)),
+        disturbances=list(disturbances(document)),
         figure=_figure(document, truth or {}),
         tables=list(_tables(document, begun, truth or {})),
         drives=[

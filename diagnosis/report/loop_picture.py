@@ -48,7 +48,7 @@ def closed_loop(comparisons: Sequence[Comparison], name: str = "loop") -> str:
     panels[-1].set_xlabel("s" if not first.closed_loop.stretch.any() else IN_A_ROW)
     handles, labels = panels[0].get_legend_handles_labels()
     handles.append(Patch(color="0.88"))
-    labels.append(f"what noise alone makes (±{BAND:g} std)")
+    labels.append(f"what noise and disturbance make (±{BAND:g} std)")
     figure.legend(handles, labels, loc="outside upper left", ncols=4)
     return svg(figure, name, "Recorded and simulated in the closed loop, by channel, and the differences")
 

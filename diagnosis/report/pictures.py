@@ -75,7 +75,7 @@ def overlay(comparisons: Sequence[Comparison], name: str = "overlay") -> str:
     panels[-1].set_xlabel("s" if len(firsts) < 2 else IN_A_ROW)
     handles, labels = panels[0].get_legend_handles_labels()
     handles.append(Patch(color="0.88"))
-    labels.append(f"what noise alone makes (±{BAND:g} std)")
+    labels.append(f"what noise and disturbance make (±{BAND:g} std)")
     figure.legend(handles, labels, loc="outside upper left", ncols=4)
     return svg(figure, name, "Measured and predicted, by channel, and the prediction errors")
 

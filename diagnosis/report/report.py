@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from diagnosis.adequacy import over_floor
 from diagnosis.compare import Comparison, compare
 from diagnosis.diagnose import Diagnosis
-from diagnosis.floor import floor, innovation_ratio
 from diagnosis.report import tables
 from diagnosis.report.drawing import file_name
 from diagnosis.report.page import Figures, Provenance, compared_figures, render
 from diagnosis.report.words import headline
+from diagnosis.sentences import disturbance_sentences, untried_sentence
 from estimators.contract import EstimationError
 from models.model import Model
 from telemetry.recording import Recording
@@ -31,9 +34,11 @@ def write_report(
     *,
     support: float | None = None,
     provenance: Provenance | None = None,
+    seconds: float | None = None,
     progress: Progress | None = None,
 ) -> str:
-    """The page as text. `model` and `recordings` are what `diagnosis` is of, `support` as it was there.
+    """The page as text. `model` and `recordings` are what `diagnosis` is of, `support` as it was there. `seconds` are
+    those that it was allowed to take, where that is known.
 
     `progress` is told in words what is being done.
     """
@@ -52,8 +57,14 @@ def write_report(
         comparisons=comparisons,
         errors=list(tables.errors(comparisons)) if comparisons else [],
         rankings=tables.rankings(diagnosis),
+        disturbance=disturbance_sentences(diagnosis),
+        untried=untried_sentence(diagnosis, seconds),
+        relevances=tables.relevances(diagnosis),
+        horizon=tables.horizon(diagnosis),
         parameters=tables.parameters(diagnosis),
         remarks=tables.remarks(diagnosis),
+        shaken=tables.shaken(diagnosis),
+        limits=tables.limits(diagnosis),
         held=tables.held(diagnosis),
         detectables=tables.detectables(diagnosis),
         left_out=tables.left_out(diagnosis),
@@ -88,17 +99,22 @@ def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) 
 
 
 def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:
-    """Names and innovation energies over the floor: as given, fitted, and after each effect."""
+    """Names and innovation energies over the floor: as given, fitted, and after each effect, all of them beside the
+    disturbance that the last one leaves."""
     names, ratios = [], []
-    task = diagnosis.steps[0].fit.problem
-    try:
-        given = task.kernel.vector()
-        ratios.append(innovation_ratio(task, given, floor(task, given)))
+    known: set[str] = set()
+    first, last = diagnosis.steps[0].fit, diagnosis.steps[-1].fit
+    as_given = over_floor(first, last, first.problem.kernel.vector())
+    if np.isfinite(as_given):  # values with which the model runs away have no error to show
+        ratios.append(as_given)
         names.append("as given")
-    except EstimationError:
-        pass  # values with which the model runs away have no error to show
     for place, step in enumerate(diagnosis.steps):
-        fit = step.fit
-        ratios.append(innovation_ratio(fit.problem, fit.values, floor(fit.problem, fit.values)))
-        names.append("fitted" if place == 0 else f"with {diagnosis.findings[place - 1].effect}")
+        # The diagnosis' own are beside all that it found, something without a name included.
+        told = diagnosis.innovation_ratio_before if place == 0 else diagnosis.innovation_ratio_after
+        ends = place in (0, len(diagnosis.steps) - 1)
+        ratios.append(told if ends and told is not None else over_floor(step.fit, last))
+        # Findings stand by how much they matter, steps in the order in which they were made.
+        added = [each.name for each in step.model.effects if each.name not in known]
+        known.update(added)
+        names.append("fitted" if place == 0 else f"with {' and '.join(added)}")
     return names, ratios

@@ -9,14 +9,18 @@ import numpy as np
 
 from diagnosis.compare import Comparison
 from diagnosis.diagnose import Diagnosis, Finding
+from diagnosis.relevance import percent
 from diagnosis.report.drawing import shown
 from diagnosis.screen import Score, Screen
+from diagnosis.sentences import two_digits
 from estimators.contract import ParameterEstimate
+from estimators.disturbance import disturbances
 from estimators.methods.prediction_error import result
 from estimators.report import significant
 from telemetry.recording import Recording
 
 HARD_SPACE = "\N{NO-BREAK SPACE}"
+UNKNOWN = "–"
 NOTHING = "nothing"
 """Stands among the effects for a model that lacks none of them."""
 LEAST_SHOWN = 5e-4
@@ -69,6 +73,65 @@ class ParameterRow:
     before: str
     after: str
     moved: str
+
+
+@dataclass(frozen=True, slots=True)
+class Relevant:
+    """What share of the errors a finding makes, as text, and whether that is negligible."""
+
+    name: str
+    title: str
+    ahead: str
+    closed_loop: str
+    negligible: bool
+
+
+def relevances(diagnosis: Diagnosis) -> list[Relevant]:
+    """One for each finding, in order: those that are negligible last. Empty where no share is known."""
+    if all(each.relevance is None for each in diagnosis.findings):
+        return []
+    return [
+        Relevant(
+            each.effect,
+            each.definition.title,
+            percent(each.relevance.ahead) if each.relevance else UNKNOWN,
+            percent(each.relevance.closed_loop)
+            if each.relevance and each.relevance.closed_loop is not None
+            else UNKNOWN,
+            each.negligible,
+        )
+        for each in diagnosis.findings
+    ]
+
+
+def horizon(diagnosis: Diagnosis) -> str:
+    """Of the relevances, with its unit."""
+    known = next((each.relevance for each in diagnosis.findings if each.relevance), None)
+    return f"{known.horizon:.3g}{HARD_SPACE}s" if known else ""
+
+
+def shaken(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Joint, the disturbance that the model alone leaves there, and that which is left with all that was found."""
+    if not diagnosis.disturbance:
+        return []
+    before = {each.joint: str(each) for each in disturbances(diagnosis.steps[0].fit)}
+    return [(each.joint, before.get(each.joint, UNKNOWN), str(each)) for each in diagnosis.disturbance]
+
+
+def limits(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """By channel, the RMS error of the best possible prediction: beside the disturbance, and by the sensors alone."""
+    limit = diagnosis.prediction_limit
+    if limit is None or not diagnosis.steps:
+        return []
+    rows = []
+    for output in diagnosis.steps[-1].model.outputs:
+        if output.name in limit.disturbed:
+            factor, unit = shown(output.unit)
+            error, without = (factor * each[output.name] for each in (limit.disturbed, limit.undisturbed))
+            rows.append(
+                (output.name, f"{two_digits(error)}{HARD_SPACE}{unit}", f"{two_digits(without)}{HARD_SPACE}{unit}")
+            )
+    return rows
 
 
 def rankings(diagnosis: Diagnosis) -> list[Ranking]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from diagnosis.sentences import NOTHING_MATTERS, mattering, to_within
 from models.effect import Effect
 
 
@@ -22,6 +23,8 @@ class Headline:
 
 def headline(diagnosis: Diagnosis) -> Headline:
     """What a person reads first."""
+    if diagnosis.verdict is Verdict.MISSING_EFFECT and not mattering(diagnosis):
+        return Headline(Verdict.ADEQUATE.value, "Negligible effect", NOTHING_MATTERS, next_step(diagnosis))
     return Headline(
         diagnosis.verdict.value,
         diagnosis.verdict.value.replace("_", " ").capitalize(),
@@ -31,12 +34,13 @@ def headline(diagnosis: Diagnosis) -> Headline:
 
 
 def _line(diagnosis: Diagnosis) -> str:
-    names = _listed([_named(finding) for finding in diagnosis.findings])
+    matter = mattering(diagnosis)
+    names = _listed([_named(finding) for finding in matter])
     match diagnosis.verdict:
         case Verdict.ADEQUATE:
-            return "the model explains these recordings as well as their noise allows"
+            return f"the model explains these recordings {to_within(diagnosis)}"
         case Verdict.MISSING_EFFECT:
-            alone = diagnosis.findings[0] if len(diagnosis.findings) == 1 else None
+            alone = matter[0] if len(matter) == 1 else None
             if alone is not None and not alone.tied_with:
                 names = f"{names}: {effect_of(diagnosis, 0, names).title}"
             return f"the model lacks {names}"
@@ -76,12 +80,15 @@ def next_step(diagnosis: Diagnosis) -> str:
 
 
 def _add_or_tell_apart(diagnosis: Diagnosis) -> str:
-    for place, finding in enumerate(diagnosis.findings):
+    matter = mattering(diagnosis)
+    if not matter:
+        return "Use the model with the fitted values; what is negligible may be left out."
+    for place, finding in enumerate(matter):
         if finding.tied_with:
             how = effect_of(diagnosis, place, finding.effect).separated_by.rstrip(".")
             others = _listed(finding.tied_with)
             return f"Tell {finding.effect} apart from {others} before you build on it: {how[:1].lower()}{how[1:]}."
-    names = _listed([finding.effect for finding in diagnosis.findings])
+    names = _listed([finding.effect for finding in matter])
     return f"Add {names} to the model (upright model add), and check it on a recording that it was not fitted to."
 
 

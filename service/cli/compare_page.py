@@ -10,6 +10,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from diagnosis.sentences import disturbance_text
 from service.cli.output import page
 
 if TYPE_CHECKING:
@@ -19,13 +20,20 @@ if TYPE_CHECKING:
 def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:
     """The table of one recording, and below it where each model fails."""
     page.print(comparison_table(comparisons, title))
-    for line in closed_loop_lines(comparisons):
+    for line in (*disturbance_lines(comparisons), *closed_loop_lines(comparisons)):
         page.print(Padding(Text(line), (0, 0, 0, 2)))
     for each in comparisons:
         if each.summary:
             page.print(Padding(Text(f"{each.name}:", style="bold"), (0, 0, 0, 2)))
         for sentence in each.summary:
             page.print(Padding(Text(sentence), (0, 0, 0, 4)))
+
+
+def disturbance_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """A line a model: the random force that it leaves."""
+    for each in comparisons:
+        if told := disturbance_text(each.disturbance):
+            yield f"disturbance, {each.name}: {told}"
 
 
 def closed_loop_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:

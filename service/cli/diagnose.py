@@ -17,6 +17,7 @@ from service.cli.output import page, people, print_json
 if TYPE_CHECKING:
     from diagnosis.diagnose import Diagnosis
     from diagnosis.report import Provenance
+    from estimators.budget import Budget
     from models.effect import Effect
     from models.model import Model
     from service.vehicle_file import VehicleFile
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".toml", ".py")
 """Of a file with an effect of one's own."""
+BUDGET, ROWS = 60.0, 12_000
+"""s that a diagnosis of so many rows may take by default, of more rows in proportion."""
+DIAGNOSIS = 0.85
+"""Share of the time for the diagnosis itself: the rest is for the next experiment, and what sets in during the run."""
+DRAWING = 0.1
+"""Share that a report is left to be drawn in."""
 
 
 def diagnose(
@@ -64,6 +71,15 @@ def diagnose(
             " the model to this file, and the trail beside it.",
         ),
     ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            "--budget",
+            help="Seconds that it may take, e.g. --budget 300; what is left untried by then is said. --budget inf: as"
+            " long as it takes.",
+            show_default="60, in proportion more for over 12,000 rows",
+        ),
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
@@ -79,17 +95,21 @@ def diagnose(
     from diagnosis.diagnose import Verdict
     from diagnosis.diagnose import diagnose as run
     from diagnosis.parts import diagnose_parts
+    from estimators.budget import Budget, OutOfTime
     from estimators.identify import with_values
     from models.effects import CATALOGUE
     from models.library import ACTUATORS
     from service.cli.batch import identified_model, load_recording
     from service.machine import is_of, name_of, support_of
     from service.next_experiment import suggest_for
+    from service.recorded_loop import recorded_loop
     from service.vehicle_file import load
 
     for target in (auto, report):
         if target is not None and not target.absolute().parent.is_dir():
             raise typer.BadParameter(f"there is no folder {target.parent} to write {target.name} to")
+    if budget is not None and not budget > 0.0:
+        raise typer.BadParameter("has to be more than 0 s; inf is as long as it takes.", param_hint="--budget")
     file = load(vehicle)
     nominal = identified_model(model, file)
     if model is None:  # what identification assumes beside the vehicle's own equations is to be found here
@@ -107,27 +127,46 @@ def diagnose(
     from_files = {chosen(name).name: Path(name) for name in (*(effect or ()), *(own or ())) if name.endswith(SUFFIXES)}
     loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
     origin = provenance(name_of(nominal, file), recordings)  # of what was read: minutes later a file may be another
-    with share_done() as progress:
+    seconds = default_budget(loaded) if budget is None else budget
+    whole = Budget.of(None if math.isinf(seconds) else seconds * (1.0 if report is None else 1.0 - DRAWING))
+    with share_done(whole) as progress:
         way = partial(diagnose_parts, nominal, actuators) if actuators else partial(run, nominal)
-        found = way(loaded, support=support, candidates=candidates, most=6 if auto else 3, progress=progress)
+        of_vehicle = is_of(nominal, file)
+        found = way(
+            loaded,
+            support=support,
+            candidates=candidates,
+            most=6 if auto else 3,
+            budget=None if math.isinf(seconds) else DIAGNOSIS * whole.left,
+            loops=[recorded_loop(file, each) for each in loaded] if of_vehicle else (),
+            progress=progress,
+        )
         parts = shown_parts(found, nominal, loaded, support)
         # Experiments are predicted for the vehicle, which its actuators only move.
-        if parts[0][1] is nominal and is_of(nominal, file):
+        if parts[0][1] is nominal and of_vehicle:
             progress("choosing the next experiment", 1.0)
-            found = replace(found, suggested_experiment=suggest_for(file, parts[0][0], nominal, loaded))
+            try:
+                suggested = suggest_for(file, parts[0][0], nominal, loaded, budget=whole)
+                found = replace(found, suggested_experiment=suggested)
+            except OutOfTime:
+                found = replace(found, untried=(*found.untried, "the choice of the next experiment"))
         if found.verdict is Verdict.UNKNOWN and not found.findings and model is None:
             progress("looking for what sets in during the run", 1.0)
-            found = replace(found, reason=f"{found.reason}{sets_in(loaded, recordings, file, begin)}")
+            try:
+                found = replace(found, reason=f"{found.reason}{sets_in(loaded, recordings, file, begin, whole)}")
+            except OutOfTime:
+                found = replace(found, untried=(*found.untried, "what sets in during the run"))
         if report is not None:
             from diagnosis.report import write_report
 
             for (part, bare, seen), path in zip(parts, report_paths(report, len(parts)), strict=True):
                 text = write_report(
-                    replace(part, suggested_experiment=found.suggested_experiment),
+                    replace(part, suggested_experiment=found.suggested_experiment, untried=found.untried),
                     bare,
                     seen,
                     support=support,
                     provenance=origin,
+                    seconds=seconds,
                     progress=lambda text: progress(text, 1.0),
                 )
                 path.write_text(text, encoding="utf-8")
@@ -140,7 +179,7 @@ def diagnose(
     else:
         from service.cli.diagnose_page import print_diagnosis
 
-        print_diagnosis(found)
+        print_diagnosis(found, seconds)
         if report is not None:
             page.print("\n" + "\n".join(f"Report: {path}" for path in report_paths(report, len(parts))))
         if auto is not None and found.repaired is not None:
@@ -170,15 +209,23 @@ def report_paths(report: Path, count: int) -> list[Path]:
     return [report, *(report.with_stem(f"{report.stem}-{number}") for number in range(2, count + 1))]
 
 
-def sets_in(loaded: Sequence[Recording], paths: Sequence[Path], file: VehicleFile, begin: float) -> str:
-    """What does not act in all of a recording: no effect of a model does that, so that it has no name there."""
+def default_budget(recordings: Sequence[Recording]) -> float:
+    """s, where nothing else is asked for."""
+    return BUDGET * max(1.0, sum(map(len, recordings)) / ROWS)
+
+
+def sets_in(loaded: Sequence[Recording], paths: Sequence[Path], file: VehicleFile, begin: float, budget: Budget) -> str:
+    """What does not act in all of a recording: no effect of a model does that, so that it has no name there.
+
+    Raises OutOfTime.
+    """
     from service.replay import live_diagnosis
     from telemetry.errors import RecordingError
 
     told = ""
     for recording, path in zip(loaded, paths, strict=True):
         try:
-            shown = live_diagnosis(recording, file) or {"findings": []}
+            shown = live_diagnosis(recording, file, budget) or {"findings": []}
         except RecordingError:
             continue
         for each in shown["findings"][:1]:
@@ -215,11 +262,26 @@ def chosen(name: str) -> Effect:
 
 
 @contextmanager
-def share_done() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar of the share that is over, on stderr."""
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+def share_done(budget: Budget | None = None) -> Iterator[Callable[[str, float], None]]:
+    """A progress bar of the share that is over, and of what is left of `budget`, on stderr."""
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+    from rich.text import Text
 
-    columns = (BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    class Left(ProgressColumn):
+        """The time that is left at most."""
+
+        def render(self, task: Task) -> Text:
+            return Text("" if budget is None or math.isinf(budget.ends) else f"{budget.left:.0f} s left at most")
+
+    columns = (BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), Left(), TextColumn("{task.description}"))
     with Progress(*columns, console=people, transient=True) as progress:
         task = progress.add_task("reading", total=1.0)
 

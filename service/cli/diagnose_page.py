@@ -9,10 +9,18 @@ from rich.padding import Padding
 from rich.table import Table
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from diagnosis.sentences import (
+    NOTHING_MATTERS,
+    disturbance_sentences,
+    mattering,
+    negligible,
+    to_within,
+    untried_sentence,
+)
 from service.cli.output import page
 
 HEADLINES = {
-    Verdict.ADEQUATE: ("green", "adequate", "The model explains the recordings to within their noise."),
+    Verdict.ADEQUATE: ("green", "adequate", "The model explains the recordings {to_within}."),
     Verdict.MISSING_EFFECT: ("yellow", "missing effect", "The model lacks a physical effect that has a name."),
     Verdict.UNKNOWN: ("red", "unknown", "The model lacks something that no known effect explains."),
     Verdict.INSUFFICIENT_DATA: ("red", "insufficient data", "The recordings cannot tell."),
@@ -20,10 +28,14 @@ HEADLINES = {
 BAR = 20
 
 
-def print_diagnosis(found: Diagnosis) -> None:
-    """Verdict, findings, and the smallest effects that would have shown."""
+def print_diagnosis(found: Diagnosis, seconds: float) -> None:
+    """Verdict, findings, and the smallest effects that would have shown, of a diagnosis within so many `seconds`."""
     colour, verdict, meaning = HEADLINES[found.verdict]
-    if found.verdict is Verdict.UNKNOWN and found.findings:
+    matter = mattering(found)
+    meaning = meaning.format(to_within=to_within(found))
+    if found.verdict is Verdict.MISSING_EFFECT and not matter:
+        colour, verdict, meaning = "green", "negligible effect", f"{NOTHING_MATTERS.capitalize()}."
+    if found.verdict is Verdict.UNKNOWN and matter:
         meaning = "What has a name is not all that the model lacks."
     if found.verdict is Verdict.ADEQUATE and found.unexplained and found.unexplained.struck:
         meaning = "No known effect is missing; what is left may be when its blows come."
@@ -35,11 +47,16 @@ def print_diagnosis(found: Diagnosis) -> None:
             f"Innovation energy over that of the noise: {found.innovation_ratio_before:.4g} before, "
             f"{found.innovation_ratio_after:.4g} after"
         )
-    for number, finding in enumerate(found.findings, 1):
-        page.print()
-        page.print(f"[bold]{number}. {finding.effect}[/] ({finding.family})")
-        page.print(_ranking(finding))
-        page.print(Padding(escape(finding.explanation), (0, 2)))
+    if told := disturbance_sentences(found):
+        page.print(escape(told))
+    if told := untried_sentence(found, seconds):
+        page.print(f"[yellow]{escape(told)}[/]")
+    for number, finding in enumerate(matter, 1):
+        _print_finding(number, finding)
+    for number, finding in enumerate(negligible(found), len(matter) + 1):
+        if number == len(matter) + 1:
+            page.print("\n[bold]Negligible: what shows, and makes less than 1 % of the error[/]")
+        _print_finding(number, finding)
     if found.suggested_experiment:
         page.print(f"\nNext: {escape(str(found.suggested_experiment['text']))}")
     if found.minimum_detectable and found.repaired is not None:
@@ -47,6 +64,13 @@ def print_diagnosis(found: Diagnosis) -> None:
         page.print(_detectable(found))
     for why, names in _reasons(found.left_out or {}).items():
         page.print(f"[dim]Not looked for: {', '.join(names)}: {escape(why)}[/]")
+
+
+def _print_finding(number: int, finding: Finding) -> None:
+    page.print()
+    page.print(f"[bold]{number}. {finding.effect}[/] ({finding.family})")
+    page.print(_ranking(finding))
+    page.print(Padding(escape(finding.explanation), (0, 2)))
 
 
 def _reasons(left_out: Mapping[str, str]) -> dict[str, list[str]]:
@@ -73,8 +97,9 @@ def _detectable(found: Diagnosis) -> Table:
     table.add_column("parameter")
     table.add_column("size", justify="right")
     sizes = found.minimum_detectable or {}
-    scores = [score for part in found.parts or (found,) if part.screens for score in part.screens[0].scores]
-    for score in sorted(scores, key=lambda each: each.candidate.name):
+    screens = [part.screens[0] for part in found.parts or (found,) if part.screens]
+    scores = {score.candidate.name: score for each in screens for score in each.scores}
+    for _, score in sorted(scores.items()):
         if score.candidate.name not in sizes:
             continue
         first = score.candidate.amplitudes[0]

@@ -10,7 +10,16 @@ from rich.table import Table
 from rich.text import Text
 
 from estimators.method_document import CANCELLED
-from estimators.method_rows import Columns, joint_columns, mean_columns, others, remarks, sentence, value_text
+from estimators.method_rows import (
+    Columns,
+    disturbances,
+    joint_columns,
+    mean_columns,
+    others,
+    remarks,
+    sentence,
+    value_text,
+)
 from estimators.method_table import Domain
 from service.cli.output import page
 
@@ -30,6 +39,8 @@ def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> No
     for name, entry in begun.items():
         if entry["domain"] == Domain.DRIVES and entry["parameters"]:
             _print_drives(name, entry)
+    for name, text in disturbances(document):
+        page.print(f"\nDisturbance ({name}): {text}", markup=False)
     page.print(f"\nTo rely on: [bold]{document['best'] or 'none of these methods'}[/bold]")
     page.print(Padding(Text(sentence(document["best_reason"])), (0, 0, 0, 2)))
     for title, texts in (

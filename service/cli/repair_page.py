@@ -10,6 +10,7 @@ from rich.text import Text
 from diagnosis.drop_tests import DropTest
 from diagnosis.repair_result import Budget, FittedParameter, Repair
 from diagnosis.repair_words import in_words, odds_text, readable
+from diagnosis.sentences import disturbance_text
 from estimators.report import significant
 from service.cli.output import page
 
@@ -25,6 +26,9 @@ def print_repair(repair: Repair) -> None:
     page.print(_errors(repair))
     page.print()
     page.print(_parameters(repair))
+    for when, side in (("before", repair.before), ("after", repair.after)):
+        if told := disturbance_text(side.disturbance):
+            page.print(f"Disturbance {when}: {told}", markup=False)
     last = repair.horizons[-1]
     page.print(f"\nHeld-out error energy {last:g} s ahead, before {repair.effect} was there", style="bold")
     for line in budget_lines(repair.budget, repair.effect):

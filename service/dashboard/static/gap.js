@@ -2,9 +2,11 @@
 
 import { h, fill, number, table, unit } from "./dom.js";
 import { Chart } from "./charts.js";
+import { disturbances, relevance, shaken } from "./disturbance.js";
 import { ask, picker, run } from "./jobs.js";
 
 const percent = (value) => (typeof value === "number" ? `${number(value, 3)} %` : "–");
+const sentence = (words) => `${String(words ?? "").slice(0, 1).toUpperCase()}${String(words ?? "").slice(1)}`;
 const EFFECT = /^[a-z][a-z0-9_]{0,60}(@[a-z][a-z0-9_]{0,60})?$/;
 
 export class Gap {
@@ -43,21 +45,33 @@ export class Gap {
   }
 
   rank(place, diagnosis, whole) {
-    const key = JSON.stringify([diagnosis.verdict, diagnosis.findings, diagnosis.seconds, this.effects]);
+    const key = JSON.stringify([diagnosis.verdict, diagnosis.findings, diagnosis.seconds, diagnosis.disturbance, this.effects]);
     if (place.dataset.key === key) return; // a button must not vanish under the finger
     place.dataset.key = key;
-    const verdict = { adequate: "The model is adequate.", missing_effect: "An effect is missing.",
+    const negligible = (each) => each.relevance?.negligible === true;
+    const nothing = diagnosis.verdict === "missing_effect" && diagnosis.findings.length && diagnosis.findings.every(negligible);
+    const verdict = nothing ? "" : { adequate: "The model is adequate.", missing_effect: "An effect is missing.",
       unknown: diagnosis.findings.length ? "What has a name is not all that is missing." : "Something is missing that has no name here.", insufficient_data: "This record cannot tell yet." }[diagnosis.verdict] ?? "";
-    const rows = diagnosis.findings.map((each, place) => {
+    const row = (each, place) => {
       const sizes = Object.entries(each.parameters ?? {}).map(([name, entry]) =>
         `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : unit(entry.unit)}`).join(", ");
       const add = this.effects.includes(each.effect) ? "added" : EFFECT.test(each.effect) ? h("button", { class: "primary", "data-add": each.effect, onclick: () => this.add(each.effect) }, "Add") : null;
       return [`${place + 1}. ${each.effect}`, sizes, typeof each.since === "number" && each.since ? `since ${number(each.since, 4)} s` : "",
-        typeof each.probability === "number" ? percent(100 * each.probability) : "–", percent(each.held_out_error_closed_percent),
+        typeof each.probability === "number" ? percent(100 * each.probability) : "–", percent(each.held_out_error_closed_percent), relevance(each),
         (each.tied_with ?? []).length ? `tied with ${each.tied_with.join(", ")}` : "", add];
-    });
-    fill(place, h("p", { class: diagnosis.adequate ? "good" : "told" }, diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replaceAll("+-", "± ").replace(/\.$/, "")}.` : verdict),
-      rows.length ? table(["Effect", "Size", "", "Probability", "Held-out error closed", "Ties", ""], rows) : null,
+    };
+    const rows = diagnosis.findings.map(row);
+    const headings = ["Effect", "Size", "", "Probability", "Held-out error closed", "Makes of the error", "Ties", ""];
+    const shown = (which, caption) => {
+      const some = rows.filter((_, place) => which(diagnosis.findings[place]));
+      return some.length ? table(headings, some, caption) : null;
+    };
+    const told = shaken(diagnosis, this.app.config.units);
+    const untried = Array.isArray(diagnosis.untried) ? diagnosis.untried : [];
+    fill(place, h("p", { class: diagnosis.adequate || nothing ? "good" : "told" }, nothing ? sentence(diagnosis.reason) : diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replaceAll("+-", "± ").replace(/\.$/, "")}.` : verdict),
+      told ? h("p", { "data-told": "disturbance" }, told) : null,
+      untried.length ? h("p", { "data-told": "untried" }, `Left untried for want of time: ${untried.join("; ")}. upright diagnose --budget SECONDS gives more.`) : null,
+      shown((each) => !negligible(each)), shown(negligible, "Negligible: what shows, and makes less than 1 % of the error"),
       whole && typeof diagnosis.innovation_ratio_before === "number" && typeof diagnosis.innovation_ratio_after === "number"
         ? h("p", {}, `Innovation ratio: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} with it.`) : null,
       whole && diagnosis.suggested_experiment ? h("p", {}, `Next experiment: ${String(diagnosis.suggested_experiment.text ?? diagnosis.suggested_experiment.experiment ?? "")}.`) : null);
@@ -85,8 +99,10 @@ export class Gap {
     const { time = [], frequency = [], state = [] } = model.fails ?? {};
     const coordinates = [...new Set(state.map((each) => each.coordinate))];
     const top = (rows, key) => [...rows].sort((a, b) => b[key] - a[key]).slice(0, 6);
+    const left = disturbances(model.disturbance);
     return h("section", { class: "card wide" },
       h("h3", {}, `${model.name}: ${model.adequate ? "adequate" : "fails"}`),
+      left ? h("p", {}, `Disturbance that it leaves: ${left}.`) : null,
       h("p", {}, `Innovation ratio ${number(model.innovation_ratio, 3)}. `, (model.summary ?? []).join(" ")),
       h("div", { class: "charts" }, coordinates.map((coordinate) => this.missing(coordinate, state.filter((each) => each.coordinate === coordinate)))),
       time.length ? table(["From", "To", "Channel", "Energy over the floor"], top(time, "energy_over_floor").map((each) =>
@@ -132,7 +148,8 @@ export class Gap {
     fill(this.repair, h("section", { class: "card wide", role: "status" }, h("h3", {}, `${effect}: what it did`),
       (repair.words ?? []).map((each) => h("p", {}, each)),
       table([`Error ${number(repair.horizons[far], 2)} s ahead, held out`, "Before", "After", "Noise floor", "What is left"], rows),
-      h("p", {}, `Innovation ratio: ${number(repair.before.innovation_ratio, 3)} before, ${number(repair.after.innovation_ratio, 3)} after.`)));
+      h("p", {}, `Innovation ratio: ${number(repair.before.innovation_ratio, 3)} before, ${number(repair.after.innovation_ratio, 3)} after.`),
+      disturbances(repair.after.disturbance) ? h("p", { "data-told": "disturbance" }, `Disturbance before: ${disturbances(repair.before.disturbance) || "–"}. After: ${disturbances(repair.after.disturbance)}.`) : null));
   }
 
   async tellModel() {

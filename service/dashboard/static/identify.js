@@ -2,6 +2,7 @@
 
 import { h, fill, number, table, unit } from "./dom.js";
 import { Chart } from "./charts.js";
+import { disturbances } from "./disturbance.js";
 import { picker, run } from "./jobs.js";
 
 const BAND = 1.96; // standard deviations of a 95 % band
@@ -97,8 +98,10 @@ export class Identify {
   // Which method to rely on, why, and why not the others.
   choice(result, methods) {
     const others = methods.filter(([, each]) => each.not_chosen).map(([name, each]) => h("li", {}, `${name}: ${each.not_chosen}`));
+    const shaken = methods.map(([name, each]) => [name, disturbances(each.disturbance)]).filter(([, words]) => words);
     return h("div", { id: "methods-choice" },
       h("p", {}, h("strong", {}, result.best ? `To rely on: ${result.best}` : "No method to rely on")), h("p", {}, result.best_reason ?? ""),
+      shaken.map(([name, words]) => h("p", { "data-told": "disturbance" }, `Disturbance that ${name} found beside these: ${words}.`)),
       others.length ? h("details", {}, h("summary", {}, "Why not the others"), h("ul", {}, others)) : "");
   }
 

@@ -1,0 +1,49 @@
+// The random disturbance in words: its size at each joint, what it costs a prediction, and what a finding makes of the error.
+
+import { number, unit } from "./dom.js";
+
+const DEGREES = 180 / Math.PI;
+const READABLE = { rad: ["deg", DEGREES], "rad/s": ["deg/s", DEGREES], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
+
+// A value with its standard deviation: two digits of that where its first is a 1, one otherwise, and as many places of the value.
+export function plusMinus(value, std) {
+  if (typeof value !== "number" || typeof std !== "number" || !(std > 0)) return number(value, 3);
+  const first = Math.floor(Math.log10(std));
+  const places = -first + (std / 10 ** first < 2 ? 1 : 0);
+  if (places > 20) return number(value, 3);
+  const shown = (each) => (places < 0 ? String(Math.round(each * 10 ** places) * 10 ** -places) : each.toFixed(places));
+  return `${shown(value)} ± ${shown(std)}`;
+}
+
+// Of each joint, with its name where there are several: of an entry `disturbance` of identify, compare, diagnose and model add.
+export function disturbances(found) {
+  const known = Object.entries(found ?? {}).filter(([, each]) => typeof each?.rms === "number");
+  return known.map(([joint, each]) => {
+    const size = each.shown === false ? `none shows; less than ${number(each.rms, 2)} ${unit(each.unit)} RMS`
+      : `${plusMinus(each.rms, each.rms_std)} ${unit(each.unit)} RMS, correlation time ${plusMinus(each.correlation_time, each.correlation_time_std)} s`;
+    return known.length > 1 ? `${joint}: ${size}` : size;
+  }).join("; ");
+}
+
+// What shakes the vehicle, and what that costs a prediction; empty where nothing is known.
+export function shaken(diagnosis, units) {
+  const words = disturbances(diagnosis.disturbance);
+  if (!words) return "";
+  const shows = Object.values(diagnosis.disturbance).some((each) => each?.shown !== false);
+  const limit = diagnosis.prediction_limit;
+  const errors = Object.entries(limit?.rmse ?? {}).filter(([, error]) => typeof error === "number").map(([channel, error]) => {
+    const [its, factor] = READABLE[units[channel]] ?? [unit(units[channel]), 1];
+    return `${number(factor * error, 2)} ${its} RMS in ${channel}${shows ? ` (${number(factor * limit.undisturbed_rmse?.[channel], 2)} ${its} without it)` : ""}`;
+  });
+  const best = errors.length ? ` The best possible prediction ${number(limit.horizon, 3)} s ahead has ${errors.join(", ")}.` : "";
+  return `Disturbance: ${words}${shows ? "; no effect explains it" : ""}.${best}`;
+}
+
+// What a finding makes of the errors, for a cell; empty where it is not known.
+export function relevance(finding) {
+  const known = finding.relevance;
+  if (typeof known?.ahead_percent !== "number") return "";
+  const share = (value) => (value < 1 ? `${number(value, 1)} %` : `${Math.round(value)} %`);
+  const loop = typeof known.closed_loop_percent === "number" ? `, ${share(known.closed_loop_percent)} in the closed loop` : "";
+  return `${share(known.ahead_percent)} ${number(known.horizon, 3)} s ahead${loop}`;
+}

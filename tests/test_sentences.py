@@ -1,0 +1,105 @@
+"""What every page says of a diagnosis: the disturbance, what is negligible, what was left untried."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from diagnosis.closed_loop_error import Loop
+from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from diagnosis.explain import together
+from diagnosis.parts import merged
+from diagnosis.relevance import Relevance, percent
+from diagnosis.sentences import (
+    disturbance_sentences,
+    disturbance_text,
+    mattering,
+    to_within,
+    two_digits,
+    untried_sentence,
+)
+from estimators.disturbance import DisturbanceEstimate
+
+SHAKEN = DisturbanceEstimate("roll", "N m", 8.1, 0.4, 0.31, 0.03)
+STILL = DisturbanceEstimate("roll", "N m", 2.0, None, None, None, shown=False)
+STATED = DisturbanceEstimate("roll", "N m", 8.0, None, 0.3, None, known=True)
+
+
+def finding(effect: str, gain: float, ahead: float) -> Finding:
+    return Finding(
+        effect=effect,
+        family="",
+        parameters={},
+        probability=1.0,
+        p_value=0.0,
+        tied_with=(),
+        explanation=f"{effect} explained",
+        log_likelihood_gain=gain,
+        held_out=None,
+        odds={effect: 1.0},
+        relevance=Relevance(0.5, ahead),
+    )
+
+
+@pytest.mark.parametrize("each", [SHAKEN, STILL, STATED], ids=["shaken", "still", "stated"])
+def test_a_disturbance_is_read_back_from_a_document(each: DisturbanceEstimate) -> None:
+    assert DisturbanceEstimate.from_json("roll", json.loads(json.dumps(each.to_json()))) == each
+
+
+def test_an_adequate_model_is_so_to_within_noise_and_what_shakes_the_vehicle() -> None:
+    assert to_within(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,))) == "to within their noise"
+    shaken = Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,))
+    assert to_within(shaken) == "to within their noise and a random disturbance of 8.1 ± 0.4 N m RMS"
+    two = (SHAKEN, DisturbanceEstimate("pitch", "N m", 1.0, 0.1, 0.2, 0.02))
+    assert "8.1 ± 0.4 N m RMS at roll and 1.00 ± 0.10 N m RMS at pitch" in to_within(
+        Diagnosis(Verdict.ADEQUATE, "", disturbance=two)
+    )
+
+
+def test_where_none_shows_no_effect_has_to_explain_it() -> None:
+    told = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,)))
+    assert told == "Disturbance: none shows; less than 2 N m RMS."
+    told = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,)))
+    assert told == "Disturbance: 8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s; no effect explains it."
+    assert disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "")) == ""
+    assert disturbance_text((STILL,)) == "none shows; less than 2 N m RMS"
+
+
+def test_a_large_error_has_no_power_of_ten() -> None:
+    assert [two_digits(each) for each in (0.0317, 3.17, 99.4, 843.0)] == ["0.032", "3.2", "99", "840"]
+
+
+def test_what_is_untried_has_its_remedy() -> None:
+    hurried = Diagnosis(Verdict.UNKNOWN, "", untried=("hysteresis",))
+    assert untried_sentence(hurried) == "Left untried for want of time: hysteresis. Remedy: --budget SECONDS."
+    assert untried_sentence(hurried, 60.0).endswith("(60 s): hysteresis. Remedy: --budget 300.")
+    assert untried_sentence(Diagnosis(Verdict.UNKNOWN, "")) == ""
+
+
+def test_what_matters_is_said_first_and_whole() -> None:
+    large, small = finding("viscous_friction", 10.0, 43.0), finding("sensor_lag", 90.0, 0.2)
+    assert together([large, small]) == (
+        "viscous_friction explained sensor_lag shows, and is negligible: it makes 0.2 % of the error 0.5 s ahead."
+    )
+    assert together([small]).startswith("nothing is missing that matters. sensor_lag shows")
+    assert mattering(Diagnosis(Verdict.MISSING_EFFECT, "", (large, small))) == [large]
+    assert (percent(43.2), percent(0.34), percent(0.0)) == ("43 %", "0.3 %", "nothing")
+
+
+def test_of_two_parts_the_one_that_matters_comes_first_and_all_that_is_untried_is_told() -> None:
+    """The evidence of a negligible effect may be larger: a long record shows it all the same."""
+    large, small = finding("input_gain", 10.0, 43.0), finding("sensor_lag", 90.0, 0.2)
+    vehicle = Diagnosis(Verdict.MISSING_EFFECT, "", (small,), untried=("hysteresis",))
+    actuators = Diagnosis(Verdict.MISSING_EFFECT, "", (large,), untried=("actuator_lag",))
+    found = merged(vehicle, actuators, [])
+    assert [each.effect for each in found.findings] == ["input_gain", "sensor_lag"]
+    assert found.reason.startswith("input_gain explained sensor_lag shows")
+    assert found.untried == ("hysteresis", "actuators: actuator_lag")
+    unknown = Diagnosis(Verdict.UNKNOWN, "swings", untried=("actuator_lag",))
+    assert merged(vehicle, unknown, []).untried == found.untried
+
+
+def test_a_loop_is_known_on_a_part_of_its_recording() -> None:
+    whole = Loop(7.0, 40.0, lambda: lambda time, seen: {}, frozenset(), frozenset(), ())
+    assert (whole.of_part(3.0).begins, whole.of_part(3.0).ends) == (4.0, 37.0)
