@@ -125,11 +125,14 @@ def sensor_noise(task: Problem, errors: Sequence[Array] = ()) -> tuple[Array, Ar
     """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,).
 
     `errors`: innovations by stretch, (n, ny), whose noise is taken where there is less of it."""
-    stated = np.array([output.noise for output in task.model.outputs])
-    known = np.array([output.noise_known or output.counted for output in task.model.outputs])
+    outputs = task.model.outputs
+    stated = np.array([output.noise for output in outputs])
     variance, freedom = white_variance([segment.measured for segment in task.segments])
     if errors:
         variance = np.minimum(variance, white_variance(errors)[0])
+    # What is counted has a quantiser's noise at least, and its own beside that.
+    counted = np.array([output.counted and not output.noise_known for output in outputs])
+    known = np.array([output.noise_known for output in outputs]) | (counted & (variance <= stated**2))
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 
