@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.process_noise import shown_shares
+from diagnosis.reach import power_beyond, reach
 from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
 from estimators.disturbance import stated
@@ -43,7 +44,7 @@ class Floor:
     (ny, nx) are the linearised model; `process` (nx, nx) and `sensor` (ny, ny) the noise of a row; `state_covariance`
     (nx, nx) that of the state's error before the row's own correction. `freedom` (ny,): degrees of freedom with which
     a sensor's noise is known, inf where the model knows it. `process_shares` (nx,): how much of the
-    variance of the stated process noises the record shows.
+    variance of the stated process noises the record shows. `reach` (ny,): Hz up to which a force shows in an output.
     """
 
     gain: Array
@@ -56,6 +57,7 @@ class Floor:
     freedom: Array
     spacing: float
     process_shares: Array
+    reach: Array
 
     @property
     def predictor(self) -> Array:
@@ -121,15 +123,23 @@ def at(task: Problem, values: Array, free: tuple[int, ...] = ()) -> Problem:
     return moved.refined(moved.kernel.defaults[list(free)])
 
 
-def sensor_noise(task: Problem, errors: Sequence[Array] = ()) -> tuple[Array, Array]:
+def sensor_noise(
+    task: Problem, errors: Sequence[Array] = (), limits: Array | None = None
+) -> tuple[Array, Array]:
     """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,).
 
-    `errors`: innovations by stretch, (n, ny), whose noise is taken where there is less of it."""
+    `errors`: innovations by stretch, (n, ny), whose noise is taken where there is less of it, and where there is more
+    of it above `limits` (ny,), Hz, where no force shows (diagnosis.reach)."""
     outputs = task.model.outputs
     stated = np.array([output.noise for output in outputs])
     variance, freedom = white_variance([segment.measured for segment in task.segments])
     if errors:
         variance = np.minimum(variance, white_variance(errors)[0])
+        if limits is not None:
+            spacing = float(np.median(np.diff(task.segments[0].time)))
+            beyond, lines = power_beyond(errors, spacing, limits)
+            freedom = np.where(beyond > variance, lines, freedom)
+            variance = np.maximum(variance, beyond)
     # What is counted has a quantiser's noise at least, and its own beside that.
     counted = np.array([output.counted and not output.noise_known for output in outputs])
     known = np.array([output.noise_known for output in outputs]) | (counted & (variance <= stated**2))
@@ -151,23 +161,27 @@ def _lowered(found: Innovations) -> Floor:
     noise = NoiseModel.of(task)
     every = np.eye(len(noise.process))[list(noise.noisy)]
     systems = [
-        _noise(task, share, found.errors).covariances(values, np.zeros(noise.size))
+        _noise(task, share, found.errors, found.floor.reach).covariances(values, np.zeros(noise.size))
         for share in (np.zeros(len(noise.process)), *every)
     ]
     shares = shown_shares(found.errors, found.floor.gain, systems[0], systems[1:], found.floor.informative)
     return _floor(task, values, shares @ every, found.errors)
 
 
-def _noise(task: Problem, shares: Array, errors: Sequence[Array] = ()) -> NoiseModel:
+def _noise(
+    task: Problem, shares: Array, errors: Sequence[Array] = (), limits: Array | None = None
+) -> NoiseModel:
     """The noise with the sensors' from the record, and shares (nx,) of the variance of process noise not known."""
     noise = NoiseModel.of(task)
     known = np.ones(len(shares))
     known[list(noise.noisy)] = shares[list(noise.noisy)]
-    return replace(noise, sensor=sensor_noise(task, errors)[0], process=noise.process * np.sqrt(known))
+    return replace(noise, sensor=sensor_noise(task, errors, limits)[0], process=noise.process * np.sqrt(known))
 
 
 def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] = ()) -> Floor:
-    noise, freedom = _noise(task, shares, errors), sensor_noise(task)[1]
+    limits = reach(task, values, sensor_noise(task, errors)[0])
+    noise = _noise(task, shares, errors, limits)
+    freedom = sensor_noise(task, errors, limits)[1]
     gain = noise.gain(values, np.zeros(noise.size))
     if gain is None:
         what = "has no stable predictor at these parameter values"
@@ -188,6 +202,7 @@ def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] 
         freedom=freedom,
         spacing=noise.spacing,
         process_shares=shares,
+        reach=limits,
     )
 
 
