@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.process_noise import shown_shares
+from diagnosis.process_noise import density, shown_shares
 from diagnosis.reach import power_beyond, reach
 from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
@@ -123,23 +123,28 @@ def at(task: Problem, values: Array, free: tuple[int, ...] = ()) -> Problem:
     return moved.refined(moved.kernel.defaults[list(free)])
 
 
-def sensor_noise(
-    task: Problem, errors: Sequence[Array] = (), limits: Array | None = None
-) -> tuple[Array, Array]:
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What a predictor left: `errors`, innovations by stretch (n, ny), and of what no force shows in (diagnosis.reach)
+    the variance that a sensor's white noise would have for it, `beyond` (ny,), told by so many `lines` (ny,)."""
+
+    errors: Sequence[Array]
+    beyond: Array
+    lines: Array
+
+
+def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]:
     """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,).
 
-    `errors`: innovations by stretch, (n, ny), whose noise is taken where there is less of it, and where there is more
-    of it above `limits` (ny,), Hz, where no force shows (diagnosis.reach)."""
+    Of what was `left` the noise is taken where there is less of it than in the record, and where there is more of it
+    than this at frequencies that are its own."""
     outputs = task.model.outputs
     stated = np.array([output.noise for output in outputs])
     variance, freedom = white_variance([segment.measured for segment in task.segments])
-    if errors:
-        variance = np.minimum(variance, white_variance(errors)[0])
-        if limits is not None:
-            spacing = float(np.median(np.diff(task.segments[0].time)))
-            beyond, lines = power_beyond(errors, spacing, limits)
-            freedom = np.where(beyond > variance, lines, freedom)
-            variance = np.maximum(variance, beyond)
+    if left is not None:
+        variance = np.minimum(variance, white_variance(left.errors)[0])
+        freedom = np.where(left.beyond > variance, left.lines, freedom)
+        variance = np.maximum(variance, left.beyond)
     # What is counted has a quantiser's noise at least, and its own beside that.
     counted = np.array([output.counted and not output.noise_known for output in outputs])
     known = np.array([output.noise_known for output in outputs]) | (counted & (variance <= stated**2))
@@ -158,30 +163,39 @@ def floor(task: Problem, values: Array) -> Floor:
 def _lowered(found: Innovations) -> Floor:
     """The floor with no more process noise than the innovations show."""
     task, values = found.problem, found.fit.values
-    noise = NoiseModel.of(task)
+    noise, left = NoiseModel.of(task), _left(found)
     every = np.eye(len(noise.process))[list(noise.noisy)]
     systems = [
-        _noise(task, share, found.errors, found.floor.reach).covariances(values, np.zeros(noise.size))
+        _noise(task, share, left).covariances(values, np.zeros(noise.size))
         for share in (np.zeros(len(noise.process)), *every)
     ]
     shares = shown_shares(found.errors, found.floor.gain, systems[0], systems[1:], found.floor.informative)
-    return _floor(task, values, shares @ every, found.errors)
+    return _floor(task, values, shares @ every, left)
 
 
-def _noise(
-    task: Problem, shares: Array, errors: Sequence[Array] = (), limits: Array | None = None
-) -> NoiseModel:
+def _left(found: Innovations) -> Left:
+    least = found.floor
+    nothing = np.zeros_like(least.process)
+    system = (least.transition, least.output, nothing, least.sensor, np.zeros((len(nothing), len(least.sensor))))
+
+    def expected(turns: Array) -> Array:
+        return np.einsum("fyy->fy", density(turns, least.gain, system)).real
+
+    over, lines = power_beyond(found.errors, least.spacing, least.reach, expected)
+    return Left(found.errors, over * np.diag(least.sensor), lines)
+
+
+def _noise(task: Problem, shares: Array, left: Left | None = None) -> NoiseModel:
     """The noise with the sensors' from the record, and shares (nx,) of the variance of process noise not known."""
     noise = NoiseModel.of(task)
     known = np.ones(len(shares))
     known[list(noise.noisy)] = shares[list(noise.noisy)]
-    return replace(noise, sensor=sensor_noise(task, errors, limits)[0], process=noise.process * np.sqrt(known))
+    return replace(noise, sensor=sensor_noise(task, left)[0], process=noise.process * np.sqrt(known))
 
 
-def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] = ()) -> Floor:
-    limits = reach(task, values, sensor_noise(task, errors)[0])
-    noise = _noise(task, shares, errors, limits)
-    freedom = sensor_noise(task, errors, limits)[1]
+def _floor(task: Problem, values: Array, shares: Array, left: Left | None = None) -> Floor:
+    noise = _noise(task, shares, left)
+    freedom = sensor_noise(task, left)[1]
     gain = noise.gain(values, np.zeros(noise.size))
     if gain is None:
         what = "has no stable predictor at these parameter values"
@@ -202,7 +216,7 @@ def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] 
         freedom=freedom,
         spacing=noise.spacing,
         process_shares=shares,
-        reach=limits,
+        reach=reach(task, values, noise.sensor),
     )
 
 
