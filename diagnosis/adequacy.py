@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from diagnosis.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.force_probe import probe
+from diagnosis.refit import log_likelihood
 from diagnosis.shapes import Shape, shapes
 from diagnosis.where_it_fails import Views, summary, views
 from estimators.contract import EstimationError
-from estimators.methods.prediction_error import Fit
+from estimators.methods.prediction_error import Fit, fit
+from estimators.problem import problem
 
 Array = NDArray[np.float64]
 
@@ -112,7 +114,23 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
     shaped = shapes(found, probe(found))
     sure = [each for each in shaped if each.p_value < CHANCE] or shaped
     struck = any(each.effect.strikes for each in last.problem.model.effects)
+    gained = max(gained, _gained_beside(first, last)) if gained > 0.0 else gained
     return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained, struck)
+
+
+def _gained_beside(first: Fit, last: Fit) -> float:
+    """What `last` gains in log likelihood over the model of `first` beside the disturbance that `last` leaves.
+
+    What a shape gains is told beside that one, too. Beside its own, the model without an effect takes the effect for a
+    disturbance: of a pendulum's dry friction, 30 mrad after five seconds, it left 50 nats.
+    """
+    task, values = shaken_as(first.problem, first.values, last)
+    began = task.model.change(dict(zip(task.kernel.parameters, values.tolist(), strict=True)))
+    try:
+        alone = fit(problem(began, (), rows=task.segments))
+    except (ArithmeticError, EstimationError):
+        return 0.0
+    return log_likelihood(last) - log_likelihood(alone)
 
 
 def over_floor(fitted: Fit, best: Fit, values: Array | None = None) -> float:

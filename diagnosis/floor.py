@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.process_noise import shown_shares
+from diagnosis.process_noise import density, shown_shares
+from diagnosis.reach import power_beyond, reach
 from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
 from estimators.disturbance import stated
@@ -45,7 +46,7 @@ class Floor:
     (ny, nx) are the linearised model; `process` (nx, nx) and `sensor` (ny, ny) the noise of a row; `state_covariance`
     (nx, nx) that of the state's error before the row's own correction. `freedom` (ny,): degrees of freedom with which
     a sensor's noise is known, inf where the model knows it. `process_shares` (nx,): how much of the
-    variance of the stated process noises the record shows.
+    variance of the stated process noises the record shows. `reach` (ny,): Hz up to which a force shows in an output.
     """
 
     gain: Array
@@ -58,6 +59,7 @@ class Floor:
     freedom: Array
     spacing: float
     process_shares: Array
+    reach: Array
 
     @property
     def predictor(self) -> Array:
@@ -123,15 +125,31 @@ def at(task: Problem, values: Array, free: tuple[int, ...] = ()) -> Problem:
     return moved.refined(moved.kernel.defaults[list(free)])
 
 
-def sensor_noise(task: Problem, errors: Sequence[Array] = ()) -> tuple[Array, Array]:
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What a predictor left: `errors`, innovations by stretch (n, ny), and of what no force shows in (diagnosis.reach)
+    the variance that a sensor's white noise would have for it, `beyond` (ny,), told by so many `lines` (ny,)."""
+
+    errors: Sequence[Array]
+    beyond: Array
+    lines: Array
+
+
+def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]:
     """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,).
 
-    `errors`: innovations by stretch, (n, ny), whose noise is taken where there is less of it."""
-    stated = np.array([output.noise for output in task.model.outputs])
-    known = np.array([output.noise_known or output.counted for output in task.model.outputs])
+    Of what was `left` the noise is taken where there is less of it than in the record, and where there is more of it
+    than this at frequencies that are its own."""
+    outputs = task.model.outputs
+    stated = np.array([output.noise for output in outputs])
     variance, freedom = white_variance([segment.measured for segment in task.segments])
-    if errors:
-        variance = np.minimum(variance, white_variance(errors)[0])
+    if left is not None:
+        variance = np.minimum(variance, white_variance(left.errors)[0])
+        freedom = np.where(left.beyond > variance, left.lines, freedom)
+        variance = np.maximum(variance, left.beyond)
+    # What is counted has a quantiser's noise at least, and its own beside that.
+    counted = np.array([output.counted and not output.noise_known for output in outputs])
+    known = np.array([output.noise_known for output in outputs]) | (counted & (variance <= stated**2))
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 
@@ -147,26 +165,39 @@ def floor(task: Problem, values: Array) -> Floor:
 def _lowered(found: Innovations) -> Floor:
     """The floor with no more process noise than the innovations show."""
     task, values = found.problem, found.fit.values
-    noise = NoiseModel.of(task)
+    noise, left = NoiseModel.of(task), _left(found)
     every = np.eye(len(noise.process))[list(noise.noisy)]
     systems = [
-        _noise(task, share, found.errors).covariances(values, np.zeros(noise.size))
+        _noise(task, share, left).covariances(values, np.zeros(noise.size))
         for share in (np.zeros(len(noise.process)), *every)
     ]
     shares = shown_shares(found.errors, found.floor.gain, systems[0], systems[1:], found.floor.informative)
-    return _floor(task, values, shares @ every, found.errors)
+    return _floor(task, values, shares @ every, left)
 
 
-def _noise(task: Problem, shares: Array, errors: Sequence[Array] = ()) -> NoiseModel:
+def _left(found: Innovations) -> Left:
+    least = found.floor
+    nothing = np.zeros_like(least.process)
+    system = (least.transition, least.output, nothing, least.sensor, np.zeros((len(nothing), len(least.sensor))))
+
+    def expected(turns: Array) -> Array:
+        return np.einsum("fyy->fy", density(turns, least.gain, system)).real
+
+    over, lines = power_beyond(found.errors, least.spacing, least.reach, expected)
+    return Left(found.errors, over * np.diag(least.sensor), lines)
+
+
+def _noise(task: Problem, shares: Array, left: Left | None = None) -> NoiseModel:
     """The noise with the sensors' from the record, and shares (nx,) of the variance of process noise not known."""
     noise = NoiseModel.of(task)
     known = np.ones(len(shares))
     known[list(noise.noisy)] = shares[list(noise.noisy)]
-    return replace(noise, sensor=sensor_noise(task, errors)[0], process=noise.process * np.sqrt(known))
+    return replace(noise, sensor=sensor_noise(task, left)[0], process=noise.process * np.sqrt(known))
 
 
-def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] = ()) -> Floor:
-    noise, freedom = _noise(task, shares, errors), sensor_noise(task)[1]
+def _floor(task: Problem, values: Array, shares: Array, left: Left | None = None) -> Floor:
+    noise = _noise(task, shares, left)
+    freedom = sensor_noise(task, left)[1]
     gain = noise.gain(values, np.zeros(noise.size))
     if gain is None:
         what = "has no stable predictor at these parameter values"
@@ -187,6 +218,7 @@ def _floor(task: Problem, values: Array, shares: Array, errors: Sequence[Array] 
         freedom=freedom,
         spacing=noise.spacing,
         process_shares=shares,
+        reach=reach(task, values, noise.sensor),
     )
 
 

@@ -48,16 +48,16 @@ def shown_shares(
     counts = np.diff(np.append(starts, len(turn)))
     powers = np.add.reduceat(lines[:, :, None] * np.conj(lines[:, None, :]), starts) / counts[:, None, None]
     middle = np.add.reduceat(turn, starts) / counts
-    none, *with_one = (_density(middle, gain, system)[:, outputs][:, :, outputs] for system in (without, *stated))
+    none, *with_one = (density(middle, gain, system)[:, outputs][:, :, outputs] for system in (without, *stated))
     parts = [each - none for each in with_one]
 
     def cost(share: float, place: int) -> float:
         """Minus the log likelihood with one share changed."""
         factors = [*shares]
         factors[place] = share
-        density = none + sum(factor * part for factor, part in zip(factors, parts, strict=True))
-        _, size = np.linalg.slogdet(density)
-        fit = np.trace(np.linalg.solve(density, powers), axis1=1, axis2=2).real
+        whole = none + sum(factor * part for factor, part in zip(factors, parts, strict=True))
+        _, size = np.linalg.slogdet(whole)
+        fit = np.trace(np.linalg.solve(whole, powers), axis1=1, axis2=2).real
         return float(np.sum(counts * (size + fit)))
 
     shares = np.ones(len(parts))
@@ -70,7 +70,7 @@ def shown_shares(
     return shares
 
 
-def _density(turn: Array, gain: Array, system: System) -> NDArray[np.complex128]:
+def density(turn: Array, gain: Array, system: System) -> NDArray[np.complex128]:
     """Power density of the innovations a row, at `turn` rad a row (m,): (m, ny, ny)."""
     transition, output, process, sensor, across = system
     ahead = transition @ gain

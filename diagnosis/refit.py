@@ -254,6 +254,17 @@ def surety(fitted: FullFit) -> float:
     return float(np.max(np.abs(fitted.fit.minimum.common[places]) / np.maximum(scatter, 1e-300)))
 
 
+def possible(fitted: FullFit) -> bool:
+    """Whether the amplitudes of the effect that was added last are inside their bounds, or absent: one that physics
+    stops short of what the record asks for stands in for another cause."""
+    assert fitted.candidate is not None
+    minimum = fitted.fit.minimum
+    return not any(
+        p.name in fitted.candidate.amplitudes and at_bound and value != 0.0
+        for p, value, at_bound in zip(fitted.fit.problem.parameters, minimum.common, minimum.at_bound, strict=False)
+    )
+
+
 def scatter_of_none(fitted: Fit, places: Sequence[int], given: Sequence[int] = ()) -> Array:
     """Standard deviations that the amplitudes at `places` among the parameters would have, were they zero, with those
     at `given` known; infinite where they would show nothing."""

@@ -18,7 +18,7 @@ from diagnosis.findings import Finding
 from diagnosis.foresight import foresees
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
-from diagnosis.refit import CREEPING, FURTHER_FITS, FullFit, QuickFit, by_chance, full, quick, surety, with_effect
+from diagnosis.refit import CREEPING, FURTHER_FITS, FullFit, QuickFit, by_chance, full, possible, quick, surety, with_effect
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied
@@ -207,7 +207,9 @@ def _contenders(
     fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
     allowed = LEVEL / max(1, len(screened.scores))
     fits = [
-        each for each in fits if each.fit.minimum.converged and by_chance(each, base) < allowed and surety(each) > SURE
+        each
+        for each in fits
+        if each.fit.minimum.converged and possible(each) and by_chance(each, base) < allowed and surety(each) > SURE
     ]
     return sorted(fits, key=lambda each: -each.evidence)
 

@@ -2,7 +2,7 @@
 
 * time: energy of the innovations over the floor in windows of 5 time scales (estimators.time_scale; 2 s of the
   MONOCAB), row by row and averaged over a quarter of one, since what a vehicle lacks is slow and the noise is not.
-* frequency: the same by octaves, from the periodogram.
+* frequency: the same by octaves, from the periodogram, up to where a force shows (diagnosis.reach).
 * state: the mean missing force by bins of each coordinate, beyond what other parameter values would mend, with a false
   discovery rate over all bins (diagnosis.force_bins).
 * equation: mean and energy of the missing force at each joint, the parameters as they are (diagnosis.missing_force).
@@ -77,10 +77,11 @@ def views(found: Innovations, *, progress: Progress | None = None) -> Views:
     """All four views of the innovations that a model leaves. `progress` is told when code has to be compiled."""
     probed = probe(found, progress=progress)
     by_time, by_frequency = energies_by_time(found), energies_by_frequency(found)
+    reach = dict(zip(found.problem.kernel.outputs, found.floor.reach.tolist(), strict=True))
     binned, forces, means = binned_forces(found, probed), missing_force(found, probed), mean_forces(found, probed)
     fails = {
         "time": _time_entries(by_time),
-        "frequency": _frequency_entries(by_frequency),
+        "frequency": _frequency_entries([each for each in by_frequency if each.low < reach[each.channel]]),
         "state": _state_entries(binned),
         "equation": _equation_entries(forces, means),
     }

@@ -14,6 +14,7 @@ from diagnosis.actuator_rows import of_actuators
 from diagnosis.candidates import Candidate, candidates_for
 from estimators.budget import UNLIMITED, Budget
 from estimators.problem import Problem, problem
+from estimators.resting import without_rests
 from estimators.segments import segments
 from estimators.time_scale import time_scale
 from models.effect import Effect
@@ -50,6 +51,7 @@ class Workspace:
     ) -> Workspace:
         """Raises DataError where the recordings cannot be used."""
         found, left_out = candidates_for(model, recordings, effects)
+        recordings = without_rests(model, recordings)
         rows = segments(attached(model, found), recordings, support=support)
         if of_actuators(model):
             settling = SETTLING * time_scale(model, rows)

@@ -4,6 +4,9 @@ A model may say that a sensor's noise is known, and that a filter made one readi
 integrated rate to a millionth. Where the record's angle has white noise of its own, many times that, it was measured
 otherwise: its noise is then estimated as that of any other sensor, is not the integral of another one's, and no filter
 takes errors of the rate, or an accelerometer's, into the angle.
+
+Where the record counts in steps, and no more noise shows than these make, the output is what an encoder shows: it is
+`counted`, with the noise of a quantiser (estimators.quantised).
 """
 
 from __future__ import annotations
@@ -13,16 +16,45 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimators.quantised import quantisation_noise
 from estimators.white_noise import white_variance
 from models.model import Model
 from telemetry.recording import Recording
 
 SHOWN = 3.0
 """Times the noise that a model knows above which a record contradicts it."""
+ALONE = 2.0
+"""Times the variance of a quantiser up to which a channel's white noise is the quantiser's, and not a sensor's."""
 
 
 def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with the noise of known sensors freed where `recordings` have more, and starts as uncertain as these."""
+    """`model` with the noise of known sensors freed where `recordings` have more, and starts as uncertain as these; what
+    counts in steps there is counted."""
+    return _freed(_counted(model, recordings), recordings)
+
+
+def _counted(model: Model, recordings: Sequence[Recording]) -> Model:
+    steps = {
+        each.name: quantisation_noise(each.name, recordings)
+        for each in model.outputs
+        if not (each.noise_known or each.counted)
+    }
+    told = {
+        name: noise
+        for name, noise in steps.items()
+        if noise > 0.0 and _white_noise(name, recordings) ** 2 <= ALONE * noise**2
+    }
+    if not told:
+        return model
+    return replace(
+        model,
+        outputs=tuple(
+            replace(each, noise=told[each.name], counted=True) if each.name in told else each for each in model.outputs
+        ),
+    )
+
+
+def _freed(model: Model, recordings: Sequence[Recording]) -> Model:
     noise = {each.name: _white_noise(each.name, recordings) for each in model.outputs}
     freed = {each.name for each in model.outputs if each.noise_known and noise[each.name] > SHOWN * each.noise}
     if not freed:

@@ -141,8 +141,8 @@ def descend(
     It is converged when no step moves one of the first `watched` parameters (all by default) by more than `tolerance`
     of its scale, or the cost is not expected to fall by more than `enough`: with residuals of unit variance a fall of x
     moves no parameter by more than sqrt(2 x) standard deviations. The curvature by the others is more than J'J: what
-    is missing is learned. That last step is still made; the expansion is from where it begins. None where the start
-    itself has no finite value.
+    is missing is learned. That last step is still made, unless it leads to where there is no finite value; the expansion
+    is from where it begins. None where the start itself has no finite value.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]
@@ -176,7 +176,8 @@ def descend(
         moves = [-(gain @ step + offset) for gain, offset in parts]
         trial_own = [part + move for part, move in zip(own, moves, strict=True)]
         if done:
-            common, own = trial, trial_own
+            if expand(trial, trial_own) is not None:
+                common, own = trial, trial_own
             break
         foreseen = -float(slope @ step) - 0.5 * float(step @ curvature @ step) + reserve
         there = expand(trial, trial_own)

@@ -1,7 +1,7 @@
 """How likely a record is under a model with noise: of parameters, of the noise and of each stretch's initial state.
 
     V = n/2 log det S + half the squares of what differs from the prior, in standard deviations,
-    S = the mean of e e' over the n rows, and a floor
+    S = the mean of e e' over the n rows, and a floor; of what is counted at least a quantiser's variance
 
 e are the innovations of the steady Kalman filter (estimators.innovations). This is the negative logarithm of the
 likelihood of Gaussian noise with the covariance that makes it most likely, so that no covariance has to be guessed. Its
@@ -115,7 +115,7 @@ class Likelihood:
             squares += error.T @ error
             moments.append((columns.T @ columns, columns.T @ error))
             ends.append((part - initial[list(task.own)]) / spread)
-        covariance = squares / task.rows + np.diag(self._floor)
+        covariance = _at_least(squares / task.rows + np.diag(self._floor), self._counted)
         # In units of its own: a wheel that is stuck is no predictor that runs away.
         unit = np.sqrt(np.diag(covariance))
         if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > RUNAWAY:
@@ -123,6 +123,9 @@ class Likelihood:
         weights = np.linalg.inv(covariance).astype(np.float64)
         normals = tuple(_weighted(*moment, weights, end, long_run) for moment, end in zip(moments, ends, strict=True))
         cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(float(end @ end) for end in ends)
+        if self._counted.any():
+            # Where S is held above the mean of e e', the errors are fewer standard deviations than it has outputs.
+            cost += 0.5 * (float(np.sum(weights * squares)) - task.rows * len(covariance))
         return Seen(cost + len(ends) * long_run.logarithm, normals, gain, covariance)
 
     def long_run(self, values: Array, logarithms: Array) -> LongRun:
@@ -144,6 +147,12 @@ class Likelihood:
         return LongRun(spread, logarithm, tuple(entries))
 
     @property
+    def _counted(self) -> Array:
+        """The least variance of the innovations of each output, (ny,): that of a quantiser; 0 where none is known."""
+        outputs = self.task.model.outputs
+        return np.array([output.noise**2 if output.counted and not output.noise_known else 0.0 for output in outputs])
+
+    @property
     def _floor(self) -> Array:
         """What is added to the innovations' variances, (ny,)."""
         outputs = self.task.model.outputs
@@ -154,6 +163,33 @@ class Likelihood:
                 np.concatenate([each.measured[:, place] for each in self.task.segments])
             )
         return np.asarray(known**2 + alike**2)
+
+
+def _at_least(covariance: Array, least: Array) -> Array:
+    """The likeliest covariance S (ny, ny) of which no combination of outputs has less than the variances `least` (ny,),
+    where the mean of e e' is `covariance`.
+
+    In units of `least`, what has a variance below one gets one. While an encoder does not count, errors vanish; were
+    they taken for what it is good to, a fit would follow its steps. What has no least value stays as it is.
+    """
+    held = np.flatnonzero(least > 0.0)
+    if not len(held) or not np.all(np.isfinite(covariance)):
+        return covariance
+    unit = np.sqrt(least[held])
+    others = np.setdiff1d(np.arange(len(least)), held)
+    part = covariance[np.ix_(held, held)]
+    squares, turned = np.linalg.eigh(part / np.outer(unit, unit))
+    raised = (turned * np.maximum(squares, 1.0)) @ turned.T * np.outer(unit, unit)
+    if np.all(squares >= 1.0):
+        return covariance
+    # The others go on depending on these as they did.
+    slopes = np.linalg.solve(part, covariance[np.ix_(held, others)]) if len(others) else np.zeros((len(held), 0))
+    found = covariance.copy()
+    found[np.ix_(held, held)] = raised
+    found[np.ix_(held, others)] = raised @ slopes
+    found[np.ix_(others, held)] = found[np.ix_(held, others)].T
+    found[np.ix_(others, others)] += slopes.T @ (raised - part) @ slopes
+    return found
 
 
 def _weighted(products: Array, pull: Array, weights: Array, end: Array, long_run: LongRun) -> Normal:

@@ -15,6 +15,7 @@ from estimators.budget import UNLIMITED, Budget
 from estimators.contract import EstimationError
 from estimators.gauss_newton import Block
 from estimators.segments import segments
+from estimators.white_noise import white_variance
 from models import library
 from models.expressions import number
 from models.kernel import Kernel, Progress, compile_model
@@ -28,6 +29,8 @@ SHORT = 2e-4
 """Of a row, over which a difference is a derivative by time: 1 microsecond at 200 Hz."""
 FINEST = 0.35
 """Step times fastest pole that Runge-Kutta is trusted with; a step is divided until it is less."""
+SLOWEST = 0.1
+"""Share of the rate that differences of an angle show which is taken for motion where their noise is all of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,20 +227,35 @@ def typical_motion(model: Model, data: Sequence[Segment]) -> Array:
 
     At rest a model with dry friction is damped as it is nowhere else.
     """
-    outputs, states = [each.name for each in model.outputs], [each.name for each in model.states]
+    states = [each.name for each in model.states]
     motion = np.zeros(len(states))
     for joint in model.joints:
         if joint.rate not in states:
             continue
-        if joint.rate in outputs:
-            rates = np.concatenate([segment.measured[:, outputs.index(joint.rate)] for segment in data])
-        elif joint.coordinate in outputs:
-            place = outputs.index(joint.coordinate)
-            rates = np.concatenate([np.gradient(segment.measured[:, place], segment.time) for segment in data])
-        else:
-            continue
-        motion[states.index(joint.rate)] = np.sqrt(np.nanmean(rates**2))
+        rates, angles = (shown_by(model, text) for text in (joint.rate, joint.coordinate))
+        if rates is not None:
+            motion[states.index(joint.rate)] = np.sqrt(
+                np.nanmean(np.concatenate([segment.measured[:, rates] for segment in data]) ** 2)
+            )
+        elif angles is not None:
+            motion[states.index(joint.rate)] = _usual_rate(data, angles)
     return motion
+
+
+def shown_by(model: Model, text: str) -> int | None:
+    """Place of the output that shows the state or expression `text` as it is; None where none does."""
+    outputs = [place for place, each in enumerate(model.outputs) if text in (each.name, each.expression)]
+    return outputs[0] if outputs else None
+
+
+def _usual_rate(data: Sequence[Segment], place: int) -> float:
+    """RMS of the rate of the output at `place`, unit/s, without what the output's white noise adds to differences."""
+    angles = [segment.measured[:, place] for segment in data]
+    rates = np.concatenate([np.gradient(each, segment.time) for each, segment in zip(angles, data, strict=True)])
+    noise = white_variance([each[:, None] for each in angles if len(each) > 4])[0][0]
+    spacing = float(np.median(np.diff(data[0].time)))
+    power = float(np.nanmean(rates**2))
+    return float(np.sqrt(max(power - 0.5 * noise / spacing**2, SLOWEST**2 * power)))
 
 
 def linearise(

@@ -1,0 +1,49 @@
+"""Rows at which a counting sensor only says that the axis rests: they tell no more than that it is within a count.
+
+Friction holds a machine against any force up to its own, and no formula that is drawn as a slope at rest holds it for
+long. Row after row of the same count, taken for as many measurements, would weigh that more than all motion before. So
+where every output is counted and none has counted for longer than REST, the middle is left out, and what is on both
+sides are stretches of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.model import Model
+from models.natural_time import USUAL, natural_time
+from telemetry.recording import Recording
+
+REST = 1.0
+"""Natural times (models.natural_time) of the same count that are kept at either end of a rest: an axis that swings has
+turned by then."""
+
+
+def without_rests(model: Model, recordings: Sequence[Recording]) -> list[Recording]:
+    """`recordings` with the outputs of `model` unknown where they only show that nothing moves."""
+    names = [each.name for each in model.outputs]
+    if not names or not all(each.counted for each in model.outputs):
+        return list(recordings)
+    return [_without(each, names, REST * (natural_time(model) or USUAL)) for each in recordings]
+
+
+def _without(recording: Recording, names: Sequence[str], kept: float) -> Recording:
+    if any(name not in recording.values for name in names):
+        return recording
+    rests = _rests(np.stack([recording[name] for name in names], axis=1), recording.time, kept)
+    if not rests.any():
+        return recording
+    hidden = {name: np.where(rests, np.nan, recording[name]) for name in names}
+    return replace(recording, values={**recording.values, **hidden})
+
+
+def _rests(counts: NDArray[np.float64], time: NDArray[np.float64], kept: float) -> NDArray[np.bool_]:
+    """Which rows (n,) are further than `kept` s from the last change of `counts` (n, m) and from the next."""
+    changes = np.flatnonzero(np.any(np.diff(counts, axis=0) != 0.0, axis=1)) + 1
+    edges = np.concatenate(([-np.inf], time[changes], [np.inf]))
+    place = np.searchsorted(changes, np.arange(len(time)), side="right")
+    return np.asarray((time - edges[place] > kept) & (edges[place + 1] - time > kept))
