@@ -18,7 +18,18 @@ from diagnosis.findings import Finding
 from diagnosis.foresight import foresees
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
-from diagnosis.refit import CREEPING, FURTHER_FITS, FullFit, QuickFit, by_chance, full, possible, quick, surety, with_effect
+from diagnosis.refit import (
+    CREEPING,
+    FURTHER_FITS,
+    FullFit,
+    QuickFit,
+    by_chance,
+    full,
+    possible,
+    quick,
+    surety,
+    with_effect,
+)
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied

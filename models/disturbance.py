@@ -28,7 +28,7 @@ SPREAD = 3.0
 known before, and that to a factor of twenty."""
 ROUGHLY = 10.0
 """Standard deviation of the correlation time before a record is seen, in multiples of where its estimation starts."""
-LEAST_ROWS = 1.0
+LEAST_ROWS = 2.0
 """Rows of the shortest correlation time: what fades faster is white."""
 LEAST_TIMES = 10.0
 """Correlation times that a record holds at least: of what fades more slowly it does not show that it is random, and

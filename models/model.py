@@ -143,7 +143,7 @@ class Disturbance:
 
     `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are where their estimation starts, or, where it
     is `known`, what they are; 0: by the joint's scales. The correlation time is sought between `shortest` and `longest`
-    (s), by default from a row to a tenth of the record.
+    (s), by default from two rows to a tenth of the record.
     """
 
     std: float = 0.0
