@@ -70,11 +70,12 @@ def power_beyond(
         window = np.hanning(len(part))[:, None]  # what a model lacks at 1 Hz must not leak to 50 Hz
         power = np.abs(np.fft.rfft(np.nan_to_num(part) * window, axis=0)) ** 2 / np.sum(window**2)
         frequency = np.fft.rfftfreq(len(part), spacing)
+        turns = np.asarray(2.0 * np.pi * frequency * spacing, dtype=np.float64)
         beyond = frequency[:, None] > limits
         if beyond.any():
             total += np.sum(
                 np.where(
-                    beyond, power / expected(np.asarray(2.0 * np.pi * frequency * spacing, dtype=np.float64)), 0.0
+                    beyond, power / expected(turns), 0.0
                 ),
                 axis=0,
             )

@@ -119,7 +119,9 @@ class NoiseModel:
 
     def unit(self, values: Array, logarithms: Array, covariance: Array) -> float:
         """By how much all noises are larger than they are told here, where the innovations have the `covariance` (ny,
-        ny): the gain depends on their ratios alone, and the last output's is their unit."""
+        ny): the gain depends on their ratios alone, and the last output's is their unit, where that is not known."""
+        if self.problem.model.outputs[-1].noise_known:
+            return 1.0
         steady = _steady(*self.covariances(values, logarithms))
         if steady is None:
             return 1.0
