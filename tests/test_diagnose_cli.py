@@ -21,6 +21,8 @@ from tests.test_report import of_little_matter
 from tests.virtual_records import multisine
 
 EFFECTS = ("--effect", "viscous_friction", "--effect", "quadratic_drag")
+UNHURRIED = ("--budget", "inf")
+"""On a busy machine a test of what is found is none of how soon."""
 OTHERS = (
     "roll",
     "roll_rate",
@@ -212,7 +214,7 @@ def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Pat
 def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "late.arrow"
     record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0).save(path)
-    first = json.loads(upright(path, "--json"))
+    first = json.loads(upright(path, *UNHURRIED, "--json"))
     assert first["verdict"] == "unknown"
     assert "viscous_friction shows in late.arrow since" in first["reason"]
     begin = first["reason"].rsplit("--from ", 1)[1].rstrip(".")
@@ -237,7 +239,7 @@ def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path
     """The vehicle from its measured gimbals on lacks nothing: the report is on the gimbals."""
     path, report = tmp_path / "late.arrow", tmp_path / "report.html"
     record("monocab", "multisine", hide=["input_delay"], seed=6, duration=30.0).save(path)
-    document = json.loads(upright(path, "--report", report, "--json"))
+    document = json.loads(upright(path, *UNHURRIED, "--report", report, "--json"))
     assert [each["effect"] for each in document["findings"]] == ["input_delay"]
     # 12 ms in the plant.
     assert document["findings"][0]["parameters"]["input_delay.delay"]["value"] == pytest.approx(0.012, abs=0.003)
