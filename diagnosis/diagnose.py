@@ -23,6 +23,7 @@ from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, surprising, unseen_at_zero
+from diagnosis.trial import FAILURES, tried
 from diagnosis.workspace import Workspace
 from estimators.contract import Status
 from estimators.methods.prediction_error import result
@@ -65,9 +66,12 @@ def diagnose(
     except DataError as error:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
     tell("fitting the model as it is", 0.05)
-    base = settled(model, workspace)
-    if (with_more := freed(model, base.fit)) is not model:
-        base = settled(with_more, workspace)
+    try:
+        base = settled(model, workspace)
+    except FAILURES as error:
+        return Diagnosis(Verdict.UNKNOWN, f"the model alone has no fit: {error}", left_out=workspace.left_out)
+    if (with_more := tried(partial(freed, model, base.fit)) or model) is not model:
+        base = tried(partial(settled, with_more, workspace)) or base
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out)
@@ -96,7 +100,7 @@ def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
             model = model.remove(each.name)
     try:
         return base if model is base.model else settled(model, workspace)
-    except ArithmeticError:
+    except FAILURES:
         return base
 
 
@@ -115,34 +119,43 @@ def _search(
     for step in range(most + 1):
         part = partial(_part, tell, step / (most + 1.0), 1.0 / (most + 1.0))
         part("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), 0.0)
-        screens.append(look(whole, workspace))
-        if len(findings) == most:
+        looked = tried(partial(look, whole, workspace))
+        screens.append(looked or Screen((), {}))
+        if looked is None or len(findings) == most:
             break
         seen = surprising(screens[-1])
         found = None
         if seen or (masked and not findings):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
-            found = find(whole, screens[-1], workspace, {*masked, *more}, part)
+            found = tried(partial(find, whole, screens[-1], workspace, {*masked, *more}, part))
         before = findings
         if found is not None:
             if found.finding.log_likelihood_gain < asked(found.finding, findings, of_blows):
                 whole = found.fit
                 break
             before = [*findings, found.finding]
-            findings, whole = exchange(before, found.fit, workspace, masked, part)
+            start = found.fit
+            others = tried(partial(exchange, before, start, workspace, masked, part))
+            findings, whole = others or (before, start)
         else:
-            two = two_at_once(whole, screens[-1], workspace, masked, part) if not findings and most > 1 else None
+            at_once = partial(two_at_once, whole, screens[-1], workspace, masked, part)
+            two = tried(at_once) if not findings and most > 1 else None
             if two is None:
                 break
             findings, whole = two
         if len(findings) < most:
-            findings, whole = taken_apart(findings, whole, workspace, masked, part)
-        findings, whole = put_together(findings, whole, workspace, part)
+            apart = tried(partial(taken_apart, findings, whole, workspace, masked, part))
+            findings, whole = apart or (findings, whole)
+        together = tried(partial(put_together, findings, whole, workspace, part))
+        findings, whole = together or (findings, whole)
         same = [each.effect for each in findings] == [each.effect for each in before]
-        fits = [*fits, whole] if same else one_by_one(findings, whole, workspace)
-    findings = [replace(each, made_of=made_of(each, findings, fits[-1], workspace)) for each in findings]
-    return [retold(each, fits[-1]) for each in findings], fits, screens, whole
+        each_alone = None if same else tried(partial(one_by_one, findings, whole, workspace))
+        fits = [*fits, whole] if each_alone is None else each_alone
+    findings = [
+        replace(each, made_of=tried(partial(made_of, each, findings, fits[-1], workspace))) for each in findings
+    ]
+    return [tried(partial(retold, each, fits[-1])) or each for each in findings], fits, screens, whole
 
 
 def _part(tell: Progress, begin: float, width: float, text: str, share: float) -> None:
@@ -161,6 +174,12 @@ def unidentified(base: FullFit, unasked: Collection[str] = ()) -> str:
     own = {name: each for name, each in told.parameters.items() if name not in nuisances}
     silent = [name for name, each in own.items() if each.status is Status.TOO_LITTLE_EXCITATION]
     return f"{silent[0]}: {own[silent[0]].reason}" if 2 * len(silent) > len(own) else ""
+
+
+def _failed(workspace: Workspace, findings: Sequence[Finding]) -> dict[str, str]:
+    """Candidates that were tried and failed, and why; one that has a name was found before it failed."""
+    named = {each.effect for each in findings}
+    return {name: why for name, why in workspace.failed.items() if name not in named}
 
 
 def _left(before: float, after: float) -> str:
@@ -212,7 +231,7 @@ def _verdict(
         innovation_ratio_before=before,
         innovation_ratio_after=after,
         repaired=steps[-1].fitted,
-        left_out=workspace.left_out,
+        left_out={**workspace.left_out, **_failed(workspace, findings)},
         screens=tuple(screens),
         steps=tuple(steps),
         unexplained=rest,

@@ -100,7 +100,8 @@ class Innovations:
         blocks = task.evaluate(
             common, self.fit.minimum.own[:-1], weights=self.floor.whitener, gain=self.floor.gain, also=also
         )
-        assert blocks is not None
+        if blocks is None:
+            raise ArithmeticError("the model runs away from its own estimate")
         return blocks
 
     @property
@@ -140,14 +141,15 @@ def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]
     than this at frequencies that are its own."""
     outputs = task.model.outputs
     stated = np.array([output.noise for output in outputs])
-    variance, freedom = white_variance([segment.measured for segment in task.segments])
+    variance, known_by = white_variance([segment.measured for segment in task.segments])
+    freedom = np.full(len(outputs), known_by)
     if left is not None:
-        variance = np.minimum(variance, white_variance(left.errors)[0])
+        variance = np.asarray(np.minimum(variance, white_variance(left.errors)[0]))
         freedom = np.where(left.beyond > variance, left.lines, freedom)
-        variance = np.maximum(variance, left.beyond)
+        variance = np.asarray(np.maximum(variance, left.beyond))
     # What is counted has a quantiser's noise at least, and its own beside that.
-    counted = np.array([output.counted and not output.noise_known for output in outputs])
-    known = np.array([output.noise_known for output in outputs]) | (counted & (variance <= stated**2))
+    counts = np.array([output.counted and not output.noise_known for output in outputs])
+    known = np.array([output.noise_known for output in outputs]) | (counts & (variance <= stated**2))
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 
@@ -179,7 +181,7 @@ def _left(found: Innovations) -> Left:
     system = (least.transition, least.output, nothing, least.sensor, np.zeros((len(nothing), len(least.sensor))))
 
     def expected(turns: Array) -> Array:
-        return np.einsum("fyy->fy", density(turns, least.gain, system)).real
+        return np.asarray(np.einsum("fyy->fy", density(turns, least.gain, system)).real)
 
     over, lines = power_beyond(found.errors, least.spacing, least.reach, expected)
     return Left(found.errors, over * np.diag(least.sensor), lines)

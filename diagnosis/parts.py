@@ -19,6 +19,7 @@ from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
 from diagnosis.masked import LAG
 from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
 from diagnosis.step import retold, reworded
+from diagnosis.trial import FAILURES
 from estimators.segments import DataError
 from models.effect import Effect, Place
 from models.effects import CATALOGUE, find
@@ -93,7 +94,7 @@ def diagnose_actuators(
         model, hidden = speed_loop(actuators, free, candidates)
     except DataError as error:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
-    except ArithmeticError as error:
+    except FAILURES as error:
         return Diagnosis(Verdict.UNKNOWN, str(error))
     most = min(most, MOST)
     found = diagnose(

@@ -72,7 +72,8 @@ def power_beyond(
         frequency = np.fft.rfftfreq(len(part), spacing)
         beyond = frequency[:, None] > limits
         if beyond.any():
-            total += np.sum(np.where(beyond, power / expected(2.0 * np.pi * frequency * spacing), 0.0), axis=0)
+            turns = np.asarray(2.0 * np.pi * frequency * spacing, dtype=np.float64)
+            total += np.sum(np.where(beyond, power / expected(turns), 0.0), axis=0)
             lines += np.sum(beyond, axis=0)
     told = lines >= FEWEST
     return np.where(told, total / np.maximum(lines, 1.0), 0.0), np.where(told, lines, 0.0)

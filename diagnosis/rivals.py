@@ -12,6 +12,7 @@ from diagnosis.closed_loop import causal
 from diagnosis.refit import FullFit, full, quick, with_effect
 from diagnosis.screen import screen
 from diagnosis.stationary import stationary
+from diagnosis.trial import FAILURES
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.innovations import NoiseModel
@@ -134,7 +135,7 @@ def fitted_rivals(
             fits[score.candidate.name] = full(
                 with_effect(base.model, score.candidate, start), workspace, score.candidate
             )
-        except ArithmeticError:
+        except FAILURES:
             continue
     if not fits:
         return []

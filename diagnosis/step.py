@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,10 +18,22 @@ from diagnosis.findings import Finding
 from diagnosis.foresight import foresees
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
-from diagnosis.refit import CREEPING, FURTHER_FITS, FullFit, QuickFit, by_chance, full, possible, quick, surety, with_effect
+from diagnosis.refit import (
+    CREEPING,
+    FURTHER_FITS,
+    FullFit,
+    QuickFit,
+    by_chance,
+    full,
+    possible,
+    quick,
+    surety,
+    with_effect,
+)
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied
+from diagnosis.trial import tried
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -61,7 +74,7 @@ def look(base: FullFit, workspace: Workspace) -> Screen:
     def attach(group: Sequence[Candidate]) -> Problem:
         return workspace.problem(attached(base.model, group))
 
-    return screen(Whitened.of(base.fit), attach, workspace.others(base.model))
+    return screen(Whitened.of(base.fit), attach, workspace.others(base.model), workspace.failed)
 
 
 def surprising(screened: Screen) -> bool:
@@ -109,7 +122,9 @@ def find(
         tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
         held_out = before.finding.held_out if before and best is before.fit else check.of(best)
         if held_out is None or held_out.stands:
-            return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
+            finding = tried(partial(_finding, base, best, fits, screened, p_value, held_out, workspace), best.name)
+            if finding is not None:
+                return Named(finding, best)
         fits = [each for each in fits if each is not best]
     return None
 
@@ -122,11 +137,9 @@ def named_alone(
     fits = []
     for each in workspace.candidates:
         if each is made or each.name in {part.effect for part in parts}:
-            try:
-                model = with_effect(base.model, each, screened.score(each.name).starts[0])
-                fits.append(full(model, workspace, each))
-            except ArithmeticError:
-                continue
+            model = with_effect(base.model, each, screened.score(each.name).starts[0])
+            ended = tried(partial(full, model, workspace, each), each.name, workspace.failed)
+            fits += [ended] if ended is not None else []
     best = next((each for each in fits if each.candidate is made), None)
     if best is None or not best.fit.minimum.converged or surety(best) <= SURE:
         return None
@@ -155,19 +168,35 @@ def _contenders(
         workspace.problem(model, lambda text: tell(f"{text} with {title}", share))
 
     for number, score in enumerate(worth):  # compiled one after the other, where that was not done yet
-        prepare(number, score)
+        tried(partial(prepare, number, score), score.candidate.name, workspace.failed)
     quicks: list[QuickFit] = []
-    for each in side_by_side(lambda score: quick(base.fit, base.model, score, workspace), worth):
-        quicks.append(each)
-        tell(f"tried {each.candidate.effect.title}", 0.3 + 0.3 * len(quicks) / len(worth))
+
+    def quickly(score: Score) -> QuickFit | None:
+        return tried(partial(_ended, base, score, workspace), score.candidate.name, workspace.failed)
+
+    for each in side_by_side(quickly, worth):
+        quicks += [each] if each is not None else []
+        tell("tried" + (f" {each.candidate.effect.title}" if each else ""), 0.3 + 0.3 * len(quicks) / len(worth))
     fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
     allowed = LEVEL / max(1, len(screened.scores))
-    fits = [
-        each
-        for each in fits
-        if each.fit.minimum.converged and possible(each) and by_chance(each, base) < allowed and surety(each) > SURE
-    ]
+    fits = [each for each in fits if tried(partial(_is_sure, each, base, allowed), each.name, workspace.failed)]
     return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
+    """A quick fit. Raises ArithmeticError where the model runs away from every start of it."""
+    found = quick(base.fit, base.model, score, workspace)
+    if not math.isfinite(found.gain):
+        raise ArithmeticError("the model runs away from every start")
+    return found
+
+
+def _is_sure(fitted: FullFit, base: FullFit, allowed: float) -> bool:
+    """Whether a fit ended beyond chance, at sizes that are possible and not those of noise. Raises ArithmeticError for
+    one that does not settle."""
+    if not fitted.fit.minimum.converged:
+        raise ArithmeticError("it does not settle")
+    return possible(fitted) and by_chance(fitted, base) < allowed and surety(fitted) > SURE
 
 
 def _full_fits(
@@ -186,10 +215,14 @@ def _full_fits(
         assert each.end is not None
         model, found = with_effect(base.model, each.candidate, each.values), None
         for begin in (each.end, replace(each.end, noise=np.zeros(len(each.end.noise)))):
-            try:
-                found = full(model, workspace, each.candidate, begin, longer=FURTHER_FITS)
-            except ArithmeticError:
+            ended = tried(
+                partial(full, model, workspace, each.candidate, begin, longer=FURTHER_FITS),
+                each.candidate.name,
+                workspace.failed,
+            )
+            if ended is None:
                 continue
+            found = ended
             if found.log_likelihood > base.log_likelihood - CREEPING:
                 break
         return found
@@ -202,7 +235,7 @@ def _full_fits(
             return [each for each in found.values() if each is not None]
         for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
             tell(f"fitted {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
-            if fit is not None and foresees(fit.fit, base.fit):
+            if fit is not None and tried(partial(foresees, fit.fit, base.fit)):
                 left = [other for other in left if other is not each]
             else:
                 found[each.candidate.name] = fit

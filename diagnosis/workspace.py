@@ -6,7 +6,7 @@ Rows are chosen with every candidate attached, so that each model is judged on t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,13 +29,14 @@ before the first row."""
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`left_out`: effects that are no candidate, and why."""
+    """`left_out`: effects that are no candidate, and why; `failed`: candidates that no fit of ended, and why."""
 
     recordings: tuple[Recording, ...]
     support: float | None
     segments: tuple[Segment, ...]
     candidates: tuple[Candidate, ...]
     left_out: dict[str, str]
+    failed: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(

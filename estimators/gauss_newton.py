@@ -141,8 +141,8 @@ def descend(
     It is converged when no step moves one of the first `watched` parameters (all by default) by more than `tolerance`
     of its scale, or the cost is not expected to fall by more than `enough`: with residuals of unit variance a fall of x
     moves no parameter by more than sqrt(2 x) standard deviations. The curvature by the others is more than J'J: what
-    is missing is learned. That last step is still made, unless it leads to where there is no finite value; the expansion
-    is from where it begins. None where the start itself has no finite value.
+    is missing is learned. That last step is still made, unless it leads to where there is no finite value; the
+    expansion is from where it begins. None where the start itself has no finite value.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]

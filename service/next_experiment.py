@@ -14,6 +14,7 @@ from diagnosis.closed_loop import Experiment, simulate
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
+from diagnosis.trial import FAILURES
 from models.model import Model, ModelError
 from service.excitation import ExcitationError, InjectionPoint
 from service.monocab import predicted as monocab
@@ -89,7 +90,7 @@ def suggest_for(
     """
     try:
         return _suggestion(vehicle, diagnosis, model, recordings, progress)
-    except (UprightError, ArithmeticError):
+    except (UprightError, *FAILURES):
         # A diagnosis is worth having without a suggestion.
         return None
 
