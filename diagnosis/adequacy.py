@@ -19,8 +19,8 @@ from diagnosis.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.force_probe import probe
 from diagnosis.refit import log_likelihood
 from diagnosis.shapes import Shape, shapes
+from diagnosis.trial import FAILURES
 from diagnosis.where_it_fails import Views, summary, views
-from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit, fit
 from estimators.problem import problem
 
@@ -108,14 +108,15 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
         task, values = shaken_as(last.problem, last.values, last)
         least = floor(task, values)
         left = innovations(task, values, least)
-    except EstimationError:
+        seen = views(left)
+        found = Innovations(last, least, tuple(last.innovations()))
+        shaped = shapes(found, probe(found))
+    except FAILURES:
         return Adequacy(before, float("inf"), None)
-    found = Innovations(last, least, tuple(last.innovations()))
-    shaped = shapes(found, probe(found))
     sure = [each for each in shaped if each.p_value < CHANCE] or shaped
     struck = any(each.effect.strikes for each in last.problem.model.effects)
     gained = max(gained, _gained_beside(first, last)) if gained > 0.0 else gained
-    return Adequacy(before, left.ratio, views(left), sure[0] if sure else None, gained, struck)
+    return Adequacy(before, left.ratio, seen, sure[0] if sure else None, gained, struck)
 
 
 def _gained_beside(first: Fit, last: Fit) -> float:
@@ -128,7 +129,7 @@ def _gained_beside(first: Fit, last: Fit) -> float:
     began = task.model.change(dict(zip(task.kernel.parameters, values.tolist(), strict=True)))
     try:
         alone = fit(problem(began, (), rows=task.segments))
-    except (ArithmeticError, EstimationError):
+    except FAILURES:
         return 0.0
     return log_likelihood(last) - log_likelihood(alone)
 
@@ -139,5 +140,5 @@ def over_floor(fitted: Fit, best: Fit, values: Array | None = None) -> float:
     try:
         task, values = shaken_as(fitted.problem, fitted.values if values is None else values, best)
         return innovations(task, values, floor(task, values)).ratio
-    except EstimationError:
+    except FAILURES:
         return float("inf")

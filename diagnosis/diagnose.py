@@ -19,6 +19,7 @@ from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_togethe
 from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
+from diagnosis.findings import MadeOf
 from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
@@ -28,6 +29,7 @@ from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
+from diagnosis.trial import FAILURES, tried
 from diagnosis.unseen import hidden
 from diagnosis.workspace import Workspace
 from estimators.budget import Budget, OutOfTime
@@ -109,9 +111,12 @@ def _whole(
     """The diagnosis of `model` on the rows of `workspace`, and where on these the disturbance changes."""
     unhurried = workspace.unhurried
     tell("fitting the model as it is", 0.05)
-    base = settled(model, unhurried)
-    if (with_more := freed(model, base.fit)) is not model:
-        base = settled(with_more, unhurried)
+    try:
+        base = settled(model, unhurried)
+    except FAILURES as error:
+        return Diagnosis(Verdict.UNKNOWN, f"the model alone has no fit: {error}", left_out=workspace.left_out), []
+    if (with_more := tried(partial(freed, model, base.fit)) or model) is not model:
+        base = tried(partial(settled, with_more, unhurried)) or base
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out), []
@@ -165,7 +170,7 @@ def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
             model = model.remove(each.name)
     try:
         return base if model is base.model else settled(model, workspace)
-    except ArithmeticError:
+    except FAILURES:
         return base
 
 
@@ -187,15 +192,16 @@ def _search(
         if step and not workspace.budget.left:
             workspace.leave("further effects" if findings else "the search for effects")
             break
-        screens.append(look(whole, workspace if step else workspace.unhurried))
-        if len(findings) == most:
+        looked = tried(partial(look, whole, workspace if step else workspace.unhurried))
+        screens.append(looked or Screen((), {}))
+        if looked is None or len(findings) == most:
             break
         seen = surprising(screens[-1])
         found = None
         if seen or (masked and not findings):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
-            found = find(whole, screens[-1], workspace, {*masked, *more}, part)
+            found = tried(partial(find, whole, screens[-1], workspace, {*masked, *more}, part))
         before = findings
         if found is not None:
             if found.finding.log_likelihood_gain < asked(found.finding, findings, of_blows):
@@ -204,14 +210,25 @@ def _search(
             before = [*findings, found.finding]
             findings, whole = _revised(before, found.fit, workspace, masked, most, part)
         else:
-            two = two_at_once(whole, screens[-1], workspace, masked, part) if not findings and most > 1 else None
+            at_once = partial(two_at_once, whole, screens[-1], workspace, masked, part)
+            two = tried(at_once) if not findings and most > 1 else None
             if two is None:
                 break
             findings, whole = _revised(*two, workspace, masked, most, part, again=False)
         same = [each.effect for each in findings] == [each.effect for each in before]
-        fits = [*fits, whole] if same else one_by_one(findings, whole, workspace.unhurried)
-    findings = [replace(each, made_of=made_of(each, findings, fits[-1], workspace)) for each in findings]
-    return [retold(each, fits[-1]) for each in findings], fits, screens, whole
+        each_alone = None if same else tried(partial(one_by_one, findings, whole, workspace.unhurried))
+        fits = [*fits, whole] if each_alone is None else each_alone
+    findings = [replace(each, made_of=_made_of(each, findings, fits[-1], workspace)) for each in findings]
+    return [tried(partial(retold, each, fits[-1])) or each for each in findings], fits, screens, whole
+
+
+def _made_of(made: Finding, findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> MadeOf | None:
+    """As diagnosis.exchange.made_of; None where there is no time for it."""
+    try:
+        return tried(partial(made_of, made, findings, whole, workspace))
+    except OutOfTime:
+        workspace.leave(f"{made.effect} as the two that it is made of")
+        return None
 
 
 def _revised(
@@ -277,6 +294,12 @@ def _what_would_do(silent: Sequence[ParameterEstimate], base: FullFit) -> str:
     )
 
 
+def _failed(workspace: Workspace, findings: Sequence[Finding]) -> dict[str, str]:
+    """Candidates that were tried and failed, and why; one that has a name was found before it failed."""
+    named = {each.effect for each in findings}
+    return {name: why for name, why in workspace.failed.items() if name not in named}
+
+
 def _left(before: float, after: float) -> str:
     """How much of what was missing is left, in words; empty where noise of the model's own stood in for it."""
     if before <= 1.0:
@@ -325,7 +348,7 @@ def _verdict(
         innovation_ratio_before=before,
         innovation_ratio_after=after,
         repaired=steps[-1].fitted,
-        left_out=workspace.left_out,
+        left_out={**workspace.left_out, **_failed(workspace, findings)},
         screens=tuple(screens),
         steps=tuple(steps),
         unexplained=rest,

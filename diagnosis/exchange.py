@@ -26,6 +26,7 @@ from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
 from diagnosis.ties import LEVEL, NEIGHBOUR, alike
+from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 
 FURTHER = 0.02
@@ -120,7 +121,7 @@ def made_of(made: Finding, findings: Sequence[Finding], whole: FullFit, workspac
         model = with_effect(model, each, each.variants[0])
     try:
         two = full(model, workspace, parts[-1])
-    except ArithmeticError:
+    except FAILURES:
         return None
     if not two.fit.minimum.converged:
         return None
@@ -185,7 +186,7 @@ def two_at_once(
             start = with_effect(base.model, first, pair.starts[0])
             one = _beside(full(start, workspace, first), workspace, masked)
             other = one and _beside(full(one.fit.model.remove(first.name), workspace), workspace, masked)
-        except ArithmeticError:
+        except FAILURES:
             continue
         if one is not None and other is not None and worth_two(other.fit, base, 0, workspace):
             return exchange([one.finding, other.finding], other.fit, workspace, masked, tell)

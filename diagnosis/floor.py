@@ -102,7 +102,8 @@ class Innovations:
         blocks = task.evaluate(
             common, self.fit.minimum.own[:-1], weights=self.floor.whitener, gain=self.floor.gain, also=also
         )
-        assert blocks is not None
+        if blocks is None:
+            raise ArithmeticError("the model runs away from its own estimate")
         return blocks
 
     @property
@@ -145,12 +146,12 @@ def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]
     variance, rows = white_variance([segment.measured for segment in task.segments])
     freedom = np.full(len(variance), rows)
     if left is not None:
-        variance = np.minimum(variance, white_variance(left.errors)[0])
+        variance = np.asarray(np.minimum(variance, white_variance(left.errors)[0]))
         freedom = np.where(left.beyond > variance, left.lines, freedom)
         variance = np.asarray(np.maximum(variance, left.beyond))
     # What is counted has a quantiser's noise at least, and its own beside that.
-    counted = np.array([output.counted and not output.noise_known for output in outputs])
-    known = np.array([output.noise_known for output in outputs]) | (counted & (variance <= stated**2))
+    counts = np.array([output.counted and not output.noise_known for output in outputs])
+    known = np.array([output.noise_known for output in outputs]) | (counts & (variance <= stated**2))
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 

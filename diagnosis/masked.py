@@ -22,6 +22,7 @@ from scipy.stats import norm
 from diagnosis.candidates import Candidate
 from diagnosis.refit import FURTHER_FITS, FullFit, full, log_likelihood, off_prior, with_effect
 from diagnosis.side_by_side import side_by_side
+from diagnosis.trial import FAILURES
 from diagnosis.whitened import BLOCK
 from diagnosis.workspace import Workspace, attached
 from estimators.budget import OutOfTime
@@ -67,7 +68,7 @@ def fits(model: Model, workspace: Workspace, names: Collection[str], known: Coll
             found.append(_other_way_round(one, hurried))
         except OutOfTime:
             workspace.leave(candidate.name)
-        except ArithmeticError:
+        except FAILURES:
             continue
     return found
 
@@ -80,14 +81,14 @@ def _struck(model: Model, candidate: Candidate, workspace: Workspace) -> list[Fu
     def tried(start: Model) -> tuple[float, Begin] | None:
         try:
             found = fit(workspace.problem(start), iterations=TRIED)
-        except ArithmeticError:
+        except FAILURES:
             return None
         return log_likelihood(found) - off_prior(found), found.end
 
     def fitted(end: Begin) -> FullFit | None:
         try:
             return full(starts[0], workspace, candidate, end, longer=FURTHER_FITS)
-        except ArithmeticError:
+        except FAILURES:
             return None
 
     near = sorted((each for each in side_by_side(tried, starts) if each is not None), key=lambda each: -each[0])
@@ -107,7 +108,7 @@ def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:
     end = one.fit.end
     try:
         other = full(one.model, workspace, candidate, replace(end, values={**end.values, **about}))
-    except ArithmeticError:
+    except FAILURES:
         return one
     return max(one, other, key=lambda each: each.log_likelihood)
 
@@ -124,7 +125,7 @@ def together(model: Model, workspace: Workspace, names: Collection[str]) -> list
     wider = attached(model, chosen)
     try:
         return [full(wider, workspace, chosen[-1])]
-    except ArithmeticError:
+    except FAILURES:
         return []
 
 

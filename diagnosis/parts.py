@@ -21,6 +21,7 @@ from diagnosis.explain import together
 from diagnosis.masked import LAG
 from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
 from diagnosis.step import retold, reworded
+from diagnosis.trial import FAILURES
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
 from models.effect import Effect, Place
@@ -104,7 +105,7 @@ def diagnose_actuators(
         model, hidden = speed_loop(actuators, free, candidates)
     except DataError as error:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error))
-    except ArithmeticError as error:
+    except FAILURES as error:
         return Diagnosis(Verdict.UNKNOWN, str(error))
     most = min(most, MOST)
     left = None if budget is None else max(0.0, budget - (stopwatch() - began))

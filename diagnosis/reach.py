@@ -74,9 +74,7 @@ def power_beyond(
         beyond = frequency[:, None] > limits
         if beyond.any():
             total += np.sum(
-                np.where(
-                    beyond, power / expected(turns), 0.0
-                ),
+                np.where(beyond, power / expected(turns), 0.0),
                 axis=0,
             )
             lines += np.sum(beyond, axis=0)

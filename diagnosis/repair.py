@@ -30,6 +30,7 @@ from diagnosis.held_out import split
 from diagnosis.ready import ready, unready
 from diagnosis.repair_result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.screen import Score, Screen, screen
+from diagnosis.trial import FAILURES
 from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
@@ -203,7 +204,7 @@ def _screen(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> Scree
     try:
         with np.errstate(all="ignore"):
             return screen(Whitened.of(fitted), attach, candidates)
-    except np.linalg.LinAlgError:  # two candidates that are one to this model: there is no direction of their own
+    except FAILURES:  # among these: two candidates that are one to this model: there is no direction of their own
         return Screen((), {})
 
 

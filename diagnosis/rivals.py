@@ -12,6 +12,7 @@ from diagnosis.closed_loop import causal
 from diagnosis.refit import FullFit, full, quick, with_effect
 from diagnosis.screen import screen
 from diagnosis.stationary import stationary
+from diagnosis.trial import FAILURES
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.budget import UNLIMITED, Budget, OutOfTime
@@ -143,7 +144,7 @@ def fitted_rivals(
             )
         except OutOfTime:
             raise  # fewer rivals would ask another question
-        except ArithmeticError:
+        except FAILURES:
             continue
     if not fits:
         return []

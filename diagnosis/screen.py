@@ -16,8 +16,9 @@ Sources: Rao's score test; Westfall and Young, "Resampling-based multiple testin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -27,10 +28,12 @@ from scipy.stats import chi2, norm
 from diagnosis.candidates import Candidate, at_frequencies
 from diagnosis.instants import INSTANT, at_instants
 from diagnosis.side_by_side import side_by_side
+from diagnosis.trial import tried
 from diagnosis.whitened import Whitened, peaks, project
 from estimators.problem import Problem
 
 Array = NDArray[np.float64]
+_Pass = tuple[Problem, int, list[Candidate]]
 
 DETECTABLE = float(norm.isf(0.01) + norm.isf(0.01))
 """Standard errors of a size that is found with 99 % probability at 1 % false alarms."""
@@ -93,26 +96,39 @@ class Screen:
 
 
 def screen(
-    innovations: Whitened, attach: Callable[[Sequence[Candidate]], Problem], candidates: Sequence[Candidate]
+    innovations: Whitened,
+    attach: Callable[[Sequence[Candidate]], Problem],
+    candidates: Sequence[Candidate],
+    failed: MutableMapping[str, str] | None = None,
 ) -> Screen:
     """Every one of `candidates`. `attach` makes the problem of the model with some of them, on the same rows.
 
-    A candidate under which the model runs away at every step size is left out.
+    A candidate under which the model runs away at every step size is left out, and so is one that cannot be screened:
+    `failed` says why. One that makes a pass of many fail is looked for there alone.
     """
-    passes: list[tuple[Problem, int, list[Candidate]]] = []
-    for group in _groups(at_frequencies(candidates, *peaks(innovations))):
-        full = attach(group)
-        group = [at_instants(each, innovations, full) for each in group]
-        most = max(len(candidate.variants) for candidate in group)
-        passes += [(full, number, [each for each in group if number < len(each.variants)]) for number in range(most)]
+    failed = {} if failed is None else failed
+    passes: list[_Pass] = []
+    groups = [list(each) for each in _groups(at_frequencies(candidates, *peaks(innovations)))]
+    while groups:
+        group = groups.pop(0)
+        name = group[0].name if len(group) == 1 else ""
+        made = tried(partial(_passes, group, innovations, attach), name, failed if name else None)
+        if made is not None:
+            passes += made
+        elif not name:
+            groups += [[each] for each in group]
 
-    def columns_of(one: tuple[Problem, int, list[Candidate]]) -> Array:
+    def columns_of(one: _Pass) -> Array | None:
         full, number, looked_at = one
         shape = {name: value for each in looked_at for name, value in each.variants[number].items()}
-        return innovations.directions(full, [name for each in looked_at for name in each.amplitudes], shape)
+        amplitudes = [name for each in looked_at for name in each.amplitudes]
+        with np.errstate(all="ignore"):
+            return tried(partial(innovations.directions, full, amplitudes, shape))
 
     parts: list[tuple[Candidate, int, Array]] = []
     for (_, number, looked_at), columns in zip(passes, side_by_side(columns_of, passes), strict=True):
+        if columns is None:
+            continue
         place = 0
         for each in looked_at:
             found = columns[:, place : place + len(each.amplitudes)]
@@ -123,6 +139,22 @@ def screen(
         return Screen((), {})
     columns = np.column_stack([part for _, _, part in parts])
     return _rank(parts, innovations, project(columns, innovations.nuisance))
+
+
+def _passes(
+    group: Sequence[Candidate], innovations: Whitened, attach: Callable[[Sequence[Candidate]], Problem]
+) -> list[_Pass]:
+    """Each of the shapes of `group`, all of them side by side. Raises ArithmeticError where the model with all of them,
+    absent as they are, runs away: then one of them has no value there."""
+    full = attach(group)
+    if len(group) > 1:
+        with np.errstate(all="ignore"):
+            first = innovations.directions(full, group[0].amplitudes[:1], {})
+        if not np.all(np.isfinite(first)):
+            raise ArithmeticError("the model runs away with one of these")
+    group = [at_instants(each, innovations, full) for each in group]
+    most = max(len(candidate.variants) for candidate in group)
+    return [(full, number, [each for each in group if number < len(each.variants)]) for number in range(most)]
 
 
 def _groups(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:

@@ -20,6 +20,7 @@ from diagnosis.floor import sensor_noise
 from diagnosis.masked import LAG
 from diagnosis.refit import FullFit, full
 from diagnosis.step import WORTH
+from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 from models.effect import Effect
 from models.model import Model
@@ -69,7 +70,7 @@ def _nearest(
         workspace = Workspace.of(model, few, None, effects)
         try:
             bases.append((full(model, workspace), workspace))
-        except ArithmeticError:
+        except FAILURES:
             continue
     if not bases:
         raise ArithmeticError("no model of the actuators can be fitted")
@@ -105,7 +106,7 @@ def own_ramp(found: FullFit, recordings: Sequence[Recording]) -> float | None:
         model = _with_ramp(start, float(np.exp(logarithm)))
         try:
             return -full(model, Workspace.of(model, recordings, None, ())).log_likelihood
-        except ArithmeticError:
+        except FAILURES:
             return np.inf
 
     # Steep on both sides within a tenth of the right one, and near nothing far from it: so it is looked for closely.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
@@ -33,6 +34,7 @@ from diagnosis.refit import (
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied
+from diagnosis.trial import tried
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -79,7 +81,7 @@ def look(base: FullFit, workspace: Workspace) -> Screen:
     def attach(group: Sequence[Candidate]) -> Problem:
         return workspace.problem(attached(base.model, group))
 
-    return screen(Whitened.of(base.fit), attach, workspace.others(base.model))
+    return screen(Whitened.of(base.fit), attach, workspace.others(base.model), workspace.failed)
 
 
 def surprising(screened: Screen) -> bool:
@@ -137,7 +139,9 @@ def find(
         # What does all that a refused effect does is not named without a check of its own.
         unchecked = held_out is None and refused.intersection(best.candidate.effect.beyond if best.candidate else ())
         if not unchecked and (held_out is None or held_out.stands):
-            return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
+            finding = tried(partial(_finding, base, best, fits, screened, p_value, held_out, workspace), best.name)
+            if finding is not None:
+                return Named(finding, best)
         fits = [each for each in fits if each is not best]
         refused.add(best.candidate.effect.name if best.candidate else "")
     return None
@@ -162,11 +166,9 @@ def named_alone(
     fits = []
     for each in workspace.candidates:
         if each is made or each.name in {part.effect for part in parts}:
-            try:
-                model = with_effect(base.model, each, screened.score(each.name).starts[0])
-                fits.append(full(model, workspace, each))
-            except ArithmeticError:
-                continue
+            model = with_effect(base.model, each, screened.score(each.name).starts[0])
+            ended = tried(partial(full, model, workspace, each), each.name, workspace.failed)
+            fits += [ended] if ended is not None else []
     best = next((each for each in fits if each.candidate is made), None)
     if best is None or not best.fit.minimum.converged or surety(best) <= SURE:
         return None
@@ -194,35 +196,48 @@ def _contenders(
     def prepare(number: int, score: Score) -> bool:
         title, share = score.candidate.effect.title, 0.3 * number / len(worth)
         model = with_effect(base.model, score.candidate, score.starts[0])
+        compiled = partial(quickly.problem, model, lambda text: tell(f"{text} with {title}", share))
         try:
-            quickly.problem(model, lambda text: tell(f"{text} with {title}", share))
+            return tried(compiled, score.candidate.name, workspace.failed) is not None
         except OutOfTime:
             workspace.leave(score.candidate.name)
             return False
-        return True
 
     # Compiled one after the other, where that was not done yet.
     worth = [score for number, score in enumerate(worth) if prepare(number, score)]
 
-    def tried(score: Score) -> QuickFit:
+    def quickly_fitted(score: Score) -> QuickFit | None:
         try:
-            return quick(base.fit, base.model, score, quickly.within(EACH))
+            ended = partial(_ended, base, score, quickly.within(EACH))
+            return tried(ended, score.candidate.name, workspace.failed)
         except OutOfTime:
             workspace.leave(score.candidate.name)
-            return QuickFit(score.candidate, {}, -np.inf)
+            return None
 
     quicks: list[QuickFit] = []
-    for each in side_by_side(tried, worth):
-        quicks.append(each)
-        tell(f"tried {each.candidate.effect.title}", 0.3 + 0.3 * len(quicks) / len(worth))
+    for each in side_by_side(quickly_fitted, worth):
+        quicks += [each] if each is not None else []
+        tell("tried" + (f" {each.candidate.effect.title}" if each else ""), 0.3 + 0.3 * len(quicks) / len(worth))
     fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
     allowed = LEVEL / max(1, len(screened.scores))
-    fits = [
-        each
-        for each in fits
-        if each.fit.minimum.converged and possible(each) and by_chance(each, base) < allowed and surety(each) > SURE
-    ]
+    fits = [each for each in fits if tried(partial(_is_sure, each, base, allowed), each.name, workspace.failed)]
     return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
+    """A quick fit. Raises ArithmeticError where the model runs away from every start of it."""
+    found = quick(base.fit, base.model, score, workspace)
+    if not math.isfinite(found.gain):
+        raise ArithmeticError("the model runs away from every start")
+    return found
+
+
+def _is_sure(fitted: FullFit, base: FullFit, allowed: float) -> bool:
+    """Whether a fit ended beyond chance, at sizes that are possible and not those of noise. Raises ArithmeticError for
+    one that does not settle."""
+    if not fitted.fit.minimum.converged:
+        raise ArithmeticError("it does not settle")
+    return possible(fitted) and by_chance(fitted, base) < allowed and surety(fitted) > SURE
 
 
 def _full_fits(
@@ -242,12 +257,17 @@ def _full_fits(
         model, found = with_effect(base.model, each.candidate, each.values), None
         for begin in (each.end, replace(each.end, noise=np.zeros(len(each.end.noise)))):
             try:
-                found = full(model, workspace.within(EACH), each.candidate, begin, longer=FURTHER_FITS)
+                ended = tried(
+                    partial(full, model, workspace.within(EACH), each.candidate, begin, longer=FURTHER_FITS),
+                    each.candidate.name,
+                    workspace.failed,
+                )
             except OutOfTime:
                 workspace.leave(each.candidate.name)
                 break
-            except ArithmeticError:
+            if ended is None:
                 continue
+            found = ended
             if found.log_likelihood > base.log_likelihood - CREEPING:
                 break
         return found
@@ -260,7 +280,7 @@ def _full_fits(
             return [each for each in found.values() if each is not None]
         for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
             tell(f"fitted {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
-            if fit is not None and foresees(fit.fit, base.fit):
+            if fit is not None and tried(partial(foresees, fit.fit, base.fit)):
                 left = [other for other in left if other is not each]
             else:
                 found[each.candidate.name] = fit

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from diagnosis.refit import FullFit, full
+from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 from models.effect import Effect, Family
 
@@ -100,7 +101,7 @@ def _as_likely_as_usual(best: FullFit, other: FullFit, base: FullFit, workspace:
             workspace,
             candidate,
         )
-    except ArithmeticError:
+    except FAILURES:
         return False
     return held.log_likelihood > best.log_likelihood + float(np.log(TIED))
 

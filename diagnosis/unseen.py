@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from diagnosis import ahead
 from diagnosis.refit import FullFit, full, off_prior
+from diagnosis.trial import FAILURES
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
-from estimators.contract import EstimationError, Status
+from estimators.contract import Status
 from estimators.gauss_newton import Block, eliminate
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
@@ -123,7 +124,7 @@ class UnseenCheck:
             parts = folds(self._base.model, workspace.recordings, workspace.support)
             amplitudes = {name for each in further for name in each.amplitudes}
             return judge(parts, lambda part: self._fits(best, further, part), amplitudes, workspace.support)
-        except (EstimationError, ArithmeticError):
+        except FAILURES:
             return None
 
     def _fits(self, best: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:

@@ -48,6 +48,7 @@ class Whitened:
 
     @classmethod
     def of(cls, fitted: Fit) -> Whitened:
+        """Raises ArithmeticError where the fit ended at the edge of what the model can do."""
         task, noise = fitted.problem, NoiseModel.of(fitted.problem)
         held, size = task.uncertain, len(task.free)
         typical = np.array([task.model.parameters[place].typical for place in (*task.free, *held)])
@@ -60,8 +61,8 @@ class Whitened:
             slopes=slopes,
             also=held,
         )
-        assert slopes is not None, "the fit ended here"
-        assert blocks is not None, "the fit ended here"
+        if slopes is None or blocks is None:
+            raise ArithmeticError("the model runs away where its own fit ended")
         bases = [np.linalg.qr(block.own)[0] for block in blocks]
         columns = np.concatenate([less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
         residual = np.concatenate([less(block.residual, basis) for block, basis in zip(blocks, bases, strict=True)])

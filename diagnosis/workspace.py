@@ -30,14 +30,15 @@ before the first row."""
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`left_out`: effects that are no candidate, and why. All that is fitted is within the `budget`; `untried` gathers
-    in words what was left for want of time."""
+    """`left_out`: effects that are no candidate, and why; `failed`: candidates that no fit of ended, and why. All that
+    is fitted is within the `budget`; `untried` gathers in words what was left for want of time."""
 
     recordings: tuple[Recording, ...]
     support: float | None
     segments: tuple[Segment, ...]
     candidates: tuple[Candidate, ...]
     left_out: dict[str, str]
+    failed: dict[str, str] = field(default_factory=dict)
     budget: Budget = UNLIMITED
     untried: list[str] = field(default_factory=list)
 

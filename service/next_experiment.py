@@ -14,6 +14,7 @@ from diagnosis.closed_loop import Experiment, simulate
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
+from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime
 from models.model import Model, ModelError
 from service.excitation import ExcitationError, InjectionPoint
@@ -100,7 +101,7 @@ def suggest_for(
         return _suggestion(vehicle, diagnosis, model, recordings, tell, budget)
     except OutOfTime:
         raise
-    except (UprightError, ArithmeticError):
+    except (UprightError, *FAILURES):
         # A diagnosis is worth having without a suggestion.
         return None
 
