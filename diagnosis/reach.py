@@ -73,10 +73,8 @@ def power_beyond(
         turns = np.asarray(2.0 * np.pi * frequency * spacing, dtype=np.float64)
         beyond = frequency[:, None] > limits
         if beyond.any():
-            total += np.sum(
-                np.where(beyond, power / expected(turns), 0.0),
-                axis=0,
-            )
+            least = expected(turns)
+            total += np.sum(np.divide(power, least, out=np.zeros_like(power), where=beyond & (least > 0.0)), axis=0)
             lines += np.sum(beyond, axis=0)
     told = lines >= FEWEST
     return np.where(told, total / np.maximum(lines, 1.0), 0.0), np.where(told, lines, 0.0)

@@ -99,7 +99,8 @@ def test_the_missing_effect_makes_the_held_out_error_fall(right: Repair) -> None
             before, after = getattr(right.before, side)[channel], getattr(right.after, side)[channel]
             assert all(a < 0.5 * b for a, b in zip(after, before, strict=True)), (side, channel)
     assert right.after.bic < right.before.bic
-    assert right.after.innovation_ratio < 0.1 * right.before.innovation_ratio
+    # Both are beside the disturbance that friction's own formula error looks like, 1 at the least.
+    assert right.after.innovation_ratio - 1.0 < 0.1 * (right.before.innovation_ratio - 1.0)
 
 
 def test_the_values_are_the_plants(right: Repair) -> None:
@@ -115,9 +116,12 @@ def test_the_values_are_the_plants(right: Repair) -> None:
 
 
 def test_what_stood_in_for_it_moves_back(right: Repair) -> None:
+    """Without friction in the model its disturbance stands in for most of it, and the drives' offset for the rest."""
     offset = right.moved["drive_offset"]
     assert offset.back
-    assert abs(offset.before) > 1.0 > 0.5 > abs(offset.after)
+    assert abs(offset.before) > 0.5 > 0.25 > abs(offset.after)
+    (before,), (after,) = right.before.disturbance, right.after.disturbance
+    assert before.std > 2.0 * after.std
 
 
 def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Repair) -> None:
