@@ -63,12 +63,14 @@ def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
 
 def undisturbed(model: Model, fitted: Model) -> Model:
     """`fitted`, which came of what `disturbed` made of `model`, without the disturbances: they are of a record."""
-    states = {each.name for each in fitted.base_states if each.correlation_time}
-    times = {each.correlation_time for each in fitted.base_states if each.correlation_time}
+    own = {each.name: each for each in model.base_states}
+    times = {each.correlation_time for each in fitted.base_states if each.name not in own}
     joints = {each.name: each for each in model.joints}
     return replace(
         fitted,
-        base_states=tuple(each for each in fitted.base_states if each.name not in states),
+        base_states=tuple(
+            replace(each, process_noise=own[each.name].process_noise) for each in fitted.base_states if each.name in own
+        ),
         base_parameters=tuple(each for each in fitted.base_parameters if each.name not in times),
         joints=tuple(replace(each, load=joints[each.name].load) for each in fitted.joints),
     )

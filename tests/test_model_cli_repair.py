@@ -169,7 +169,7 @@ def test_the_document_tells_the_whole_repair(added: tuple[str, dict[str, Any], b
     left = [repair[when]["disturbance"]["axis"]["rms"] for when in ("before", "after")]
     assert left[0] > left[1]
     assert repair["after"]["held_out"]["position"][-1] < repair["before"]["held_out"]["position"][-1]
-    assert "the held-out error 0.5 s ahead falls by" in repair["words"][0]
+    assert "the held-out error 1.25 s ahead falls by" in repair["words"][0]
     assert picture == b"\x89PNG\r\n\x1a\n"
 
 
@@ -261,7 +261,7 @@ def test_the_page_shows_the_budget_and_says_it_in_words(tmp_path: Path, recordin
     assert "█" in page
     assert "Disturbance before: " in page
     assert "Disturbance after: " in page
-    assert "the held-out error 0.5 s ahead falls by" in page
+    assert "the held-out error 1.25 s ahead falls by" in page
     assert "upright model undo" in page
 
 
