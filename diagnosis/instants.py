@@ -5,11 +5,15 @@ step there from the beginning, serves for all instants: shifted by whole rows it
 generalised likelihood ratio: Willsky and Jones, IEEE Trans. Automatic Control 21, 1976), and its products with
 innovations and nuisances at all shifts are correlations. The screen then looks at the best of them as at any other
 shape.
+
+What sets in takes as long as is usual, or is as sharp as the effect can be. A predictor that knows a random force at
+the joint (models.disturbance) follows a step within a few rows: only these show it, and a slow step that is tried at
+another instant than theirs explains next to nothing of a sudden one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,12 +29,15 @@ Array = NDArray[np.float64]
 
 INSTANT = "start"
 """What an effect calls the instant, s from the first row of a recording on, at which it sets in."""
+RISE = "rise"
+"""What it calls the time, s, that this takes: the usual one is tried, and the shortest that it can be."""
 SPACING = 0.25
 """Time scales (estimators.time_scale) between instants that are tried, 0.1 s of the MONOCAB: a step that takes three
-times as long is told to less."""
+times as long is told to less. What is sharper is tried as much more densely."""
 APART = 2.5
 """Time scales between instants that are looked at."""
 MOST = 2
+"""Of these, of each rise."""
 LEAST = 1e-9
 """Share of a step's information that has to be left beside the nuisances."""
 
@@ -39,23 +46,34 @@ def at_instants(candidate: Candidate, innovations: Whitened, full: Problem) -> C
     """`candidate` with further variants at the instants that explain most, if it sets in at an instant at all.
 
     `full` is the problem of the model with it. Only the first of its amplitudes is looked at, and only instants within
-    the longest stretch.
+    the longest stretch. The variants of the usual rise come first, then those of the shortest.
     """
     name = candidate.attached.qualified(INSTANT)
     if name not in candidate.shapes:
         return candidate
     first, scale = float(full.segments[0].time[0]), time_scale(full.model, full.segments)
-    before = {**candidate.variants[0], name: min(0.0, first) - APART * scale}
-    stretches = [moved[:, 0] for moved in innovations.moved(full, candidate.amplitudes[:1], before)]
     longest = int(np.argmax([len(segment) for segment in full.segments]))
     time = full.segments[longest].time
-    rows = max(1, round(SPACING * scale / float(np.median(np.diff(time)))))
-    shifts = np.arange(rows, len(time), rows)
-    gains = _gains(innovations, full, stretches, longest)[shifts]
-    more = [
-        {**candidate.variants[0], name: each} for each in _peaks(time[shifts].tolist(), gains.tolist(), APART * scale)
-    ]
-    return replace(candidate, variants=(*candidate.variants, *more), picked=len(more), among=max(1, len(shifts)))
+    more: list[Mapping[str, float]] = []
+    among = 0
+    for shape, sharper in _rises(candidate):
+        before = {**shape, name: min(0.0, first) - APART * scale}
+        stretches = [moved[:, 0] for moved in innovations.moved(full, candidate.amplitudes[:1], before)]
+        rows = max(1, round(SPACING * scale / sharper / float(np.median(np.diff(time)))))
+        shifts = np.arange(rows, len(time), rows)
+        gains = _gains(innovations, full, stretches, longest)[shifts]
+        more += [{**shape, name: each} for each in _peaks(time[shifts].tolist(), gains.tolist(), APART * scale)]
+        among += len(shifts)
+    return replace(candidate, variants=(*candidate.variants, *more), picked=len(more), among=max(1, among))
+
+
+def _rises(candidate: Candidate) -> list[tuple[Mapping[str, float], float]]:
+    """The usual shape of `candidate`, and where it has a shortest rise the one with that; how many times sharper."""
+    usual, name = candidate.variants[0], candidate.attached.qualified(RISE)
+    shortest = next((each.lower for each in candidate.attached.parameters if each.name == name), 0.0)
+    if not 0.0 < shortest < usual.get(name, 0.0):
+        return [(usual, 1.0)]
+    return [(usual, 1.0), ({**usual, name: shortest}, usual[name] / shortest)]
 
 
 def _gains(innovations: Whitened, full: Problem, stretches: Sequence[Array], which: int) -> Array:

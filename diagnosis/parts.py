@@ -2,7 +2,8 @@
 
 The vehicle's own model is driven by the measured motion of its actuators, and does not see what a command meets on its
 way; a model of the actuators alone sees nothing else. Both are diagnosed, and the findings are one list, the one with
-most evidence first. No effect is a candidate in both.
+most evidence first. Effects of an input are candidates in both: of the setpoint in the actuators' model, and of the
+measured motion in the vehicle's, where they act between the motor, at which it is measured, and the vehicle.
 
 An actuator's speed loop is not known beforehand (diagnosis.speed_loop_choice). Where none is adequate nothing is said
 of the command, and the whole is not adequate either.

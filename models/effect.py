@@ -315,8 +315,9 @@ def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Se
         remedy = f"model {model.name} cannot have this effect."
         what = f"needs {_ARTICLE[effect.place]}, and the model has none"
         if effect.place is Place.ACTUATOR and model.actuators:
-            what = "acts on a command, and the model is driven by the motion as it was measured"
-            remedy = "use a model that is driven by the command, such as monocab_reduced."
+            names = ", ".join(each.name for each in model.actuators)
+            what = "acts on a command, and the model says that the motion of its actuators is exactly as it was measured"
+            remedy = f"remove commanded = false from {names}, or use a model that is driven by the command."
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
     if at and at not in places:
         there = ", ".join(places)

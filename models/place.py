@@ -59,7 +59,8 @@ class Offer:
 
 
 def places_of(model: Model, place: Place) -> tuple[Joint | Actuator | Sensor, ...]:
-    """The places of a kind that `model` has. An actuator whose motion is measured has no command to act on."""
+    """The places of a kind that `model` has. An actuator that is not `commanded` offers no
+    command to act on."""
     match place:
         case Place.JOINT:
             return model.joints

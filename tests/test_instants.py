@@ -41,9 +41,14 @@ def test_the_best_instants_are_those_of_steps_that_are_tried_one_by_one() -> Non
     candidate = candidates_for(MODEL, [recording], ["torque_step"])[0][0]
     problem = workspace.problem(attached(MODEL, [candidate]))
     found = at_instants(candidate, white, problem)
-    assert found.picked == MOST
-    start = candidate.attached.qualified("start")
-    tried = [float(shape[start]) for shape in found.variants[-MOST:]]
+    # Of the usual rise first, then of the sharpest.
+    assert found.picked == 2 * MOST
+    start, rise = candidate.attached.qualified("start"), candidate.attached.qualified("rise")
+    usual, sharp = found.variants[-2 * MOST : -MOST], found.variants[-MOST:]
+    assert {shape[rise] for shape in usual} == {candidate.variants[0][rise]}
+    (lower,) = {shape[rise] for shape in sharp}
+    assert lower == next(each.lower for each in candidate.attached.parameters if each.name == rise)
+    tried = [float(shape[start]) for shape in usual]
 
     def explained(instant: float) -> float:
         column = white.directions(problem, candidate.amplitudes[:1], {**candidate.variants[0], start: instant})
