@@ -79,7 +79,7 @@ def undisturbed(model: Model, fitted: Model) -> Model:
 def _has_own(model: Model, joint: Joint) -> bool:
     """Whether a state of the model that nothing but noise drives pushes at `joint`, as a disturbance that is there."""
     parameters, pushing = {each.name for each in model.base_parameters}, set(names_in(joint.load))
-    for name in reversed(model.definitions):  # each uses those above it
+    for name in reversed(list(model.definitions)):  # each uses those above it
         pushing |= names_in(model.definitions[name]) if name in pushing else set()
     return any(
         state.process_noise > 0.0 and names_in(state.derivative) <= {state.name, *parameters}

@@ -316,7 +316,7 @@ def _place(model: Model, effect: Effect, at: str) -> tuple[Joint | Actuator | Se
         what = f"needs {_ARTICLE[effect.place]}, and the model has none"
         if effect.place is Place.ACTUATOR and model.actuators:
             names = ", ".join(each.name for each in model.actuators)
-            what = "acts on a command, and the model says that the motion of its actuators is exactly as it was measured"
+            what = "acts on a command, and the model says that its actuators move exactly as it was measured"
             remedy = f"remove commanded = false from {names}, or use a model that is driven by the command."
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
     if at and at not in places:
