@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 
-from models.model import Actuator, Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
 
 GRAVITY = 9.81
 COUNT = 2.0 * math.pi / 700.0
@@ -125,9 +125,7 @@ def _wheel(sign: str) -> str:
     )
 
 
-def _joint(
-    name: str, coordinate: str, rate: str, inertia: str, load: str, disturbance: Disturbance | None = None
-) -> Joint:
+def _joint(name: str, coordinate: str, rate: str, inertia: str, load: str) -> Joint:
     """One of those that move as the wheels do."""
     return Joint(
         name=name,
@@ -143,7 +141,7 @@ def _joint(
         # Wheels reverse at 10 rad/s^2 and more, and a gear that sticks must not creep: through 0.1 rad/s it would take
         # 10 ms, in which the gyro sees all that dry friction does.
         smooth_rate=0.01,
-        disturbance=disturbance,
+        disturbance=None,
     )
 
 
@@ -280,6 +278,8 @@ TWSBR = Model(
             coordinate_scale=0.1,
             rate_scale=1.0,
             smooth_rate=0.02,
+            # What its encoders and wheel rates say of the noise is not enough yet to tell a random torque from it.
+            disturbance=None,
         ),
         _joint(
             "travel",
@@ -287,9 +287,7 @@ TWSBR = Model(
             "travel_rate",
             "determinant / tilt_mass",
             "travel_load",
-            Disturbance(),
         ),
-        # What pushes between wheels and body pushes both: it is in the disturbances of the other two.
         _joint(
             "wheels",
             "0.5 * (left_wheel_angle + right_wheel_angle)",
