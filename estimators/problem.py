@@ -173,7 +173,8 @@ def problem(
         model = library.get(model)
     model = model.change(estimated=estimate) if estimate is not None else model
     free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
-    if not free:
+    shaken = {state.correlation_time for state in model.base_states}
+    if not any(model.parameters[place].name not in shaken for place in free):
         raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
     for place in free:
         parameter = model.parameters[place]

@@ -79,9 +79,10 @@ class RecursivePredictionError:
         values = {name: value for name, value in (parameters or {}).items() if name in names}
         spread = {name: std for name, std in (deviations or {}).items() if name in names}
         model = _computable(model.change(values, deviations=spread))
-        self._model = model = disturbed(model, ()) if method is Method.PREDICTION_ERROR else model
-        if not any(parameter.estimated for parameter in model.parameters):
+        shaken = {state.correlation_time for state in model.base_states}
+        if not any(parameter.estimated and parameter.name not in shaken for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
+        self._model = model = disturbed(model, ()) if method is Method.PREDICTION_ERROR else model
         if not memory > 0.0:
             raise EstimationError("memory", f"{memory:g} s is no time constant", remedy="give a positive one.")
         self._method = method

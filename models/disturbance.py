@@ -63,14 +63,12 @@ def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
 
 def undisturbed(model: Model, fitted: Model) -> Model:
     """`fitted`, which came of what `disturbed` made of `model`, without the disturbances: they are of a record."""
-    own = {each.name: each for each in model.base_states}
+    own = {each.name for each in model.base_states}
     times = {each.correlation_time for each in fitted.base_states if each.name not in own}
     joints = {each.name: each for each in model.joints}
     return replace(
         fitted,
-        base_states=tuple(
-            replace(each, process_noise=own[each.name].process_noise) for each in fitted.base_states if each.name in own
-        ),
+        base_states=tuple(each for each in fitted.base_states if each.name in own),
         base_parameters=tuple(each for each in fitted.base_parameters if each.name not in times),
         joints=tuple(replace(each, load=joints[each.name].load) for each in fitted.joints),
     )
@@ -117,11 +115,9 @@ def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: 
     )
     load = f"{joint.load} + {state.name}"
     joints = tuple(replace(each, load=load) if each is joint else each for each in model.joints)
-    # White noise on the joint's own rate is the same for short correlation times: one of the two is enough.
-    states = tuple(replace(each, process_noise=0.0) if each.name == joint.rate else each for each in model.base_states)
     return replace(
         model,
-        base_states=(*states, state),
+        base_states=(*model.base_states, state),
         base_parameters=(*model.base_parameters, parameter),
         joints=joints,
     )
