@@ -15,6 +15,7 @@ meat information^-1,  where meat is that of `right`: the sum of w^2 J'J, or of w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +37,8 @@ class Uncertainty:
 
 
 class RecursiveGaussNewton:
-    """The first `asked` of the unknowns z (n,) are asked for, the others a nuisance, whose prior is as good as data.
+    """The first `asked` of the unknowns z (n,) are asked for, but for those at the places `nuisance`, which as all others
+    are none, and whose prior is as good as data.
 
     `prior` (n,) is one over the variances of z. Beside z there are `own` unknowns of the running stretch and `held`
     parameters that are neither sought nor known exactly, both in units of their standard deviation. z stays within
@@ -52,6 +54,7 @@ class RecursiveGaussNewton:
         asked: int,
         own: int = 0,
         held: int = 0,
+        nuisance: Sequence[int] = (),
         clustered: bool = False,
     ) -> None:
         self._lower, self._upper = lower, upper
@@ -63,7 +66,9 @@ class RecursiveGaussNewton:
         self._others = np.r_[0:size, end : end + held]
         self._prior = np.diag(np.concatenate((prior, np.ones(own), np.zeros(held))))
         self._data = self._prior.copy()
-        self._data[:asked, :asked] = 0.0
+        sought = [place for place in range(asked) if place not in nuisance]
+        self._data[sought, sought] = 0.0
+        self._nuisance = [*nuisance, *range(asked, size)]
 
         self.z: Array = np.zeros(size)
         """The unknowns."""
@@ -124,8 +129,7 @@ class RecursiveGaussNewton:
         information = self._information + self._data
         spread = inverse(information[:end, :end])
         data_meat = meat[:end, :end].copy()
-        nuisance = range(asked, self._size)
-        data_meat[nuisance, nuisance] += np.diag(self._prior)[asked : self._size]
+        data_meat[self._nuisance, self._nuisance] += np.diag(self._prior)[self._nuisance]
         alone = spread @ data_meat @ spread
         information = self._information[:end, :end] + self._prior[:end, :end]
         spread = inverse(information)

@@ -146,6 +146,7 @@ class RecursivePredictor:
             asked=free,
             own=len(spread),
             held=len(held),
+            nuisance=self._shaken,
             clustered=self._noise is None,
         )
         shares = [_share(output, corrected=corrected) for output in model.outputs]

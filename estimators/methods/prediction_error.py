@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
-from estimators.disturbance import disturbances
+from estimators.disturbance import disturbances, is_of_disturbance
 from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.gauss_newton import Minimum, common_information, descend
 from estimators.innovations import NoiseModel
@@ -259,7 +259,9 @@ def result(fitted: Fit, began: float) -> Estimate:
         across = fitted.information(held)[:unknown, unknown:]
         deviations = np.array([task.model.parameters[place].std for place in held])
         covariance = with_known(covariance, information, across, deviations)
-    known_before = np.concatenate((fitted.prior[:size], np.zeros(unknown - size)))
+    # What is known before of a disturbance is no knowledge of the machine.
+    shaken = [parameter.name in is_of_disturbance(task.model) for parameter in task.parameters]
+    known_before = np.concatenate((np.where(shaken, 0.0, fitted.prior[:size]), np.zeros(unknown - size)))
     return assemble(
         task,
         METHOD,
