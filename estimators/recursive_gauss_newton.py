@@ -37,8 +37,8 @@ class Uncertainty:
 
 
 class RecursiveGaussNewton:
-    """The first `asked` of the unknowns z (n,) are asked for, but for those at the places `nuisance`, which as all others
-    are none, and whose prior is as good as data.
+    """The first `asked` of the unknowns z (n,) are asked for. All others, and those at the places `nuisance`, are not:
+    their prior is as good as data.
 
     `prior` (n,) is one over the variances of z. Beside z there are `own` unknowns of the running stretch and `held`
     parameters that are neither sought nor known exactly, both in units of their standard deviation. z stays within
