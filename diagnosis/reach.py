@@ -73,7 +73,9 @@ def power_beyond(
         beyond = frequency[:, None] > limits
         if beyond.any():
             turns = np.asarray(2.0 * np.pi * frequency * spacing, dtype=np.float64)
-            total += np.sum(np.where(beyond, power / expected(turns), 0.0), axis=0)
+            # At zero a predictor that integrates leaves nothing; no limit is there.
+            density = np.where(beyond, expected(turns), 1.0)
+            total += np.sum(np.where(beyond, power / density, 0.0), axis=0)
             lines += np.sum(beyond, axis=0)
     told = lines >= FEWEST
     return np.where(told, total / np.maximum(lines, 1.0), 0.0), np.where(told, lines, 0.0)
