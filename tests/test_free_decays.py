@@ -59,7 +59,7 @@ def test_viscous_friction_of_an_arm_without_gravity() -> None:
 
 
 def test_the_measured_swing_is_dry_friction(measured_data: Path) -> None:
-    """By its peaks and by its authors it is 0.2 to 0.3 N m; by a simulation that is fitted without any predictor 0.18."""
+    """By its peaks and by its authors it is 0.2 to 0.3 N m; by a simulation that is fitted without predictor 0.18."""
     folder = measured_data.parent / "field" / "swing"
     if not folder.is_dir():
         pytest.skip("the measured swing is not there")
