@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 
 from diagnosis.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.force_probe import probe
-from diagnosis.refit import log_likelihood
 from diagnosis.shapes import Shape, shapes
 from diagnosis.trial import FAILURES
 from diagnosis.where_it_fails import Views, summary, views
-from estimators.methods.prediction_error import Fit, fit
-from estimators.problem import problem
+from estimators.methods.prediction_error import Fit
 
 Array = NDArray[np.float64]
 
@@ -41,6 +39,8 @@ rest of which a curve over the rate explains a fifth; that of cubic drag, called
 
 Where a record shows much of an effect, what its formula lacks is far above the noise, and the noise of the fit stands
 in for it: the gain says little then."""
+SURE = 2.0
+"""Standard deviations by which that gain has to be more: of a short record 30 % of 50 nats may as well be 4 %."""
 CHANCE = 1e-3
 """Probability of a shape's gain, were it chance."""
 MOST = 0.5
@@ -72,7 +72,8 @@ class Adequacy:
         """Whether a force without a name goes with something."""
         if self.shape is None or self.shape.p_value >= CHANCE:
             return False
-        return self.shape.gain > SHAPED * self.gained or self.shape.share > EXPLAINED
+        surely = self.shape.gain - SURE * self.shape.std
+        return surely > SHAPED * self.gained or self.shape.share > EXPLAINED
 
     @property
     def named(self) -> bool:
@@ -115,23 +116,7 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
         return Adequacy(before, float("inf"), None)
     sure = [each for each in shaped if each.p_value < CHANCE] or shaped
     struck = any(each.effect.strikes for each in last.problem.model.effects)
-    gained = max(gained, _gained_beside(first, last)) if gained > 0.0 else gained
     return Adequacy(before, left.ratio, seen, sure[0] if sure else None, gained, struck)
-
-
-def _gained_beside(first: Fit, last: Fit) -> float:
-    """What `last` gains in log likelihood over the model of `first` beside the disturbance that `last` leaves.
-
-    What a shape gains is told beside that one, too. Beside its own, the model without an effect takes the effect for a
-    disturbance: of a pendulum's dry friction, 30 mrad after five seconds, it left 50 nats.
-    """
-    task, values = shaken_as(first.problem, first.values, last)
-    began = task.model.change(dict(zip(task.kernel.parameters, values.tolist(), strict=True)))
-    try:
-        alone = fit(problem(began, (), rows=task.segments))
-    except FAILURES:
-        return 0.0
-    return log_likelihood(last) - log_likelihood(alone)
 
 
 def over_floor(fitted: Fit, best: Fit, values: Array | None = None) -> float:

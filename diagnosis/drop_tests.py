@@ -14,6 +14,7 @@ from typing import Any
 from diagnosis.effect_fit import fit_model
 from diagnosis.ready import ready
 from diagnosis.repair_result import ODDS, SURE
+from estimators.resting import without_rests
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -69,6 +70,7 @@ def drop_tests(
     count = 1.0 + len(model.effects)
     told("fitting the whole model", 0.0)
     model = ready(model, recordings)
+    recordings = without_rests(model, recordings)
     whole = fit_model(model, recordings, support=support)
     found = []
     for place, attached in enumerate(model.effects):

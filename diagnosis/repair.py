@@ -35,6 +35,7 @@ from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
+from estimators.resting import without_rests
 from estimators.segments import after_settling, channels_of, optional_channels
 from models.effect import Effect
 from models.effects import find
@@ -110,7 +111,9 @@ def _repair(
     support: float | None,
     told: Progress,
 ) -> Repair:
-    recordings, held_out = (after_settling(model, each, support) for each in (recordings, held_out))
+    recordings, held_out = (
+        without_rests(model, after_settling(model, each, support)) for each in (recordings, held_out)
+    )
     candidate = candidate_of(model, model.add(effect, at).effects[-1])
     neighbours = _neighbours(model, candidate, recordings)
     training, tried = split(model, recordings, held_out, support)

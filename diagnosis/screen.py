@@ -135,6 +135,9 @@ def screen(
             place += len(each.amplitudes)
             if np.all(np.isfinite(found)):
                 parts.append((each, number, found))
+    told = {each.name for each, _, _ in parts}
+    silent = [each.name for each in candidates if each.name not in {*told, *failed}]
+    failed.update(dict.fromkeys(silent, "its derivatives are not finite"))
     if not parts:
         return Screen((), {})
     columns = np.column_stack([part for _, _, part in parts])

@@ -45,8 +45,8 @@ class Shape:
     """What a force of one kind of shape would gain in log likelihood, beyond what chance gains, and how likely that is.
 
     `name` is what it goes with at `joint`, `p_value` with all kinds looked at, `share` how much of the innovations'
-    energy it explains. The gain is at the noise of the fit, which had to stand in for what is missing: where little
-    else is left, the share tells more.
+    energy it explains; `std` is the gain's standard deviation. The gain is at the noise of the fit, which had to stand
+    in for what is missing: where little else is left, the share tells more.
     """
 
     joint: str
@@ -54,6 +54,7 @@ class Shape:
     gain: float
     p_value: float
     share: float = 0.0
+    std: float = 0.0
 
 
 def shapes(found: Innovations, probed: Probe) -> list[Shape]:
@@ -76,7 +77,7 @@ def shapes(found: Innovations, probed: Probe) -> list[Shape]:
             tried.append((joint.name, f"{name} swinging in time", best, lines))
     kinds = max(len(tried), 1)
     ranked = [
-        Shape(joint, name, best.beyond, min(1.0, kinds * pieces * best.by_chance), best.share)
+        Shape(joint, name, best.beyond, min(1.0, kinds * pieces * best.by_chance), best.share, best.std)
         for joint, name, best, pieces in tried
         if best.rank
     ]
@@ -157,6 +158,11 @@ class _Gain:
     def beyond(self) -> float:
         """Of the log likelihood, beyond what chance gains."""
         return 0.5 * (self.explained / self.inflation - self.rank)
+
+    @property
+    def std(self) -> float:
+        """Of that: what it explains is chi squared, not central by what is there."""
+        return 0.5 * math.sqrt(2.0 * self.rank + 8.0 * max(self.beyond, 0.0))
 
     @property
     def share(self) -> float:

@@ -22,19 +22,19 @@ Array = NDArray[np.float64]
 
 EVEN = 0.02
 """Share of a step by which readings may be off the grid of the steps: what text has rounded away."""
-FEWEST = 3
-"""Readings a value, on average, from which on steps show: among continuous readings hardly two are alike."""
+FEWEST = 10
+"""Values that have to occur: three may be multiples of anything."""
 
 
 def step_of(values: Array) -> float:
     """The step in which `values` (n,) count; 0 where they do not.
 
-    It is the smallest between two that occur, if all others are multiples of it. A channel of which hardly any two
-    readings are alike is continuous, in whatever digits it is written.
+    It is the smallest between two that occur, if all others are multiples of it. Numbers that were written with so many
+    decimals count in these, which is far below the noise of most sensors.
     """
     known = values[np.isfinite(values)]
     distinct = np.unique(known)
-    if len(distinct) < 2 or len(known) < FEWEST * len(distinct):
+    if len(distinct) < FEWEST:
         return 0.0
     apart = np.diff(distinct)
     step = float(np.min(apart[apart > 1e-9 * np.ptp(distinct)], initial=np.inf))

@@ -2,8 +2,8 @@
 
 Friction holds a machine against any force up to its own, and no formula that is drawn as a slope at rest holds it for
 long. Row after row of the same count, taken for as many measurements, would weigh that more than all motion before. So
-where every output is counted and none has counted for longer than REST, the middle is left out, and what is on both
-sides are stretches of their own.
+where every output is counted and none has counted for longer than REST, the rows up to the next count are left out, and
+what is on both sides are stretches of their own.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from models.natural_time import USUAL, natural_time
 from telemetry.recording import Recording
 
 REST = 1.0
-"""Natural times (models.natural_time) of the same count that are kept at either end of a rest: an axis that swings has
-turned by then."""
+"""Natural times (models.natural_time) of the same count that are a rest: an axis that swings has turned by then."""
 
 
 def without_rests(model: Model, recordings: Sequence[Recording]) -> list[Recording]:
@@ -41,9 +40,13 @@ def _without(recording: Recording, names: Sequence[str], kept: float) -> Recordi
     return replace(recording, values={**recording.values, **hidden})
 
 
-def _rests(counts: NDArray[np.float64], time: NDArray[np.float64], kept: float) -> NDArray[np.bool_]:
-    """Which rows (n,) are further than `kept` s from the last change of `counts` (n, m) and from the next."""
+def _rests(counts: NDArray[np.float64], time: NDArray[np.float64], longest: float) -> NDArray[np.bool_]:
+    """Which rows (n,) are of a run of the same `counts` (n, m) that lasts for more than `longest` s, but for its
+    first."""
     changes = np.flatnonzero(np.any(np.diff(counts, axis=0) != 0.0, axis=1)) + 1
-    edges = np.concatenate(([-np.inf], time[changes], [np.inf]))
+    starts = np.concatenate(([0], changes))
+    ends = np.concatenate((time[changes], time[-1:]))
     place = np.searchsorted(changes, np.arange(len(time)), side="right")
-    return np.asarray((time - edges[place] > kept) & (edges[place + 1] - time > kept))
+    rests = (ends - time[starts] > longest)[place]
+    rests[starts] = False
+    return np.asarray(rests)

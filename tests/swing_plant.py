@@ -1,0 +1,117 @@
+"""Bodies that swing or coast freely, apart from the models: they really stick, and others look at them.
+
+inertia angle'' = torque - stiffness sin(angle) - viscous angle' - dry friction, semi-implicit steps, with Karnopp's
+friction: a body whose rate would turn within a step rests where the force on it is less than the dry friction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.model import Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from telemetry.recording import Recording, describe
+
+Array = NDArray[np.float64]
+
+
+def nothing(time: float) -> float:
+    return 0.0
+
+
+@dataclass(frozen=True)
+class Body:
+    """SI units; `begin` is where it is let go, rad. Recorded for `span` s at `rate` Hz."""
+
+    inertia: float = 0.02
+    stiffness: float = 0.8
+    dry: float = 0.0
+    viscous: float = 0.0
+    begin: float = 1.2
+    span: float = 30.0
+    rate: float = 200.0
+    torque: Callable[[float], float] = nothing
+
+    def course(self) -> tuple[Array, Array]:
+        """Time and angle of each row."""
+        finer = max(4, round(4000.0 / self.rate))
+        step, angle, speed, rows = 1.0 / self.rate / finer, self.begin, 0.0, []
+        for row in range(round(self.span * self.rate)):
+            rows.append(angle)
+            given = self.torque(row / self.rate)
+            for _ in range(finer):
+                force = given - self.stiffness * math.sin(angle) - self.viscous * speed
+                sticks = abs(force) <= self.dry
+                if speed == 0.0 and sticks:
+                    break
+                against = math.copysign(self.dry, speed or force)
+                moved = speed + step * (force - against) / self.inertia
+                speed = 0.0 if moved * speed < 0.0 and sticks else moved
+                angle += step * speed
+        return np.arange(len(rows)) / self.rate, np.array(rows)
+
+    def by_encoder(self, counts: int) -> Recording:
+        """Angle in `counts` a turn, and the torque."""
+        time, angle = self.course()
+        count = 2.0 * np.pi / counts
+        torque = np.array([self.torque(each) for each in time.tolist()])
+        return _table(time, {"position": np.round(angle / count) * count, "torque": torque})
+
+    def by_camera(self, *, noise: float, jitter: float, late: float, rate: float, seed: int) -> Recording:
+        """White noise, rad; each picture is taken `late` s before its time stamp, give or take `jitter` s, and the
+        stamps are no more regular."""
+        random = np.random.default_rng(seed)
+        time, angle = self.course()
+        stamps = np.arange(0.1, time[-1] - 0.1, 1.0 / rate)
+        stamps = stamps + jitter * random.standard_normal(len(stamps))
+        exposed = stamps - late + jitter * random.standard_normal(len(stamps))
+        seen = np.interp(exposed, time, angle) + noise * random.standard_normal(len(stamps))
+        return _table(stamps, {"position": seen, "torque": np.zeros(len(stamps))})
+
+    def model(self, noise: float, force: float) -> Model:
+        """Without friction, its inertia 10 % off; `force` is typical at the joint, N m."""
+        return Model(
+            name="swing",
+            title="A body that swings",
+            base_states=(
+                State("angle", "rad", "rate", initial="position", initial_std=0.1),
+                State("rate", "rad/s", "pivot_force / inertia", initial_std=1.0, process_noise=0.01),
+            ),
+            inputs=(Input("torque", "N m", Hold.ZERO_ORDER),),
+            outputs=(Output("position", "rad", "angle", noise=noise),),
+            base_parameters=(
+                Parameter("inertia", "kg m^2", 1.1 * self.inertia, std=0.2 * self.inertia, lower=0.0),
+                Parameter("stiffness", "N m/rad", self.stiffness, estimated=False),
+            ),
+            joints=(
+                Joint(
+                    name="pivot",
+                    coordinate="angle",
+                    rate="rate",
+                    inertia="inertia",
+                    load="torque - stiffness * sin(angle)",
+                    force_unit="N m",
+                    coordinate_unit="rad",
+                    force_scale=force,
+                    coordinate_scale=1.0,
+                    rate_scale=5.0,
+                    smooth_rate=0.02,
+                    disturbance=Disturbance(),
+                ),
+            ),
+            sensors=(Sensor("encoder", angle="position"),),
+        )
+
+
+def pushed(time: float) -> float:
+    """N m: a push every six seconds, to and fro."""
+    return 0.05 * (-1.0) ** int(time // 6.0) if time % 6.0 < 0.6 else 0.0
+
+
+def _table(time: Array, values: dict[str, Array]) -> Recording:
+    units = {"position": "rad", "torque": "N m"}
+    return Recording(describe(units), np.round(time * 1e9).astype(np.int64), values)
