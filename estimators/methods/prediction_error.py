@@ -42,6 +42,8 @@ ITERATIONS = 200
 """Steps at most. A robot of which seven numbers do much the same takes up to 102 (60 fits of 30 records)."""
 ENOUGH = 1e-3
 """Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
+MUCH = 3.0
+"""Natural logarithm by which a disturbance is more, and white noise less, than the model says, to begin with."""
 HORIZON = 1.25
 """Time scales (estimators.time_scale) ahead that fit_percent tells of: half a second of the MONOCAB."""
 
@@ -175,9 +177,37 @@ def fit(
 ) -> Fit:
     """Parameters and noise from the model's values on, or from `begin`, in so many steps at most.
 
-    Noise and initial states begin as in the fit `near`, of the same data, where there is one.
+    Noise and initial states begin as in the fit `near`, of the same data, where there is one. White process noise and a
+    disturbance take each other's place: what is missing may first go into the one that is less likely in the end. So
+    where there is nothing else to begin from, the noise also begins with much of the latter and little of the former,
+    and the likelier end stays.
     Raises ArithmeticError where even these values run away.
     """
+    starts = [begin] if begin is not None or near is not None else _starts(task)
+    found: list[Fit] = []
+    for place, start in enumerate(starts):
+        try:
+            found.append(_fit(task, prior, iterations, near, start))
+        except ArithmeticError:
+            if place == len(starts) - 1 and not found:
+                raise
+    return min(found, key=lambda each: each.minimum.cost)
+
+
+def _starts(task: Problem) -> list[Begin | None]:
+    """Of the noise: as the model has it, and with much of its disturbances and little white."""
+    noise, states = NoiseModel.of(task), task.model.states
+    numbers = list(zip(noise.noisy, noise.process_place, strict=True))
+    shaken = [number for place, number in numbers if states[place].correlation_time]
+    white = [number for place, number in numbers if not states[place].correlation_time]
+    if not (shaken and white):
+        return [None]
+    logarithms = np.zeros(noise.size)
+    logarithms[white], logarithms[shaken] = -MUCH, MUCH
+    return [None, Begin({}, logarithms)]
+
+
+def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: Begin | None) -> Fit:
     size = len(task.free)
     likelihood = Likelihood.of(task, np.array([parameter.std if prior else 0.0 for parameter in task.parameters]))
     noises = np.ones(likelihood.noise.size)
