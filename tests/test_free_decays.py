@@ -10,7 +10,7 @@ from swing_plant import Body, pushed
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.ready import ready
-from estimators.innovations import NoiseModel
+from estimators import innovations
 from estimators.likelihood import Likelihood
 from estimators.problem import problem, typical_motion
 from estimators.quantised import step_of
@@ -120,17 +120,12 @@ def test_the_usual_rate_is_found_where_an_output_has_a_name_of_its_own() -> None
     )
 
 
-def test_the_gain_does_not_depend_on_the_unit_of_a_force() -> None:
-    """A disturbance of 1e4 in one unit and of 1e-4 in another: what is known of the angle is the same."""
-    body = Body(span=10.0)
-    record = body.by_encoder(4096)
-    gains = []
-    for unit in (1e-4, 1.0, 1e6):
-        scaled = Body(inertia=body.inertia * unit, stiffness=body.stiffness * unit)
-        task = problem(ready(scaled.model(1e-4, 0.3 * unit), [record]), [record])
-        noise = NoiseModel.of(task)
-        gain = noise.gain(task.kernel.vector(), np.zeros(noise.size))
-        assert gain is not None
-        gains.append(gain[:2])
-    assert gains[0] == pytest.approx(gains[1], rel=1e-4)
-    assert gains[2] == pytest.approx(gains[1], rel=1e-4)
+def test_a_covariance_is_settled_when_each_of_its_states_is() -> None:
+    """A disturbance of 100 N m that fades within two rows, and beside it an angle of 1e-5 rad that wanders slowly."""
+    transition, known = np.diag([0.6, 0.99995]), np.diag([1e-4, 1e10])
+    process = np.diag([1e4, 1e-18])
+    both = innovations._doubled(transition, known, process)
+    alone = innovations._doubled(transition[1:, 1:], known[1:, 1:], process[1:, 1:])
+    assert both is not None
+    assert alone is not None
+    assert both[1, 1] / alone[0, 0] == pytest.approx(1.0, rel=1e-6)
