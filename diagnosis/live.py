@@ -30,7 +30,7 @@ from estimators.problem import FINEST as STEP
 from estimators.problem import Problem
 from estimators.problem import at_rest as moment_at_rest
 from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, at_rest
-from estimators.recursive_predictor import Seen, inputs_at, measured_state
+from estimators.recursive_predictor import Seen, inputs_at, measured_state, of_noise
 from models.disturbance import disturbed
 from models.effect import Effect
 from models.effects import CATALOGUE
@@ -46,9 +46,9 @@ JOINED = 4
 FINEST = 8
 """Steps a row, at most."""
 FAR = (0.05, 0.6)
-"""Typical sizes of a parameter, and natural logarithms of a noise, after which all is gone through again with the
-recursion. It does so at half of these logarithms, for its gain, which tells effects apart no better: hardly anything is
-known of some noises, so that these move for minutes."""
+"""Typical sizes of a parameter, and natural logarithms of a noise or of how long it lasts, after which all is gone
+through again with the recursion. It does so at half of these logarithms, for its gain, which tells effects apart no
+better: hardly anything is known of some noises, so that these move for minutes."""
 LINE = "periodic_disturbance"
 """The effect whose frequency is followed."""
 NEAR = 0.25
@@ -139,8 +139,7 @@ class LiveDiagnosis:
 
     def result(self) -> LiveResult:
         """What is missing, as far as it shows."""
-        found = LiveResult((), {}, 0, self._failure) if self._failure else self._result
-        return replace(found, disturbance=self.estimator.result().disturbance)
+        return LiveResult((), {}, 0, self._failure) if self._failure else self._result
 
     def _see(self, seen: Seen) -> None:
         """A chunk of the recursion. Whatever goes wrong here, the recursion goes on."""
@@ -195,7 +194,8 @@ class LiveDiagnosis:
             whole = began <= self._began
             self._gathered = Gathered.of(self._base, self._candidates, last, whole=whole)
             self._seen_from = last.z
-            self._far = np.repeat(FAR, (len(self._base.free), len(last.z) - len(self._base.free)))
+            noisy = np.concatenate((of_noise(self._base), np.ones(len(last.z) - len(self._base.free), dtype=bool)))
+            self._far = np.where(noisy, FAR[1], FAR[0])
             self._line = LineFinder(float(np.median(np.diff(chunk.segment.time))))
             self._line_since = 0
         assert self._line is not None
@@ -212,7 +212,8 @@ class LiveDiagnosis:
         columns[:, len(order) : -1] = effects
         whole = gathered.add(*self._moving(columns, chunk)) and last.place + 1 >= last.count
         if whole and (last.count or gathered.is_due()):
-            self._result = gathered.look(self._shapes, {LINE: self._line.bins})
+            found = gathered.look(self._shapes, {LINE: self._line.bins})
+            self._result = replace(found, disturbance=self.estimator.disturbance())
             self._follow_line()
 
     def _moving(self, columns: Array, chunk: Chunk) -> tuple[Array, list[tuple[slice, float, float]]]:

@@ -81,6 +81,19 @@ class DisturbanceEstimate:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class LongRun:
+    """How far off initial states may be, `spread` (k,), where that is what a disturbance is in the long run.
+
+    `logarithm`: sum of the logarithms of these spreads. `entries`: (which of the k, which unknown, derivative of the
+    logarithm of its spread by that).
+    """
+
+    spread: Array
+    logarithm: float
+    entries: tuple[tuple[int, int, float], ...]
+
+
 def rms(found: DisturbanceEstimate) -> str:
     """`8.1 ± 0.4 N m RMS`."""
     size = f"{found.std:.3g}" if found.std_error is None else with_error(found.std, found.std_error)
@@ -164,6 +177,26 @@ def stated(model: Model, fitted: Fit) -> Model:
         for each in model.base_parameters
     )
     return replace(model, base_states=states, base_parameters=parameters)
+
+
+def long_run(noise: NoiseModel, values: Array, logarithms: Array) -> LongRun:
+    """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
+    task = noise.problem
+    spread, logarithm, entries = task.spread.copy(), 0.0, []
+    for number, place in enumerate(task.own):
+        state = task.model.states[place]
+        if not state.correlation_time:
+            continue
+        time = task.kernel.index(state.correlation_time)
+        which = noise.logarithm_of(state.name)
+        grown = 0.0 if which is None else float(logarithms[which])
+        spread[number] = state.process_noise * np.exp(grown) * np.sqrt(0.5 * values[time])
+        logarithm += float(np.log(spread[number] / task.spread[number]))
+        if time in task.free:
+            entries.append((number, task.free.index(time), 0.5 / float(values[time])))
+        if which is not None:
+            entries.append((number, len(task.free) + which, 1.0))
+    return LongRun(spread, logarithm, tuple(entries))
 
 
 def densities(fitted: Fit) -> Mapping[str, float]:

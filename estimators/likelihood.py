@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.disturbance import LongRun, long_run
 from estimators.gauss_newton import Expansion, Normal
 from estimators.innovations import NoiseModel
 from estimators.problem import Problem
@@ -40,19 +41,6 @@ class Seen(Expansion):
 
     gain: Array
     covariance: Array
-
-
-@dataclass(frozen=True, slots=True)
-class LongRun:
-    """How far off initial states may be, `spread` (k,), where that is what a disturbance is in the long run.
-
-    `logarithm`: sum of the logarithms of these spreads. `entries`: (which of the k, which unknown, derivative of the
-    logarithm of its spread by that).
-    """
-
-    spread: Array
-    logarithm: float
-    entries: tuple[tuple[int, int, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,21 +118,7 @@ class Likelihood:
 
     def long_run(self, values: Array, logarithms: Array) -> LongRun:
         """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
-        task, spread, logarithm, entries = self.task, self.task.spread.copy(), 0.0, []
-        for number, place in enumerate(task.own):
-            state = task.model.states[place]
-            if not state.correlation_time:
-                continue
-            time = task.kernel.index(state.correlation_time)
-            noise = self.noise.logarithm_of(state.name)
-            grown = 0.0 if noise is None else float(logarithms[noise])
-            spread[number] = state.process_noise * np.exp(grown) * np.sqrt(0.5 * values[time])
-            logarithm += float(np.log(spread[number] / task.spread[number]))
-            if time in task.free:
-                entries.append((number, task.free.index(time), 0.5 / float(values[time])))
-            if noise is not None:
-                entries.append((number, len(task.free) + noise, 1.0))
-        return LongRun(spread, logarithm, tuple(entries))
+        return long_run(self.noise, values, logarithms)
 
     @property
     def _counted(self) -> Array:

@@ -25,6 +25,13 @@ from estimators.fit_result import inverse, with_known
 
 Array = NDArray[np.float64]
 
+SLIGHT = 0.5
+"""Standard deviations that are no move to speak of."""
+STEPS = 4
+"""Times the number of unknowns: how often one of them may come to a bound or leave it."""
+ROUNDING = 1e-9
+"""Standard deviations by which an unknown that is held at its bound may want to leave it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
@@ -69,6 +76,7 @@ class RecursiveGaussNewton:
         sought = [place for place in range(asked) if place not in nuisance]
         self._data[sought, sought] = 0.0
         self._nuisance = [*nuisance, *range(asked, size)]
+        self._side = np.isin(np.arange(size), self._nuisance)
 
         self.z: Array = np.zeros(size)
         """The unknowns."""
@@ -81,8 +89,9 @@ class RecursiveGaussNewton:
         self._meat: Array = np.zeros((total, total))
         self._right: Array = np.zeros(total)
 
-    def begin(self) -> None:
-        """The next chunk begins a stretch: what the last one's own unknowns explain is taken out."""
+    def begin(self, prior: Array) -> None:
+        """The next chunk begins a stretch: what the last one's own unknowns explain is taken out. `prior` (k,) is one
+        over the variances of the next one's."""
         own, others = self._own, self._others
         turn = np.zeros((len(others), len(self._right)))
         turn[:, others] = np.eye(len(others))
@@ -95,6 +104,8 @@ class RecursiveGaussNewton:
         self._information[np.ix_(others, others)] = information
         self._meat[np.ix_(others, others)] = meat
         self._right[others] = right
+        for each in (self._prior, self._data):
+            each[own, own] = np.diag(prior)
 
     def add(self, residual: Array, columns: Array, kept: float) -> None:
         """Take a chunk: `residual` (m,), `columns` (m, n + own + held) derivatives of the prediction.
@@ -114,13 +125,61 @@ class RecursiveGaussNewton:
 
     def move(self, about: Array, reach: Array) -> bool:
         """Go to the solution, but not farther from `about` (n,) than `reach` (n,), nor beyond the bounds; whether
-        `reach` held it back."""
-        end = self._end
+        `reach` held it back.
+
+        Those that are asked for go in one direction, as far as all of them may. The nuisances are held one by one: how
+        far a noise that hardly matters would go must not shorten their way.
+        """
+        side = self._side
+        lower = np.where(side, np.maximum(self._lower, about - reach), self._lower)
+        upper = np.where(side, np.minimum(self._upper, about + reach), self._upper)
+        away = self._solution(about, lower, upper) - about
+        share = float(np.min(reach[~side] / np.maximum(np.abs(away[~side]), 1e-300), initial=1.0))
+        self.z = np.clip(about + np.where(side, 1.0, share) * away, self._lower, self._upper)
+        stopped = bool((np.abs(away[side]) >= reach[side]).any())
+        return share < 1.0 or (stopped and self.side_deviations(about) > SLIGHT)
+
+    def side_deviations(self, about: Array) -> float:
+        """How far the nuisances are from `about` (n,), in standard deviations of where all others are known."""
+        moved = (self.z - about)[self._nuisance]
+        places = np.ix_(self._nuisance, self._nuisance)
+        information = self._information[places] + self._prior[places]
+        return float(np.sqrt(moved @ information @ moved))
+
+    def _solution(self, about: Array, lower: Array, upper: Array) -> Array:
+        """Where z solves the equations best (n,) between `lower` and `upper` (n,), from `about` (n,) there on.
+
+        What comes to its bound is held there while the others go on, and let go where it would come back: the primal
+        active set method (Nocedal and Wright, "Numerical optimization", 2nd ed., algorithm 16.3).
+        """
+        size, end = self._size, self._end
         information = self._information[:end, :end] + self._prior[:end, :end]
-        away = np.linalg.solve(information, self._right[:end])[: self._size] - about
-        share = float(np.min(reach / np.maximum(np.abs(away), 1e-300)))
-        self.z = np.clip(about + min(1.0, share) * away, self._lower, self._upper)
-        return share < 1.0
+        right = self._right[:end]
+        solution = np.asarray(np.linalg.solve(information, right), dtype=np.float64)
+        if ((solution[:size] >= lower) & (solution[:size] <= upper)).all():
+            return solution[:size]
+        least, most = np.full(end, -np.inf), np.full(end, np.inf)
+        least[:size], most[:size] = lower, upper
+        at = np.concatenate((about, solution[size:]))
+        free = np.ones(end, dtype=bool)
+        for _ in range(STEPS * size):
+            way = np.zeros(end)
+            way[free] = np.linalg.solve(information[np.ix_(free, free)], (right - information @ at)[free])
+            bound = np.where(way > 0.0, most, least) - at
+            room = np.divide(bound, way, out=np.full(end, np.inf), where=np.abs(way) > 0.0)
+            stop = int(np.argmin(room))
+            if room[stop] < 1.0:
+                at = at + max(room[stop], 0.0) * way
+                at[stop], free[stop] = (most if way[stop] > 0.0 else least)[stop], False
+                continue
+            at = at + way
+            pull = np.where(free, 0.0, right - information @ at)
+            inward = np.where(at <= least, pull, np.where(at >= most, -pull, 0.0)) / np.sqrt(np.diag(information))
+            back = int(np.argmax(inward))
+            if inward[back] <= ROUNDING:
+                break
+            free[back] = True
+        return at[:size]
 
     def uncertainty(self) -> Uncertainty:
         """How well the unknowns asked for are known now."""

@@ -20,6 +20,7 @@ from enum import StrEnum
 import numpy as np
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
+from estimators.disturbance import DisturbanceEstimate, is_of_disturbance
 from estimators.frame_chunks import FrameChunks
 from estimators.problem import FINEST, Problem, jacobian
 from estimators.recursive_predictor import RecursivePredictor, Seen
@@ -82,6 +83,7 @@ class RecursivePredictionError:
         shaken = {state.correlation_time for state in model.base_states}
         if not any(parameter.estimated and parameter.name not in shaken for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
+        # A simulation that begins anew every second knows nothing of what pushed before.
         self._model = model = disturbed(model, ()) if method is Method.PREDICTION_ERROR else model
         if not memory > 0.0:
             raise EstimationError("memory", f"{memory:g} s is no time constant", remedy="give a positive one.")
@@ -128,12 +130,19 @@ class RecursivePredictionError:
         lost = f"the predictor lost the vehicle {predictor.lost} times and began anew at the measurement"
         return replace(estimate, reason="; ".join(filter(None, (estimate.reason, lost))))
 
+    def disturbance(self) -> tuple[DisturbanceEstimate, ...]:
+        """The random force at each joint, as in the result."""
+        return () if self._predictor is None else self._predictor.disturbance()
+
     def _no_result(self, span: float) -> Estimate:
         came = "the vehicle has hardly left its supports" if self._chunks.cycles else "no control cycle has come in yet"
         reason = f"{span:.1f} s of free motion, {SHORTEST_SPAN:g} s needed: {came}"
         lacking = Status.TOO_FEW_SAMPLES
+        others = is_of_disturbance(self._problem.model)
         unknown = {
-            p.name: ParameterEstimate(None, None, p.unit, lacking, 0.0, reason) for p in self._problem.parameters
+            p.name: ParameterEstimate(None, None, p.unit, lacking, 0.0, reason)
+            for p in self._problem.parameters
+            if p.name not in others
         }
         return Estimate(self.method, unknown, lacking, reason, 0, span)
 

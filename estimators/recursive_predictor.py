@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
-from estimators.disturbance import DisturbanceEstimate, is_of_disturbance, told
+from estimators.disturbance import DisturbanceEstimate, is_of_disturbance, long_run, told
 from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
@@ -37,7 +37,7 @@ from estimators.innovations import NoiseModel
 from estimators.logarithms import is_known_roughly
 from estimators.methods.prediction_error import FLOOR
 from estimators.problem import Problem
-from estimators.recursive_gauss_newton import RecursiveGaussNewton
+from estimators.recursive_gauss_newton import SLIGHT, RecursiveGaussNewton
 from models.expressions import number
 from models.kernel import Memory
 from models.model import Output
@@ -46,7 +46,8 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 GAIN_MOVES = (0.5, 0.5)
-"""Typical sizes of a parameter, and natural logarithms of a noise, after which the gain is computed anew."""
+"""Typical sizes of a parameter, and natural logarithms of a noise or of how long it lasts, after which the gain is
+computed anew."""
 FAR, REACH = (0.05, 0.3), (0.5, 0.5)
 """The same after which what is kept is gone through again, and how far from there the unknowns may go before it is."""
 SOONEST, USUAL, ROUGH, URGENT = 0.5, 1.2, 1.1, 1.05
@@ -64,8 +65,9 @@ ABSURD = 30.0
 ALIKE = 0.01
 """Share of its noise by which a count may differ from another one that reads exactly like it, as both wheels of a
 vehicle that is symmetric to the last bit do: together they say no more than one of them."""
-LOGARITHM = 0.5
-"""Typical size of the logarithm of a parameter that is known roughly."""
+LOGARITHM, OF_NOISE = 0.5, 1.0
+"""Typical size of the logarithm of a parameter that is known roughly, and of one that says how long a noise lasts: as
+of the logarithm of its size."""
 WIDE = 10.0
 """Typical sizes within which a parameter lies of which nothing is known."""
 
@@ -116,9 +118,12 @@ class RecursivePredictor:
         free, logarithms = len(problem.free), self._noise.size if self._noise else 0
         self._roughly = np.array([is_known_roughly(parameter) for parameter in problem.parameters], dtype=bool)
         # How long a disturbance lasts is known roughly, too, and is no factor of a product that is better known.
-        shaken = np.array([p.name in is_of_disturbance(problem.model) for p in problem.parameters], dtype=bool)
+        shaken = of_noise(problem)
         self._shaken = tuple(np.flatnonzero(shaken).tolist())
+        self._shaken_states = any(state.correlation_time for state in model.base_states)
+        self._machine = np.flatnonzero(~shaken)
         self._one_place = bool((self._roughly & ~shaken).any())
+        self._logarithm = np.where(shaken, OF_NOISE, LOGARITHM)
         self._usual = ROUGH if self._one_place else USUAL
         parameters, states, outputs = len(kernel.parameters), len(kernel.states), len(kernel.outputs)
         gains = range(states * outputs) if self._noise else ()
@@ -134,11 +139,12 @@ class RecursivePredictor:
         self._own = slice(free, free + len(spread))
         self._free = free
         self._start, (self._lower, self._upper) = problem.start, problem.bounds
-        self._scale = np.where(self._roughly, LOGARITHM * self._start, problem.scale)
+        self._scale = np.where(self._roughly, self._logarithm * self._start, problem.scale)
         known = np.array([p.std if p.std > 0.0 else WIDE * p.typical for p in problem.parameters])
         widest, vague = (self._noise.widest, self._noise.spread) if self._noise else (np.zeros(0), np.zeros(0))
         prior = np.concatenate(((self._scale / known) ** 2, vague**-2))
         self._prior = np.concatenate((prior, np.ones(len(spread) + len(held))))
+        self._stretch = slice(len(prior), len(prior) + len(spread))
         self._regression = RecursiveGaussNewton(
             prior,
             np.concatenate((self._inside(self._lower), -widest)),
@@ -164,9 +170,11 @@ class RecursivePredictor:
         self._seen_from, self._seen_at = self._regression.z, 0.0
         self._rounds = 0
         self._settled = True
+        noisy = np.concatenate((shaken & self._roughly, np.ones(logarithms, dtype=bool)))
         self._far, self._reach, self._gain_moves = (
-            np.repeat(sizes, (free, logarithms)) for sizes in (FAR, REACH, GAIN_MOVES)
+            np.where(noisy, of_a_noise, of_a_parameter) for of_a_parameter, of_a_noise in (FAR, REACH, GAIN_MOVES)
         )
+        self._gain_unknowns = np.array([*self._shaken, *range(free, free + logarithms)], dtype=np.int64)
         self.rows = 0
         """Rows that were learned from."""
         self.span = 0.0
@@ -201,9 +209,13 @@ class RecursivePredictor:
         held_back = self._regression.move(self._seen_from, self._reach)
         moved = np.abs(self._regression.z - self._seen_from)
         again_at = max(SOONEST, self._seen_at * (URGENT if held_back or self._noise is None else self._usual))
-        if self.span >= again_at and np.any(moved > self._far):
+        far = moved > self._far
+        # Of a noise that hardly matters anything is as likely: where it is seen from matters as little.
+        if not far[self._machine].any() and self._regression.side_deviations(self._seen_from) <= SLIGHT:
+            far[:] = False
+        if self.span >= again_at and far.any():
             moved = self._learn_again()
-        self._settled = bool(np.all(moved[: self._free] < 0.99 * self._reach[: self._free]))
+        self._settled = bool(np.all(moved[self._machine] < 0.99 * self._reach[self._machine]))
 
     def estimate(self, method: str) -> Estimate:
         """What is known now, under the name `method`."""
@@ -232,9 +244,13 @@ class RecursivePredictor:
             disturbance=self._disturbance(uncertainty.every),
         )
 
+    def disturbance(self) -> tuple[DisturbanceEstimate, ...]:
+        """What shakes the vehicle, as of `estimate`."""
+        return self._disturbance(self._regression.uncertainty().every) if self._shaken_states else ()
+
     def _disturbance(self, covariance: Array) -> tuple[DisturbanceEstimate, ...]:
         """What shakes the vehicle; `covariance` (n, n) of the unknowns."""
-        if self._noise is None:
+        if self._noise is None or not self._shaken_states:
             return ()
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
         values, logarithms = self._values, self._regression.z[self._free :]
@@ -245,7 +261,7 @@ class RecursivePredictor:
     def _values(self) -> Array:
         """Of all parameters, (np,)."""
         moved = self._regression.z[: self._free]
-        rough = self._start * np.exp(np.where(self._roughly, LOGARITHM * moved, 0.0))
+        rough = self._start * np.exp(np.where(self._roughly, self._logarithm * moved, 0.0))
         common = np.where(self._roughly, rough, self._start + self._scale * moved)
         return self._problem.values(np.clip(common, self._lower, self._upper))
 
@@ -253,12 +269,12 @@ class RecursivePredictor:
     def _sizes(self) -> Array:
         """What one of each unknown parameter changes its value by, here, (p,)."""
         values = self._values[list(self._problem.free)]
-        return np.where(self._roughly, LOGARITHM * values, self._scale)
+        return np.where(self._roughly, self._logarithm * values, self._scale)
 
     def _inside(self, values: Array) -> Array:
         """The unknowns (p,) at `values` (p,) of the estimated parameters."""
         ratio = np.where(self._roughly, values / np.where(self._roughly, self._start, 1.0), 1.0)
-        return np.where(self._roughly, np.log(ratio) / LOGARITHM, (values - self._start) / self._scale)
+        return np.where(self._roughly, np.log(ratio) / self._logarithm, (values - self._start) / self._scale)
 
     def _predict(self, chunk: Chunk) -> tuple[Array, Array]:
         """Errors of the predictor through `chunk`, (n, ny), and the slopes of what it predicts, (n, ny, active)."""
@@ -291,15 +307,15 @@ class RecursivePredictor:
         """What the errors say, weighed by the covariance that is known now. `again` (place, count): it is one
         of all that are kept."""
         if chunk.begins:
-            self._regression.begin()
+            self._prior[self._stretch] = self._start_precision()
+            self._regression.begin(self._prior[self._stretch])
         whitening = self._whitening()
         white = (whitening @ slopes).reshape(error.size, -1)
         free = self._free
         direct = free + len(self._others)
         scaled = white[:, :direct] * np.concatenate((self._sizes, self._others))
         by_gain = white[:, direct:] @ self._gain_slopes
-        for column, place in enumerate(self._shaken):
-            scaled[:, place] += by_gain[:, column] * self._sizes[place]
+        scaled[:, self._shaken] += by_gain[:, : len(self._shaken)]
         columns = np.concatenate((scaled[:, :free], by_gain[:, len(self._shaken) :], scaled[:, free:]), axis=1)
         residual = (error @ whitening.T).ravel()
         self._regression.add(residual, columns, self._kept_share(error))
@@ -307,6 +323,14 @@ class RecursivePredictor:
             z = self._regression.z.copy()
             used = (self._values, self._gain_now, whitening)
             self._watch(Seen(chunk, *used, residual, columns, z, self._prior, *again))
+
+    def _start_precision(self) -> Array:
+        """One over the variances (k,) of the next stretch's initial state, in the units of its columns: a disturbance
+        begins as it is in the long run."""
+        if self._noise is None:
+            return np.ones(len(self._problem.spread))
+        spread = long_run(self._noise, self._values, self._regression.z[self._free :]).spread
+        return np.asarray((self._problem.spread / spread) ** 2)
 
     def _learn_again(self) -> Array:
         """All that is kept, seen from where the unknowns are now; how far they move then, (n,)."""
@@ -339,14 +363,13 @@ class RecursivePredictor:
         if self._gain_at is not None:
             moved = z - self._gain_at
             if (np.abs(moved) <= self._gain_moves).all():
-                by_logarithms = self._gain_slopes[:, len(self._shaken) :]
-                return self._gain + (by_logarithms @ moved[free:]).reshape(self._gain.shape)
-        gain = self._noise.gain(values, z[free:])
+                return self._gain + (self._gain_slopes @ moved[self._gain_unknowns]).reshape(self._gain.shape)
         times = tuple(self._problem.free[place] for place in self._shaken)
-        typical = np.array([values[place] for place in times])
-        slopes = self._noise.slopes(values, z[free:], times, typical)
-        if gain is not None and slopes is not None:
-            self._gain, self._gain_slopes, self._gain_at = gain, np.ascontiguousarray(slopes), z
+        found = self._noise.gain_and_slopes(values, z[free:], times, values[list(times)])
+        if found is not None:
+            self._gain, slopes = found
+            slopes[:, : len(times)] *= self._sizes[list(self._shaken)]
+            self._gain_slopes, self._gain_at = np.ascontiguousarray(slopes), z
         return self._gain
 
     def _is_possible(self, error: Array, slopes: Array) -> bool:
@@ -389,6 +412,12 @@ class RecursivePredictor:
         start = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (error @ whitening.T).ravel())
         explained: Array = slopes[:, :, self._own] @ (spread * start)
         return error - explained
+
+
+def of_noise(problem: Problem) -> NDArray[np.bool_]:
+    """Which of the estimated parameters (p,) say how long a noise lasts, and nothing of the machine."""
+    times = is_of_disturbance(problem.model)
+    return np.array([parameter.name in times for parameter in problem.parameters], dtype=bool)
 
 
 def _share(output: Output, *, corrected: bool) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import small_vehicle
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.frame_chunks import Chunk, FrameChunks, join
@@ -386,7 +387,7 @@ def test_each_stretch_has_unknowns_of_its_own() -> None:
     joint = np.zeros((40, 5))
     joint[:, :3] = columns[:, :3]
     for stretch in range(2):
-        regression.begin()
+        regression.begin(np.ones(1))
         for half in range(2):
             part = slice(20 * stretch + 10 * half, 20 * stretch + 10 * half + 10)
             learn(residual[part], columns[part])
@@ -416,11 +417,47 @@ def test_it_goes_no_farther_than_it_may() -> None:
     regression.add(np.array([100.0, -100.0]), 10.0 * np.eye(2), 1.0)
     wanted = 1000.0 / 101.0
     assert regression.move(np.zeros(2), np.array([0.5, 20.0]))
-    np.testing.assert_allclose(regression.z, [0.5, -0.1])  # its reach, and a bound
+    # Its reach, and as large a share of the way to the bound.
+    np.testing.assert_allclose(regression.z, [0.5, -0.1 * 0.5 / 9.0])
     assert not regression.move(np.zeros(2), np.full(2, 20.0))
     np.testing.assert_allclose(regression.z, [9.0, -0.1])
     assert regression.move(np.array([9.0, 0.0]), np.array([wanted, 0.05]))
     np.testing.assert_allclose(regression.z[1], -0.05)
+
+
+def _quadratic(
+    information: Array, solution: Array, lower: Array, upper: Array, nuisance: tuple[int, ...] = ()
+) -> RecursiveGaussNewton:
+    """Equations of which `solution` is the unbounded one, with hardly any prior."""
+    size = len(solution)
+    made = RecursiveGaussNewton(np.full(size, 1e-12), lower, upper, asked=size, nuisance=nuisance)
+    columns = np.linalg.cholesky(information).T
+    made.add(columns @ solution, columns, 1.0)
+    return made
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_held_at_a_bound_is_not_made_up_for_by_the_others(seed: int) -> None:
+    """The best point of a box, as bounded least squares find it; unknowns that hardly differ are the hard case."""
+    random = np.random.default_rng(seed)
+    columns = random.standard_normal((12, 6)) @ np.diag([1.0, 1.0, 3.0, 0.1, 1.0, 1.0])
+    columns[:, 1] = columns[:, 0] + 0.05 * columns[:, 1]
+    solution, width = 3.0 * random.standard_normal(6), random.uniform(0.1, 2.0, 6)
+    made = _quadratic(columns.T @ columns, solution, -width, width)
+    assert not made.move(np.zeros(6), np.full(6, 9.0))
+    best = lsq_linear(columns, columns @ solution, bounds=(-width, width), method="bvls", tol=1e-14)
+    np.testing.assert_allclose(made.z, best.x, atol=1e-6)
+
+
+def test_a_nuisance_that_hardly_matters_holds_nobody_up() -> None:
+    """It goes as far as it may by itself; what is asked for goes all the way."""
+    wide = np.full(2, 99.0)
+    made = _quadratic(np.diag([100.0, 1e-4]), np.array([0.3, 9.0]), -wide, wide, nuisance=(1,))
+    assert not made.move(np.zeros(2), np.full(2, 0.5)), "a two-hundredth of its deviation"
+    np.testing.assert_allclose(made.z, [0.3, 0.5])
+    assert made.side_deviations(np.zeros(2)) == pytest.approx(0.005)
+    matters = _quadratic(np.diag([100.0, 100.0]), np.array([0.3, 9.0]), -wide, wide, nuisance=(1,))
+    assert matters.move(np.zeros(2), np.full(2, 0.5))
 
 
 # In the bank of live estimators
