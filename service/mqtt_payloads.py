@@ -3,6 +3,7 @@
 telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    row i was measured at t0 + i * dt
             now and then with "health" (how control does) and "predictions" (what the model says)
 parameters  {NAME: {"value", "std", "unit", "status", "method", "coverage_percent", "reason"}}
+            beside the vehicle's own, disturbance.JOINT.rms and disturbance.JOINT.correlation_time (models.disturbance)
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
+from estimators.contract import Status
 from telemetry.samples import Frame
 
 LONGEST_STEP = 1.5
@@ -87,4 +89,24 @@ def parameters(estimates: Mapping[str, Any]) -> dict[str, Any]:
             if name not in chosen or entry["value"] is not None:
                 keys = ("value", "std", "unit", "status", "coverage_percent", "reason")
                 chosen[name] = {**{key: entry[key] for key in keys}, "method": method}
+        for joint, found in estimate.get("disturbance", {}).items():
+            for name, entry in _disturbance(joint, found).items():
+                chosen[name] = {**entry, "method": method}
     return chosen
+
+
+def _disturbance(joint: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """What shakes the vehicle at `joint`, as estimators.disturbance tells it, in the shape of parameters."""
+    shown, unit = found["shown"], found["unit"]
+    reason = "" if shown else f"no disturbance shows: less than {found['rms']:.2g} {unit} RMS"
+    alike = {
+        "status": Status.OK.value if shown else Status.TOO_LITTLE_EXCITATION.value,
+        "coverage_percent": 100.0 if shown else 0.0,
+        "reason": reason,
+    }
+    rms = {"value": found["rms"] if shown else None, "std": found["rms_std"], "unit": unit}
+    time = {"value": found["correlation_time"], "std": found["correlation_time_std"], "unit": "s"}
+    return {
+        f"disturbance.{joint}.rms": {**rms, **alike},
+        f"disturbance.{joint}.correlation_time": {**time, **alike},
+    }

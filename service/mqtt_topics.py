@@ -104,6 +104,19 @@ class Parameter(Message):
     method: str
 
 
+class Disturbance(Message):
+    """The random force at a joint that no effect explains: first order, with these two numbers."""
+
+    unit: str
+    rms: float
+    """Where none shows, a bound that it is less than."""
+    rms_std: Number
+    correlation_time: Number
+    """s."""
+    correlation_time_std: Number
+    shown: bool
+
+
 class Finding(BaseModel):
     model_config = ConfigDict(extra="allow")
 
@@ -114,11 +127,13 @@ class Finding(BaseModel):
 class Diagnosis(BaseModel):
     """As `upright diagnose --json`, as far as the run shows it."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
 
     adequate: bool
     verdict: Literal["adequate", "missing_effect", "unknown", "insufficient_data"]
     findings: list[Finding]
+    disturbance: dict[str, Disturbance] | None = None
+    """By joint; absent or empty until something is known."""
 
 
 class Progress(Message):

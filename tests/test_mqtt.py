@@ -16,6 +16,8 @@ import pytest
 from mosquitto import Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
+from estimators.disturbance import DisturbanceEstimate
+from service import mqtt_topics
 from service.embedded_broker import EmbeddedBroker
 from service.mqtt import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
 from service.mqtt_payloads import TelemetryBatches, parameters
@@ -278,3 +280,18 @@ def test_parameters_are_those_of_the_last_method_that_has_them() -> None:
     assert (parameters(both)["inertia"]["method"], parameters(both)["inertia"]["value"]) == ("plain", 1.0)
     both["plain"]["parameters"]["inertia"] = entry(None)
     assert parameters(both)["inertia"]["value"] is None
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_what_shakes_the_vehicle_is_told_beside_its_parameters(shown: bool) -> None:
+    estimate = DisturbanceEstimate("roll", "N m", 8.1, *((0.4, 0.31, 0.03) if shown else (None,) * 3), shown=shown)
+    told = parameters({"recursion": {"parameters": {}, "disturbance": {"roll": estimate.to_json()}}})
+    for entry in told.values():
+        mqtt_topics.Parameter.model_validate(entry)
+    rms, time = told["disturbance.roll.rms"], told["disturbance.roll.correlation_time"]
+    assert (rms["value"], time["value"]) == ((8.1, 0.31) if shown else (None, None))
+    assert (rms["unit"], time["unit"]) == ("N m", "s")
+    assert rms["reason"] == ("" if shown else "no disturbance shows: less than 8.1 N m RMS")
+    mqtt_topics.Diagnosis.model_validate(
+        {"adequate": True, "verdict": "adequate", "findings": [], "disturbance": {"roll": estimate.to_json()}}
+    )
