@@ -5,7 +5,7 @@
 - cost: processor time a sample of the diagnosis beside that of the recursion that it looks over, in one run, the best
   of several;
 - false alarms: recordings with nothing missing in which any effect is named at any time, 95 % interval (Wilson), and
-  false names per hour of running;
+  false names per hour of running, 95 % interval (Poisson);
 - seconds: an effect of some multiple of the size that the 30 s of the same excitation after its onset would just show
   sets in during the run; told are the seconds until a name is given, whether it is the right one, first or tied, and
   when it was first tied with one other at most. With `--rise` the size is what 30 s from the first row on would just
@@ -27,7 +27,7 @@ from collections.abc import Iterator
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
 
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from diagnosis.live import LiveDiagnosis
 from diagnosis.live_naming import LiveFinding
@@ -135,7 +135,11 @@ def main() -> None:
         if alarms:
             interval = binomtest(sum(alarms), len(alarms)).proportion_ci(0.95, method="wilson")
             told = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
-            print(f"  false alarms: {sum(alarms)} of {len(alarms)} ({told}); {names} names in {hours:.2f} h of running")
+            least, most = 0.5 * chi2.ppf(0.025, 2 * names) if names else 0.0, 0.5 * chi2.ppf(0.975, 2 * names + 2)
+            print(
+                f"  false alarms: {sum(alarms)} of {len(alarms)} ({told}); {names} names in {hours:.2f} h of running, "
+                f"{names / hours:.1f} an hour ({least / hours:.1f} to {most / hours:.1f})"
+            )
         if arguments.seeds < 1:
             continue
         sizes, others = (
@@ -176,7 +180,8 @@ def main() -> None:
                     flush=True,
                 )
         print(
-            f"  of {len(waits)} right at first {right}, wrong {wrong}; rightly after {np.median(waits):.1f} s (median)"
+            f"  of {len(waits)} right at first {right} ({100 * right / len(waits):.0f} %), wrong {wrong}; rightly "
+            f"at some time {int(np.sum(np.isfinite(waits)))}, after {np.median(waits):.1f} s (median)"
         )
         print(f"  within 5 s {sum(wait <= 5.0 for wait in waits)}; tied with one at most: {np.median(sharp):.1f} s")
 
