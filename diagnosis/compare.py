@@ -19,20 +19,17 @@ from diagnosis.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.floor import OFFSET, Innovations, shaken_as, with_nuisances
 from diagnosis.horizons import Prediction, predictions
 from diagnosis.ready import ready
+from diagnosis.trial import FAILURES
 from diagnosis.where_it_fails import Entry, Views, summary, views
 from estimators.disturbance import DisturbanceEstimate, disturbances, is_of_disturbance
 from estimators.methods.prediction_error import Fit, fit
 from estimators.problem import Problem, problem
 from estimators.segments import channels_of, segments
-from estimators.time_scale import time_scale
+from estimators.time_scale import horizon
 from models.kernel import Progress
 from models.model import Model
-from models.natural_time import rounded
 from models.segment import Segment
 from telemetry.recording import Recording
-
-SHOWN_HORIZON = 1.25
-"""Time scales (estimators.time_scale) ahead that the figures which name no horizon are of, or the longest below."""
 
 DOUBTFUL = 2.0
 """Of its own standard deviations beyond which a time offset is told as doubtful."""
@@ -136,13 +133,13 @@ def _shaken(task: Problem) -> Fit | None:
     offsets = [task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)]
     try:
         return fit(replace(task, free=tuple(dict.fromkeys((*times, *offsets)))))
-    except (ArithmeticError, np.linalg.LinAlgError):
+    except FAILURES:
         return None
 
 
 def _best(task: Problem, shaken: Iterable[Fit | None]) -> Fit | None:
     """The likeliest of those that have the outputs of `task`: a vehicle is shaken by what the best model leaves, and
-    each model is held against a filter that knows as much."""
+    each model runs through a filter that knows as much."""
     alike = [each for each in shaken if each is not None and each.problem.kernel.outputs == task.kernel.outputs]
     return min(alike, key=lambda each: each.minimum.cost, default=None)
 
@@ -185,8 +182,8 @@ def _compare(
     found = with_nuisances(task, values)
     seen = views(found, progress=progress)
     ahead = predictions(found)
-    horizon = rounded(SHOWN_HORIZON * time_scale(task.model, task.segments))
-    shown = next((each for each in reversed(ahead) if each.horizon <= horizon), None)
+    reach = horizon(task.model, task.segments)
+    shown = next((each for each in reversed(ahead) if each.horizon <= reach), None)
     channels = task.kernel.outputs if shown else ()
     return Comparison(
         name=name,
@@ -203,7 +200,7 @@ def _compare(
         predictions=ahead,
         views=seen,
         innovations=found,
-        shown_horizon=horizon,
+        shown_horizon=reach,
         disturbance=disturbances(own) if own else (),
         closed_loop=closed_loop(found, owners, loops),
     )

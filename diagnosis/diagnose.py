@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.closed_loop_error import Loop
@@ -19,7 +20,6 @@ from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_togethe
 from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
-from diagnosis.findings import MadeOf
 from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
@@ -46,6 +46,7 @@ SEARCH = 0.75
 """Share of the time of a diagnosis that the search may take: the rest is for what has no name, and for telling it."""
 
 Progress = Callable[[str, float], None]
+Answer = TypeVar("Answer")
 
 
 def diagnose(
@@ -90,7 +91,7 @@ def diagnose(
         return _whole(replace(workspace, budget=bound), model, most, masked, unasked, begun, tell)
 
     found, happened = whole(recordings)
-    if happened:
+    if happened and bound.left:
         tell("leaving out what happened once", 0.5)
         scale = time_scale(model, found.steps[-1].fit.problem.segments)
         rest, _ = whole([hidden(model, each, pieces(happened, each.source, scale)) for each in recordings])
@@ -131,7 +132,7 @@ def _whole(
     before = rest.before if bare is base else over_floor(base.fit, last.fit)
     # `last` may have one without a name.
     after = rest.after if steps[-1] is last else over_floor(steps[-1].fit, last.fit)
-    findings, steps = _by_relevance(findings, steps, last, loops)
+    findings = _by_relevance(findings, steps, last, workspace.owners, loops)
     found = _verdict(steps, findings, screens, rest, (before, after), workspace)
     shown = found.steps[-1].fit
     found = replace(
@@ -150,12 +151,16 @@ def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str
 
 
 def _by_relevance(
-    findings: Sequence[Finding], steps: list[FullFit], last: FullFit, loops: Sequence[Loop | str]
-) -> tuple[list[Finding], list[FullFit]]:
-    """`findings` with their relevance, those that are negligible below the others; `steps` as they were made."""
-    told = relevances([each.fit for each in steps], last.fit, loops)
-    known = [reworded(replace(each, relevance=share)) for each, share in zip(findings, told, strict=True)]
-    return sorted(known, key=lambda each: each.negligible), steps
+    findings: Sequence[Finding],
+    steps: Sequence[FullFit],
+    last: FullFit,
+    owners: Sequence[int],
+    loops: Sequence[Loop | str],
+) -> list[Finding]:
+    """`findings`, which `steps` were made with, with their relevance; those that are negligible below the others."""
+    shares = relevances([each.fit for each in steps], last.fit, owners, loops)
+    known = [reworded(replace(each, relevance=share)) for each, share in zip(findings, shares, strict=True)]
+    return sorted(known, key=lambda each: each.negligible)
 
 
 def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
@@ -189,10 +194,8 @@ def _search(
     for step in range(most + 1):
         part = partial(_part, tell, step / (most + 1.0), 1.0 / (most + 1.0))
         part("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), 0.0)
-        if step and not workspace.budget.left:
-            workspace.leave("further effects" if findings else "the search for effects")
-            break
-        looked = tried(partial(look, whole, workspace if step else workspace.unhurried))
+        what = "further effects" if findings else "the search for effects"
+        looked = _in_time(partial(look, whole, workspace if step else workspace.unhurried), what, workspace)
         screens.append(looked or Screen((), {}))
         if looked is None or len(findings) == most:
             break
@@ -201,7 +204,8 @@ def _search(
         if seen or (masked and not findings):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
-            found = tried(partial(find, whole, screens[-1], workspace, {*masked, *more}, part))
+            searched = partial(find, whole, screens[-1], workspace, {*masked, *more}, part)
+            found = _in_time(searched, what, workspace)
         before = findings
         if found is not None:
             if found.finding.log_likelihood_gain < asked(found.finding, findings, of_blows):
@@ -211,23 +215,33 @@ def _search(
             findings, whole = _revised(before, found.fit, workspace, masked, most, part)
         else:
             at_once = partial(two_at_once, whole, screens[-1], workspace, masked, part)
-            two = tried(at_once) if not findings and most > 1 else None
+            two = _in_time(at_once, "two effects at once", workspace) if not findings and most > 1 else None
             if two is None:
                 break
             findings, whole = _revised(*two, workspace, masked, most, part, again=False)
         same = [each.effect for each in findings] == [each.effect for each in before]
         each_alone = None if same else tried(partial(one_by_one, findings, whole, workspace.unhurried))
         fits = [*fits, whole] if each_alone is None else each_alone
-    findings = [replace(each, made_of=_made_of(each, findings, fits[-1], workspace)) for each in findings]
+    findings = [
+        replace(
+            each,
+            made_of=_in_time(
+                partial(made_of, each, findings, fits[-1], workspace),
+                f"{each.effect} as the two that it is made of",
+                workspace,
+            ),
+        )
+        for each in findings
+    ]
     return [tried(partial(retold, each, fits[-1])) or each for each in findings], fits, screens, whole
 
 
-def _made_of(made: Finding, findings: Sequence[Finding], whole: FullFit, workspace: Workspace) -> MadeOf | None:
-    """As diagnosis.exchange.made_of; None where there is no time for it."""
+def _in_time(work: Callable[[], Answer], what: str, workspace: Workspace) -> Answer | None:
+    """What `work` gives; None where it fails or the time is over, and then `what` is noted as left untried."""
     try:
-        return tried(partial(made_of, made, findings, whole, workspace))
+        return tried(work)
     except OutOfTime:
-        workspace.leave(f"{made.effect} as the two that it is made of")
+        workspace.leave(what)
         return None
 
 
@@ -289,8 +303,8 @@ def _what_would_do(silent: Sequence[ParameterEstimate], base: FullFit) -> str:
         return ""
     times, span = 100.0 / least, base.fit.problem.span
     return (
-        f" Beside a {in_words(shown)}, {span * times**2:.0f} s of this excitation would do, or one {times:.2g} times as"
-        " large."
+        f" Beside this disturbance ({in_words(shown)}) {span * times**2:.0f} s of the same excitation would do, or one"
+        f" that is {times:.2g} times as large."
     )
 
 

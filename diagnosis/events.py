@@ -27,6 +27,7 @@ from scipy.stats import chi2
 from estimators.methods.prediction_error import Fit
 from estimators.segments import SHORTEST
 from estimators.time_scale import time_scale
+from models.disturbance import at_joints
 
 Array = NDArray[np.float64]
 
@@ -78,27 +79,25 @@ def events(fitted: Fit) -> list[Event]:
     shortest = max(SHORTEST, round(LEAST * scale / spacing))
     found: list[tuple[float, Event]] = []
     tried = 0
-    for joint in task.model.joints:
-        for place, state in enumerate(task.model.base_states):
-            if not state.correlation_time or state.name not in joint.load.split():
-                continue
-            row = fitted.gain[place]
-            variance = float(row @ fitted.covariance @ row)
-            if variance <= 0.0:
-                continue
-            fading = float(np.exp(-spacing / fitted.values[task.kernel.index(state.correlation_time)]))
-            for segment, each in zip(task.segments, errors, strict=True):
-                corrected = np.nan_to_num(each @ row)
-                best, count = _best(corrected**2 / variance, shortest)
-                tried += count
-                if best is not None:
-                    first, last, gain = best
-                    filtered = lfilter([1.0], [1.0, -fading], corrected) ** 2
-                    inside = np.zeros(len(filtered), dtype=bool)
-                    inside[first:last] = True
-                    ratio = float(np.sqrt(np.mean(filtered[inside]) / np.mean(filtered[~inside])))
-                    begin, end = float(segment.time[first]), float(segment.time[last - 1])
-                    found.append((gain, Event(joint.name, segment.source, begin, end, ratio, 1.0)))
+    for joint, place in at_joints(task.model):
+        state = task.model.base_states[place]
+        row = fitted.gain[place]
+        variance = float(row @ fitted.covariance @ row)
+        if variance <= 0.0:
+            continue
+        fading = float(np.exp(-spacing / fitted.values[task.kernel.index(state.correlation_time)]))
+        for segment, each in zip(task.segments, errors, strict=True):
+            corrected = np.nan_to_num(each @ row)
+            best, count = _best(corrected**2 / variance, shortest)
+            tried += count
+            if best is not None:
+                first, last, gain = best
+                filtered = lfilter([1.0], [1.0, -fading], corrected) ** 2
+                inside = np.zeros(len(filtered), dtype=bool)
+                inside[first:last] = True
+                ratio = float(np.sqrt(np.mean(filtered[inside]) / np.mean(filtered[~inside])))
+                begin, end = float(segment.time[first]), float(segment.time[last - 1])
+                found.append((gain, Event(joint.name, segment.source, begin, end, ratio, 1.0)))
     told = [replace(each, p_value=min(1.0, tried * float(chi2.sf(2.0 * gain, 1)))) for gain, each in found]
     return [each for each in told if each.p_value < LEVEL]
 

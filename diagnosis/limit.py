@@ -6,11 +6,7 @@ from diagnosis.ahead import sensor_floors
 from diagnosis.findings import PredictionLimit
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
-from estimators.time_scale import time_scale
-from models.natural_time import rounded
-
-AHEAD = 1.25
-"""Time scales ahead at which it is told: 0.5 s of the MONOCAB."""
+from estimators.time_scale import horizon
 
 
 def prediction_limit(fitted: Fit) -> PredictionLimit | None:
@@ -18,12 +14,10 @@ def prediction_limit(fitted: Fit) -> PredictionLimit | None:
     task = fitted.problem
     if not any(state.correlation_time for state in task.model.base_states):
         return None
-    horizon = rounded(AHEAD * time_scale(task.model, task.segments))
+    ahead = horizon(task.model, task.segments)
     try:
-        with_it, without = (sensor_floors(fitted, (horizon,), disturbed=each)[0].tolist() for each in (True, False))
+        with_it, without = (sensor_floors(fitted, (ahead,), disturbed=each)[0].tolist() for each in (True, False))
     except EstimationError:
         return None
     channels = task.kernel.outputs
-    return PredictionLimit(
-        horizon, dict(zip(channels, with_it, strict=True)), dict(zip(channels, without, strict=True))
-    )
+    return PredictionLimit(ahead, dict(zip(channels, with_it, strict=True)), dict(zip(channels, without, strict=True)))

@@ -18,15 +18,13 @@ import numpy as np
 from diagnosis.ahead import errors, sensor_floors
 from diagnosis.closed_loop_error import Loop, closed_loop
 from diagnosis.floor import Innovations, floor, innovations, shaken_as
+from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
-from estimators.time_scale import time_scale
-from models.natural_time import rounded
+from estimators.time_scale import horizon
 
 NEGLIGIBLE = 1.0
 """Percent of an error's energy below which what makes it is negligible."""
-AHEAD = 1.25
-"""Time scales (estimators.time_scale) ahead at which errors are compared: 0.5 s of the MONOCAB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +58,21 @@ class Relevance:
         return f"It makes {', and '.join(shares)}{': negligible' if self.negligible else ''}."
 
 
-def relevances(steps: Sequence[Fit], best: Fit, loops: Sequence[Loop | str] = ()) -> list[Relevance | None]:
-    """Of what each of `steps` has more than the one before it; None where it cannot be said. `best` is the fit whose
-    disturbance is the vehicle's."""
+def relevances(
+    steps: Sequence[Fit], best: Fit, owners: Sequence[int] = (), loops: Sequence[Loop | str] = ()
+) -> list[Relevance | None]:
+    """Of what each of `steps` has more than the one before it; None where it cannot be said.
+
+    `best` is the fit whose disturbance is the vehicle's; `owners` tells of which recording each segment is, and `loops`
+    what closed the loop on each recording, or why that is not known."""
     seen = [_seen(each, best) for each in steps]
-    horizon = rounded(AHEAD * time_scale(best.problem.model, best.problem.segments))
-    ahead = [None if each is None else _ahead(each, horizon) for each in seen]
-    looped = [None if each is None or not loops else _looped(each, loops) for each in seen]
+    reach = horizon(best.problem.model, best.problem.segments)
+    ahead = [None if each is None else _ahead(each, reach) for each in seen]
+    looped = [None if each is None or not loops else _looped(each, owners, loops) for each in seen]
     found: list[Relevance | None] = []
     for place in range(1, len(steps)):
         share = _share(ahead[place - 1], ahead[place])
-        found.append(None if share is None else Relevance(horizon, share, _share(looped[place - 1], looped[place])))
+        found.append(None if share is None else Relevance(reach, share, _share(looped[place - 1], looped[place])))
     return found
 
 
@@ -78,25 +80,23 @@ def _seen(fitted: Fit, best: Fit) -> Innovations | None:
     try:
         task, values = shaken_as(fitted.problem, fitted.values, best)
         return innovations(task, values, floor(task, values))
-    except (EstimationError, ArithmeticError, np.linalg.LinAlgError):
+    except FAILURES:
         return None
 
 
-def _ahead(found: Innovations, horizon: float) -> float | None:
-    """Mean energy of the error `horizon` s ahead over that of a right model, of all outputs."""
+def _ahead(found: Innovations, reach: float) -> float | None:
+    """Mean energy of the error `reach` s ahead over that of a right model, of all outputs."""
     try:
-        least = sensor_floors(found.fit, (horizon,))[0]
+        least = sensor_floors(found.fit, (reach,))[0]
     except EstimationError:
         return None
-    energy = np.nanmean((errors(found.fit, (horizon,))[0] / least) ** 2, axis=0)
+    energy = np.nanmean((errors(found.fit, (reach,))[0] / least) ** 2, axis=0)
     mean = float(np.mean(energy))
     return mean if np.isfinite(mean) else None
 
 
-def _looped(found: Innovations, loops: Sequence[Loop | str]) -> float | None:
-    sources = [segment.source for segment in found.problem.segments]
-    places = {source: place for place, source in reversed(list(enumerate(dict.fromkeys(sources))))}
-    told = closed_loop(found, [places[source] for source in sources], loops)
+def _looped(found: Innovations, owners: Sequence[int], loops: Sequence[Loop | str]) -> float | None:
+    told = closed_loop(found, owners, loops)
     return None if told.reason else float(np.mean([told.over_floor(channel) ** 2 for channel in told.measured]))
 
 

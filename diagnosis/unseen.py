@@ -30,7 +30,7 @@ from estimators.gauss_newton import Block, eliminate
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
 from estimators.segments import segments
-from estimators.time_scale import time_scale
+from estimators.time_scale import horizon, time_scale
 from models.effect import AttachedEffect
 from models.model import Model
 from telemetry.recording import Recording
@@ -52,8 +52,6 @@ SURE = 2.0
 """Standard deviations from zero of an amplitude that a part of the data tells: one that does not tell cannot judge, and
 in one where the effect would not be told it is not judged. And those by which an error ahead surely grows."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
-HORIZON = 1.25
-"""Time scales ahead at which held-out errors are told: far enough for a missing force to show."""
 TAILS = 1e-3
 """Share of the errors that parts which strike each other make, and"""
 WIDER = 10.0
@@ -76,7 +74,7 @@ class Fold:
 @dataclass(frozen=True, slots=True)
 class Unseen:
     """`gain`: rise of the log likelihood; `std` of it, but for what was foretold; `known`: by how much parameters are
-    nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy HORIZON ahead that
+    nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy a horizon ahead that
     exceeds the sensors', what is gone, and the standard deviation of that, None where there was none;
     `closing_percent`: what would be gone if the effect were right, and would have come if there were none of it;
     `struck`: parts of the model strike each other."""
@@ -223,15 +221,15 @@ def judge(
 
 
 def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
-    """Error energies HORIZON ahead over that of the sensors' noise, under `one`, under `other`, and of what the two
+    """Error energies a horizon ahead over that of the sensors' noise, under `one`, under `other`, and of what the two
     predict apart, (m, 3)."""
     there = ahead.on(other, problem(other.problem.model, [part.whole], support=support))
-    horizon = HORIZON * time_scale(there.problem.model, there.problem.segments)
-    floor = ahead.sensor_floors(there, (horizon,))[0]
+    reach = horizon(there.problem.model, there.problem.segments)
+    floor = ahead.sensor_floors(there, (reach,))[0]
     before = ahead.on(one, problem(one.problem.model, [part.whole], support=support))
-    errors, less = (ahead.errors(each, (horizon,))[0] / floor for each in (before, there))
+    errors, less = (ahead.errors(each, (reach,))[0] / floor for each in (before, there))
     squares = np.stack([np.mean(each**2, axis=1) for each in (errors, less, errors - less)], axis=1)
-    judged = squares[part.judges(ahead.times(there, horizon))]
+    judged = squares[part.judges(ahead.times(there, reach))]
     return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 

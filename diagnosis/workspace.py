@@ -5,6 +5,7 @@ Rows are chosen with every candidate attached, so that each model is judged on t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -77,6 +78,18 @@ class Workspace:
     def unhurried(self) -> Workspace:
         """The same for what has to be done, however long it takes."""
         return replace(self, budget=UNLIMITED)
+
+    @property
+    def owners(self) -> tuple[int, ...]:
+        """Of which of the recordings each segment is: within one of them time goes on."""
+        places: list[int] = []
+        place, before = 0, -math.inf
+        for segment in self.segments:
+            while self.recordings[place].source != segment.source or float(segment.time[0]) < before:
+                place, before = place + 1, -math.inf
+            places.append(place)
+            before = float(segment.time[0])
+        return tuple(places)
 
     def others(self, model: Model) -> list[Candidate]:
         """The candidates that `model` does not have yet."""

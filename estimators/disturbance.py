@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from estimators.fit_result import inverse
 from estimators.innovations import NoiseModel
+from models.disturbance import at_joints
 from models.model import Model
 
 if TYPE_CHECKING:
@@ -127,39 +128,37 @@ def told(
     the estimated parameters and the logarithms, `unit` as of NoiseModel."""
     task = noise.problem
     size, found = len(task.free), []
-    for joint in task.model.joints:
-        for state in task.model.base_states:
-            if not state.correlation_time or state.name not in joint.load.split():
-                continue
-            time_place = task.kernel.index(state.correlation_time)
-            time = float(values[time_place])
-            number = noise.logarithm_of(state.name)
-            grown = 0.0 if number is None else float(logarithms[number])
-            # What was stated is absolute.
-            std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time) * (1.0 if number is None else unit)
-            # Derivatives of the logarithms of both by the unknowns.
-            by_std, by_time = np.zeros(len(covariance)), np.zeros(len(covariance))
-            if number is not None:
-                by_std[size + number] = 1.0
-            if time_place in task.free:
-                place = task.free.index(time_place)
-                by_std[place], by_time[place] = 0.5 / time, 1.0 / time
-            error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
-            if number is not None:
-                error = min(error, float(noise.spread[number]))
-            shown = number is None or error < SHOWN
-            found.append(
-                DisturbanceEstimate(
-                    joint=joint.name,
-                    unit=joint.force_unit,
-                    std=std if shown else std * math.exp(BOUND * error),
-                    std_error=std * error if shown and number is not None else None,
-                    correlation_time=time if shown else None,
-                    correlation_time_error=time * time_error if shown and time_place in task.free else None,
-                    shown=shown,
-                    known=number is None,
-                )
+    for joint, place in at_joints(task.model):
+        state = task.model.base_states[place]
+        time_place = task.kernel.index(state.correlation_time)
+        time = float(values[time_place])
+        number = noise.logarithm_of(state.name)
+        grown = 0.0 if number is None else float(logarithms[number])
+        # What was stated is absolute.
+        std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time) * (1.0 if number is None else unit)
+        # Derivatives of the logarithms of both by the unknowns.
+        by_std, by_time = np.zeros(len(covariance)), np.zeros(len(covariance))
+        if number is not None:
+            by_std[size + number] = 1.0
+        if time_place in task.free:
+            column = task.free.index(time_place)
+            by_std[column], by_time[column] = 0.5 / time, 1.0 / time
+        error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
+        if number is not None:
+            error = min(error, float(noise.spread[number]))
+        shown = number is None or error < SHOWN
+        found.append(
+            DisturbanceEstimate(
+                joint=joint.name,
+                unit=joint.force_unit,
+                std=std if shown else std * math.exp(BOUND * error),
+                std_error=std * error if shown and number is not None else None,
+                correlation_time=time if shown else None,
+                correlation_time_error=time * time_error if shown and time_place in task.free else None,
+                shown=shown,
+                known=number is None,
             )
+        )
     return tuple(found)
 
 

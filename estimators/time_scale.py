@@ -31,6 +31,9 @@ LEAST = 10
 """Rows that T is at least."""
 MANY = 100
 """Rows that T is where a model says nothing of its times."""
+AHEAD = 1.25
+"""Time scales ahead at which predictions are told where nothing else is asked: half a second of the MONOCAB, far enough
+for a missing force to show."""
 LONG = 20.0
 """Times T that a stretch has to be for its motion to bound it: of a shorter one the slow part is not seen."""
 
@@ -46,6 +49,11 @@ def time_scale(model: Model, rows: Sequence[Segment]) -> float:
     if moves is not None and LONG * FAR * moves < longest:
         natural = min(natural, FAR * moves)
     return rounded(max(natural, LEAST * spacing))
+
+
+def horizon(model: Model, rows: Sequence[Segment]) -> float:
+    """How far ahead predictions of `model` are told on `rows`, s."""
+    return rounded(AHEAD * time_scale(model, rows))
 
 
 def motion_time(model: Model, rows: Sequence[Segment]) -> float | None:

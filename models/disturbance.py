@@ -76,14 +76,30 @@ def undisturbed(model: Model, fitted: Model) -> Model:
 
 def _has_own(model: Model, joint: Joint) -> bool:
     """Whether a state of the model that nothing but noise drives pushes at `joint`, as a disturbance that is there."""
-    parameters, pushing = {each.name for each in model.base_parameters}, set(names_in(joint.load))
-    for name in reversed(list(model.definitions)):  # each uses those above it
-        pushing |= names_in(model.definitions[name]) if name in pushing else set()
+    parameters, pushing = {each.name for each in model.base_parameters}, _pushing(model, joint)
     return any(
         state.process_noise > 0.0 and names_in(state.derivative) <= {state.name, *parameters}
         for state in model.base_states
         if state.name in pushing
     )
+
+
+def at_joints(model: Model) -> list[tuple[Joint, int]]:
+    """Each joint of `model` with the place of the state that is its disturbance, those that have one."""
+    return [
+        (joint, place)
+        for joint in model.joints
+        for place, state in enumerate(model.base_states)
+        if state.correlation_time and state.name in _pushing(model, joint)
+    ]
+
+
+def _pushing(model: Model, joint: Joint) -> set[str]:
+    """All names that the load at `joint` is made of, those behind definitions, too."""
+    names = set(names_in(joint.load))
+    for name in reversed(list(model.definitions)):  # each uses those above it
+        names |= names_in(model.definitions[name]) if name in names else set()
+    return names
 
 
 def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: float) -> Model:

@@ -26,7 +26,7 @@ from estimators.logarithms import InLogarithms
 from estimators.problem import Problem, problem
 from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
-from estimators.time_scale import time_scale
+from estimators.time_scale import horizon
 from models import library
 from models.disturbance import disturbed
 from models.kernel import Progress
@@ -44,8 +44,6 @@ ENOUGH = 1e-3
 """Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
 MUCH = 3.0
 """Natural logarithm by which a disturbance is more, and white noise less, than the model says, to begin with."""
-HORIZON = 1.25
-"""Time scales (estimators.time_scale) ahead that fit_percent tells of: half a second of the MONOCAB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +297,7 @@ def result(fitted: Fit, began: float) -> Estimate:
         covariance=covariance[:size, :size],
         data_covariance=inverse(information - np.diag(known_before))[:size, :size],
         disturbance=disturbances(fitted),
-        fit_percent=predicted_percent(fitted, HORIZON * time_scale(task.model, task.segments)),
+        fit_percent=predicted_percent(fitted, horizon(task.model, task.segments)),
         seconds=stopwatch() - began,
     )
 
