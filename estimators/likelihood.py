@@ -140,29 +140,25 @@ class Likelihood:
 
 
 def _at_least(covariance: Array, least: Array) -> Array:
-    """The likeliest covariance S (ny, ny) of which no combination of outputs has less than the variances `least` (ny,),
-    where the mean of e e' is `covariance`.
+    """The likeliest covariance S (ny, ny) in which no combination of counted outputs has less than the variances
+    `least` (ny,) that a quantiser makes, once the other outputs are known; the mean of e e' is `covariance`.
 
     In units of `least`, what has a variance below one gets one. While an encoder does not count, errors vanish; were
-    they taken for what it is good to, a fit would follow its steps. What has no least value stays as it is.
+    they taken for what it is good to, a fit would follow its steps. Two that count at the same rows differ by nothing.
+    A quantiser's error has to do with no other sensor's, so all covariances with those stay as they are.
     """
     held = np.flatnonzero(least > 0.0)
     if not len(held) or not np.all(np.isfinite(covariance)):
         return covariance
-    unit = np.sqrt(least[held])
-    others = np.setdiff1d(np.arange(len(least)), held)
-    part = covariance[np.ix_(held, held)]
-    squares, turned = np.linalg.eigh(part / np.outer(unit, unit))
-    raised = (turned * np.maximum(squares, 1.0)) @ turned.T * np.outer(unit, unit)
-    if np.all(squares >= 1.0):
-        return covariance
-    # The others go on depending on these as they did.
-    slopes = np.linalg.solve(part, covariance[np.ix_(held, others)]) if len(others) else np.zeros((len(held), 0))
+    others = np.flatnonzero(least <= 0.0)
+    across, unit = covariance[np.ix_(others, held)], np.sqrt(least[held])
+    left = covariance[np.ix_(held, held)]
+    if len(others):
+        left = left - across.T @ np.linalg.lstsq(covariance[np.ix_(others, others)], across, rcond=None)[0]
+    squares, turned = np.linalg.eigh(left / np.outer(unit, unit))
+    more = (turned * np.maximum(1.0 - squares, 0.0)) @ turned.T
     found = covariance.copy()
-    found[np.ix_(held, held)] = raised
-    found[np.ix_(held, others)] = raised @ slopes
-    found[np.ix_(others, held)] = found[np.ix_(held, others)].T
-    found[np.ix_(others, others)] += slopes.T @ (raised - part) @ slopes
+    found[np.ix_(held, held)] += more * np.outer(unit, unit)
     return found
 
 

@@ -10,7 +10,7 @@ import pytest
 from estimators import innovations
 from estimators.gauss_newton import common_information
 from estimators.innovations import NoiseModel
-from estimators.likelihood import Likelihood
+from estimators.likelihood import Likelihood, _at_least
 from estimators.problem import Problem, problem
 from models import library
 from models.kernel import ELSEWHERE
@@ -153,3 +153,38 @@ def test_the_covariance_is_that_of_the_innovations(task: Problem) -> None:
     added = seen.covariance - known.T @ known / len(known)
     assert np.all(np.diag(added) > -1e-12 * np.diag(seen.covariance))
     assert added == pytest.approx(np.diag(np.diag(added)), abs=1e-12 * float(np.max(seen.covariance)))
+
+
+# --- outputs that count
+
+
+def _cost(covariance: np.ndarray, squares: np.ndarray) -> float:
+    return float(np.linalg.slogdet(covariance)[1] + np.trace(np.linalg.solve(covariance, squares)))
+
+
+def test_two_encoders_that_count_at_once_say_nothing_of_another_sensor() -> None:
+    """Wheels that turn alike: their readings differ by 1e-5 of a count, which goes with the gyro's noise by chance.
+    Were that dependence kept while the difference is held to be a quantiser's, the gyro would seem a thousand times
+    worse."""
+    random = np.random.default_rng(1)
+    gyro, wheel = random.standard_normal((2, 5000))
+    errors = np.stack([1e-3 * gyro, wheel, wheel + 1e-5 * random.standard_normal(5000) + 1e-6 * gyro], axis=1)
+    squares = errors.T @ errors / 5000
+    found = _at_least(squares, np.array([0.0, 0.25, 0.25]))
+    assert found[0] == pytest.approx(squares[0])
+    difference = np.array([0.0, 1.0, -1.0]) / np.sqrt(2.0)
+    assert difference @ found @ difference == pytest.approx(0.25)
+
+
+def test_a_covariance_that_is_held_is_the_likeliest_of_those_allowed() -> None:
+    """Those allowed are a convex set, so that a step towards any of them makes it less likely."""
+    random = np.random.default_rng(2)
+    mixed = random.standard_normal((4, 4))
+    squares, least = mixed @ np.diag([1e-4, 0.1, 1.0, 3.0]) @ mixed.T, np.array([0.0, 0.4, 0.4, 0.0])
+    found = _at_least(squares, least)
+    assert np.all(np.linalg.eigvalsh(found) > 0.0)
+    for _ in range(200):
+        other = random.standard_normal((4, 4))
+        allowed = _at_least(squares + 0.1 * other @ other.T, least)
+        assert _cost(0.99 * found + 0.01 * allowed, squares) >= _cost(found, squares) - 1e-9
+    assert _cost(found, squares) > _cost(squares, squares)
