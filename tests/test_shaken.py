@@ -13,6 +13,7 @@ from shaken_plant import Shaken
 
 from diagnosis.compare import compare
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.events import LEVEL, _best, _by_chance
 from diagnosis.ready import ready, unready
 from estimators.budget import Budget, OutOfTime
 from estimators.disturbance import disturbances, with_error
@@ -193,6 +194,22 @@ class TestDiagnosis:
         assert event.ratio > 2.0
         assert "event" in found.reason
         assert found.disturbance[0].std == pytest.approx(8.0, abs=1.5)
+
+    @pytest.mark.parametrize(("gust", "least"), [(1.0, None), (5.0, 0.9)])
+    def test_blows_all_along_are_no_event_and_hide_none(self, gust: float, least: float | None) -> None:
+        """Parts of 50 rows with half of a neper's scatter: a Gaussian of one variance would have an event in each."""
+        chances = []
+        for seed in range(50):
+            random = np.random.default_rng(seed)
+            blows = random.standard_normal(12000) * np.repeat(np.exp(0.5 * random.standard_normal(240)), 50)
+            blows[4000:5000] *= gust
+            squares = blows**2 / np.mean(blows**2)
+            best, tried = _best(squares, 200)
+            assert best is not None
+            rest = np.concatenate((squares[: best[0]], squares[best[1] :]))
+            chances.append(tried * _by_chance(best[2], rest, 200))
+        found = float(np.mean(np.array(chances) < LEVEL))
+        assert found >= least if least is not None else found <= 0.06
 
     def test_where_nothing_changes_there_is_no_event(self) -> None:
         assert not any(_diagnosed(Shaken().record(seed, 60.0), candidates=()).events for seed in range(8))
