@@ -185,7 +185,7 @@ def test_windows_follow_the_plant(tmp_path: Path) -> None:
         assert moves == pytest.approx(pace * (motion_time(plant, segments(plant, [recording("", 1.0)])) or 0.0))
         check(plant, [recording("", pace)])
         with pytest.raises(DataError, match="cannot tell effects apart"):
-            check(plant, [recording("", pace).between(0.0, 10.0 * pace)])
+            check(plant, [recording("", pace).between(0.0, 6.0 * pace)])
 
 
 def test_a_record_of_few_rows_is_refused(tmp_path: Path) -> None:
