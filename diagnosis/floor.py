@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from diagnosis.process_noise import density, shown_shares
 from diagnosis.reach import power_beyond, reach
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 
 OFFSET = "_offset"
 """How the name of a parameter ends that is no property of a vehicle, but of the instants of its record."""
+SURELY = 1e-3
+"""Probability with which a quantiser alone would scatter so much as is taken for a sensor's own noise beside it."""
 QUIETEST = 1e-2
 """Share of the noise that the model states below which no sensor is believed: simulated data may have none."""
 
@@ -149,9 +152,10 @@ def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]
         variance = np.asarray(np.minimum(variance, white_variance(left.errors)[0]))
         freedom = np.where(left.beyond > variance, left.lines, freedom)
         variance = np.asarray(np.maximum(variance, left.beyond))
-    # What is counted has a quantiser's noise at least, and its own beside that.
+    # What is counted has a quantiser's noise at least, and its own beside that where there is surely more.
     counts = np.array([output.counted and not output.noise_known for output in outputs])
-    known = np.array([output.noise_known for output in outputs]) | (counts & (variance <= stated**2))
+    more = chi2.sf(freedom * variance / stated**2, freedom) < SURELY
+    known = np.array([output.noise_known for output in outputs]) | (counts & ~more)
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 

@@ -35,7 +35,7 @@ def diagnosed(hide: str, seed: int) -> Diagnosis:
 def impulse(rate: np.ndarray, actuator_rate: np.ndarray, step: float, **values: float) -> np.ndarray:
     """N m s that the effect gives up to each row, by Euler's method: an evaluator apart from the kernels."""
     names = {"width": 1e-3, "torque": 1e9, "load_inertia": LOAD_INERTIA, "closing_time": 0.01} | values
-    names |= {"gain": GAIN, "smooth_rate": 1e-3, "tanh": math.tanh}
+    names |= {"gain": GAIN, "smooth_rate": 1e-3, "time_scale": 0.4, "tanh": math.tanh}
     effect = find("backlash")
     codes = {state.name: compile(state.derivative, state.name, "eval") for state in effect.states}
     force = compile(effect.force, "force", "eval")
