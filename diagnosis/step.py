@@ -88,8 +88,7 @@ def surprising(screened: Screen) -> bool:
     """Whether any effect may explain more than chance does.
 
     It need not do so with all of them looked at: in the model without it the disturbance has grown to what it does,
-    beside which it shows less than it does in a fit. A constant torque of twice what a record of 30 s can show had a
-    p-value of 0.02 to 0.1 so, and of 1e-3 by the likelihood ratio of its fit, which decides.
+    beside which it shows less than by the likelihood ratio of its fit, which decides.
     """
     return any(score.p_single < WORTH_A_FIT for score in screened.scores)
 

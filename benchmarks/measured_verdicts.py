@@ -1,0 +1,207 @@
+"""What does a diagnosis say of records that others made? `python benchmarks/measured_verdicts.py [NAME ...]`
+
+Each record meets a model that lacks what its authors or anybody's eyes see, twice: with a random disturbance at each
+joint (models.disturbance), as all models have it, and without. Told are the verdict, the effects, how far the one-step
+errors are over the floor before and after, and seconds by the clock. `--json FILE` keeps the figures.
+
+    shaken     a MONOCAB of another simulator, pushed by a random torque; the name says what else is hidden
+    emps       a positioning axis without its friction, measured; the rate at which friction turns is 1 or 10 mm/s
+    disk       a motor with an unbalanced disk without its friction, measured
+    drone      an arm with a propeller, thrust and gravity alone, measured
+    swing      a pendulum that swings freely on its motor, measured
+    silverbox  a circuit that is a mass on a hardening spring, without the hardening, measured
+    bouc_wen   an oscillator with hysteresis, without the hysteresis, simulated by its authors
+
+The folder of the records is ../shared beside the project, or that of `--shared`. Those that are not there are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from diagnosis.diagnose import Diagnosis, diagnose
+from estimators.identify import nominal_model, with_values
+from estimators.stopwatch import stopwatch
+from examples import emps, quarter_drone, unbalanced_disk
+from models.model import Disturbance, Model
+from models.model_file import load_model
+from service.vehicle_file import load as vehicle
+from telemetry.channels import Channel, ChannelTable
+from telemetry.recording import Recording, load
+
+HERE = Path(__file__).parent
+ROWS = 8192
+"""Of the silverbox and of the hysteretic oscillator: 900 and 380 periods of their resonance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A `model` that lacks something, and the `record` that tells."""
+
+    name: str
+    hidden: str
+    model: Model
+    record: Recording
+    support: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a diagnosis said, in `seconds`; energies over the floor `before` and `after` what was found."""
+
+    name: str
+    hidden: str
+    disturbed: bool
+    verdict: str
+    effects: tuple[str, ...]
+    disturbance: tuple[str, ...]
+    before: float
+    after: float
+    seconds: float
+
+    def __str__(self) -> str:
+        effects = ", ".join(self.effects) or "-"
+        shaken = "; ".join(self.disturbance) or "switched off"
+        return (
+            f"{self.name:32} {self.verdict:18} {effects:58} {self.before:8.3g} -> {self.after:<7.3g}"
+            f"{self.seconds:6.1f} s  {shaken}"
+        )
+
+
+def without(model: Model, *names: str) -> Model:
+    """`model` without these effects, or without any."""
+    for name in names or [each.name for each in model.effects]:
+        model = model.remove(name)
+    return model
+
+
+def shakes(model: Model, disturbance: Disturbance | None) -> Model:
+    """`model` with this disturbance at each joint."""
+    return replace(model, joints=tuple(replace(each, disturbance=disturbance) for each in model.joints))
+
+
+def _monocab(data: Path) -> Iterator[Case]:
+    known = vehicle("monocab")
+    model = with_values(nominal_model("monocab"), known.parameters.values, known.parameters.deviations)
+    for path in sorted((data / "shaken").glob("*.csv")):
+        yield Case(f"shaken {path.stem}", path.stem, model.remove("static_torque"), load(path), known.support)
+
+
+def _emps(data: Path) -> Iterator[Case]:
+    friction = ("viscous_friction", "coulomb_friction", "static_torque")
+    for slope in (1e-3, 1e-2):
+        model = without(emps.model(), *friction)
+        model = replace(model, joints=tuple(replace(each, smooth_rate=slope) for each in model.joints))
+        yield Case(f"emps {1e3 * slope:.0f} mm/s", ", ".join(friction), model, emps.load(data))
+
+
+def _disk(data: Path) -> Iterator[Case]:
+    friction = ("viscous_friction", "coulomb_friction")
+    model = without(load_model(Path(unbalanced_disk.__file__).with_suffix(".toml")), *friction)
+    yield Case("disk", ", ".join(friction), model, unbalanced_disk.load(data)[0].between(0.0, 100.0))
+
+
+def _drone(data: Path) -> Iterator[Case]:
+    model = without(load_model(Path(quarter_drone.__file__).with_suffix(".toml")))
+    yield Case("drone", "friction", model, quarter_drone.load(data, "sinal4_multiseno"))
+
+
+def _swing(data: Path) -> Iterator[Case]:
+    folder = data.parent / "field" / "swing"
+    yield Case("swing", "dry friction", load_model(folder / "pendulum.toml"), load(folder / "run.csv").between(11.8))
+
+
+def _silverbox(data: Path) -> Iterator[Case]:
+    columns = np.genfromtxt(data / "silverbox" / "train.csv", delimiter=",", names=True, max_rows=ROWS)
+    channels = ChannelTable((Channel("position", "V", "output"), Channel("input", "V", "input")))
+    values = {"position": columns["output"], "input": columns["input"]}
+    yield Case(
+        "silverbox",
+        "cubic stiffness",
+        load_model(HERE / "measured" / "silverbox.toml"),
+        _recording(channels, columns["time"], values, "silverbox"),
+    )
+
+
+def _bouc_wen(data: Path) -> Iterator[Case]:
+    columns = np.genfromtxt(data / "bouc_wen" / "train.csv", delimiter=",", names=True, max_rows=ROWS)
+    channels = ChannelTable((Channel("displacement", "m", "of the mass"), Channel("force", "N", "on it")))
+    values = {name: columns[name] for name in ("displacement", "force")}
+    yield Case(
+        "bouc_wen",
+        "hysteresis",
+        load_model(HERE / "measured" / "bouc_wen.toml"),
+        _recording(channels, columns["time"], values, "bouc_wen"),
+    )
+
+
+def _recording(channels: ChannelTable, time: np.ndarray, values: dict[str, np.ndarray], name: str) -> Recording:
+    return Recording(channels, np.round(time * 1e9).astype(np.int64), values, source=name)
+
+
+SOURCES: dict[str, tuple[str, Callable[[Path], Iterable[Case]]]] = {
+    "shaken": ("shaken", _monocab),
+    "emps": ("emps", _emps),
+    "disk": ("unbalanced_disk", _disk),
+    "drone": ("quarter_drone", _drone),
+    "swing": ("../field/swing", _swing),
+    "silverbox": ("silverbox", _silverbox),
+    "bouc_wen": ("bouc_wen", _bouc_wen),
+}
+
+
+def answered(case: Case, disturbance: Disturbance | None) -> Answer:
+    """The diagnosis of a case, with this disturbance at each joint."""
+    began = stopwatch()
+    found = diagnose(shakes(case.model, disturbance), [case.record], support=case.support)
+    return _answer(case, disturbance is not None, found, stopwatch() - began)
+
+
+def _answer(case: Case, disturbed: bool, found: Diagnosis, seconds: float) -> Answer:
+    effects = tuple(
+        each.effect + (f" (tied with {', '.join(each.tied_with)})" if each.tied_with else "") for each in found.findings
+    )
+    before, after = found.innovation_ratio_before, found.innovation_ratio_after
+    return Answer(
+        case.name,
+        case.hidden,
+        disturbed,
+        str(found.verdict.value),
+        effects,
+        tuple(map(str, found.disturbance)),
+        float("nan") if before is None else before,
+        float("nan") if after is None else after,
+        seconds,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SOURCES)}; all by default")
+    parser.add_argument("--shared", type=Path, default=HERE.parents[1] / "shared", help="folder of the records")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    given = parser.parse_args()
+    if unknown := set(given.names) - set(SOURCES):
+        parser.error(f"no record is called {', '.join(sorted(unknown))}; there are {', '.join(SOURCES)}")
+    data, answers = given.shared / "data", []
+    for name in given.names or SOURCES:
+        folder, cases = SOURCES[name]
+        if not (data / folder).is_dir():
+            print(f"{name:32} left out: no folder {data / folder}")
+            continue
+        for case in cases(data):
+            for disturbance in (Disturbance(), None):
+                answers.append(answered(case, disturbance))
+                print(answers[-1], flush=True)
+    if given.json:
+        given.json.write_text(json.dumps([asdict(each) for each in answers], indent=1))
+
+
+if __name__ == "__main__":
+    main()
