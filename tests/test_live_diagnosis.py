@@ -171,7 +171,7 @@ def test_what_no_effect_explains_yet_has_no_name() -> None:
     """Machinery starts: until its frequency is known nothing that is looked for is like it."""
     recording = recorded("periodic_disturbance=0.75@25")
     begin, told = onset(recording, 25.0), course(recording)
-    # In its first seconds a random force explains much of it: what is named may be tied with it.
+    # In its first seconds a random force explains much of it: for one of them viscous friction was named, tied with it.
     for _, result in told:
         for each in result.findings:
             assert "periodic_disturbance" in (each.effect, *each.tied_with)

@@ -278,7 +278,7 @@ TWSBR = Model(
             coordinate_scale=0.1,
             rate_scale=1.0,
             smooth_rate=0.02,
-            # What its encoders and wheel rates say of the noise is not enough yet to tell a random torque from it.
+            # Friction of the gears would be taken for a random torque here (docs/decisions.md).
             disturbance=None,
         ),
         _joint(
