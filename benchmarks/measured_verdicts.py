@@ -1,11 +1,12 @@
 """What does a diagnosis say of records that others made? `python benchmarks/measured_verdicts.py [NAME ...]`
 
 Each record meets a model that lacks what its authors or anybody's eyes see, twice: with a random disturbance at each
-joint (models.disturbance), as all models have it, and without. Told are the verdict, the effects, how far the one-step
-errors are over the floor before and after, and seconds by the clock. `--json FILE` keeps the figures.
+joint (models.disturbance), as all models have it, and without, in the time that `upright diagnose` takes. Told are the
+verdict, the effects, how far the one-step errors are over the floor before and after, and seconds by the clock.
+`--json FILE` keeps the figures.
 
     shaken     a MONOCAB of another simulator, pushed by a random torque; the name says what else is hidden
-    emps       a positioning axis without its friction, measured; the rate at which friction turns is 1 or 10 mm/s
+    emps       a positioning axis without its dry friction, measured; the rate at which friction turns is 1 or 10 mm/s
     disk       a motor with an unbalanced disk without its friction, measured
     drone      an arm with a propeller, thrust and gravity alone, measured
     swing      a pendulum that swings freely on its motor, measured
@@ -31,6 +32,7 @@ from estimators.stopwatch import stopwatch
 from examples import emps, quarter_drone, unbalanced_disk
 from models.model import Disturbance, Model
 from models.model_file import load_model
+from service.cli.diagnose import default_budget
 from service.vehicle_file import load as vehicle
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording, load
@@ -94,7 +96,7 @@ def _monocab(data: Path) -> Iterator[Case]:
 
 
 def _emps(data: Path) -> Iterator[Case]:
-    friction = ("viscous_friction", "coulomb_friction", "static_torque")
+    friction = ("coulomb_friction", "static_torque")
     for slope in (1e-3, 1e-2):
         model = without(emps.model(), *friction)
         model = replace(model, joints=tuple(replace(each, smooth_rate=slope) for each in model.joints))
@@ -159,7 +161,8 @@ SOURCES: dict[str, tuple[str, Callable[[Path], Iterable[Case]]]] = {
 def answered(case: Case, disturbance: Disturbance | None) -> Answer:
     """The diagnosis of a case, with this disturbance at each joint."""
     began = stopwatch()
-    found = diagnose(shakes(case.model, disturbance), [case.record], support=case.support)
+    model, budget = shakes(case.model, disturbance), default_budget([case.record])
+    found = diagnose(model, [case.record], support=case.support, budget=budget)
     return _answer(case, disturbance is not None, found, stopwatch() - began)
 
 
