@@ -7,7 +7,7 @@ a part of n rows the ratio r of the mean square of u to that variance has the lo
     n (r - 1 - ln r) / 2,
 
 twice which is chi squared with one degree of freedom where nothing changes and u is Gaussian. Many small blows are not:
-samples that are not where their time stamps say make u a hundred times as peaked. So the dispersion of u^2 is measured
+samples that are not where their time stamps say make u far more peaked. So the dispersion of u^2 is measured
 on the rest of the record, by how much more it scatters from part to part than a Gaussian's would; divided by that, the
 ratio has an F distribution. Parts of all lengths, each twice as long as the one before, are tried at steps of half
 their length; the p-value counts them all (Bonferroni). The ends of the best one are then moved to where the ratio is

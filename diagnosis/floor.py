@@ -154,7 +154,7 @@ def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]
         variance = np.asarray(np.maximum(variance, left.beyond))
     # What is counted has a quantiser's noise at least, and its own beside that where there is surely more.
     counts = np.array([output.counted and not output.noise_known for output in outputs])
-    more = chi2.sf(freedom * variance / stated**2, freedom) < SURELY
+    more = freedom * variance > chi2.isf(SURELY, freedom) * stated**2
     known = np.array([output.noise_known for output in outputs]) | (counts & ~more)
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)

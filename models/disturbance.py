@@ -86,12 +86,8 @@ def _has_own(model: Model, joint: Joint) -> bool:
 
 def at_joints(model: Model) -> list[tuple[Joint, int]]:
     """Each joint of `model` with the place of the state that is its disturbance, those that have one."""
-    return [
-        (joint, place)
-        for joint in model.joints
-        for place, state in enumerate(model.base_states)
-        if state.correlation_time and state.name in _pushing(model, joint)
-    ]
+    shaken = [(place, state.name) for place, state in enumerate(model.base_states) if state.correlation_time]
+    return [(joint, place) for joint in model.joints for place, name in shaken if name in _pushing(model, joint)]
 
 
 def _pushing(model: Model, joint: Joint) -> set[str]:

@@ -278,7 +278,7 @@ TWSBR = Model(
             coordinate_scale=0.1,
             rate_scale=1.0,
             smooth_rate=0.02,
-            # Friction of the gears would be taken for a random torque here (docs/decisions.md).
+            # A random torque here can stand for friction of the gears (docs/decisions.md).
             disturbance=None,
         ),
         _joint(
