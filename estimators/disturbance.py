@@ -3,8 +3,9 @@
     std = q sqrt(correlation_time / 2)
 
 where the logarithm of q is among the noises that are estimated, and the correlation time among the parameters; the
-covariance of both gives the standard deviations (delta method). Where a record shows none, its RMS is said to be less
-than a bound.
+covariance of all of them gives the standard deviations (delta method). A fit tells the ratios of the noises; how large
+all are is told by what the filter corrects of the disturbance (NoiseModel.units). Where a record shows none, its RMS is
+said to be less than a bound.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 
 SHOWN = 0.5
 """Standard deviation of the logarithm of the RMS above which a record shows no disturbance, but bounds it."""
+STEP = 1e-3
+"""Share of a correlation time, or logarithm of a noise, by which it is moved for a derivative of a unit."""
 BOUND = 2.0
 """Standard deviations of the logarithm above the estimate, of that bound."""
 
@@ -118,14 +121,14 @@ def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint that has one, in the model's order."""
     noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
     logarithms, covariance = fitted.minimum.common[size:], inverse(fitted.minimum.information)
-    return told(noise, fitted.values, logarithms, covariance, noise.unit(fitted.values, logarithms, fitted.covariance))
+    return told(noise, fitted.values, logarithms, covariance, fitted.covariance)
 
 
 def told(
-    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, unit: float
+    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array
 ) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint, at parameter values (np,) and logarithms (q,) of the noise; `covariance` (p + q, p + q) is that of
-    the estimated parameters and the logarithms, `unit` as of NoiseModel."""
+    the estimated parameters and the logarithms, `innovation` (ny, ny) that of the innovations."""
     task = noise.problem
     size, found = len(task.free), []
     for joint, place in at_joints(task.model):
@@ -134,15 +137,16 @@ def told(
         time = float(values[time_place])
         number = noise.logarithm_of(state.name)
         grown = 0.0 if number is None else float(logarithms[number])
-        # What was stated is absolute.
-        std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time) * (1.0 if number is None else unit)
-        # Derivatives of the logarithms of both by the unknowns.
-        by_std, by_time = np.zeros(len(covariance)), np.zeros(len(covariance))
+        # Derivatives of the logarithms of both by the unknowns. What was stated is absolute.
+        unit, by_std, by_time = 1.0, np.zeros(len(covariance)), np.zeros(len(covariance))
         if number is not None:
-            by_std[size + number] = 1.0
+            unit, by_std = _unit(noise, values, logarithms, innovation, place, time_place)
+            by_std[size + number] += 1.0
+        std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time) * unit
         if time_place in task.free:
             column = task.free.index(time_place)
-            by_std[column], by_time[column] = 0.5 / time, 1.0 / time
+            by_std[column] += 0.5 / time
+            by_time[column] = 1.0 / time
         error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
         if number is not None:
             error = min(error, float(noise.spread[number]))
@@ -160,6 +164,25 @@ def told(
             )
         )
     return tuple(found)
+
+
+def _unit(
+    noise: NoiseModel, values: Array, logarithms: Array, innovation: Array, place: int, time: int
+) -> tuple[float, Array]:
+    """Unit of the noise that drives the state at `place`, and the derivatives of its logarithm by the estimated
+    parameters, of which that at `time` alone has one, and by the logarithms, (p + q,)."""
+    free, size = noise.problem.free, len(noise.problem.free)
+    moves = np.zeros((1 + 2 * (noise.size + 1), noise.size + 1))
+    moves[1:] = np.repeat(STEP * np.eye(noise.size + 1), 2, axis=0)
+    moves[2::2] *= -1.0
+    many = np.repeat(values[None], len(moves), axis=0)
+    many[:, time] *= 1.0 + moves[:, 0]
+    units = noise.units(many, logarithms + moves[:, 1:], innovation)[:, place]
+    rises = (np.log(units[1::2]) - np.log(units[2::2])) / (2.0 * STEP)
+    slopes = np.concatenate((np.zeros(size), rises[1:]))
+    if time in free:
+        slopes[free.index(time)] = rises[0] / values[time]
+    return float(units[0]), slopes
 
 
 def stated(model: Model, fitted: Fit) -> Model:
@@ -207,11 +230,12 @@ def densities(fitted: Fit) -> Mapping[str, float]:
         return {}
     if all(noise.logarithm_of(state.name) is None for state in shaken):
         return {state.name: state.process_noise for state in shaken}
-    unit = noise.unit(fitted.values, logarithms, fitted.covariance)
+    units = noise.units(fitted.values[None], logarithms[None], fitted.covariance)[0]
+    places = {state.name: place for place, state in enumerate(task.model.states)}
     found = {}
     for state in shaken:
         number = noise.logarithm_of(state.name)
-        grown = 1.0 if number is None else unit * math.exp(float(logarithms[number]))
+        grown = 1.0 if number is None else units[places[state.name]] * math.exp(float(logarithms[number]))
         found[state.name] = state.process_noise * grown
     return found
 

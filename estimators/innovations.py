@@ -117,15 +117,24 @@ class NoiseModel:
         steady = _steady(*self.covariances(values, logarithms))
         return None if steady is None else steady.gain
 
-    def unit(self, values: Array, logarithms: Array, covariance: Array) -> float:
-        """By how much all noises are larger than they are told here, where the innovations have the `covariance` (ny,
-        ny): the gain depends on their ratios alone, and the last output's is their unit, where that is not known."""
-        if self.problem.model.outputs[-1].noise_known:
-            return 1.0
-        steady = _steady(*self.covariances(values, logarithms))
-        if steady is None:
-            return 1.0
-        return float(np.sqrt(covariance[-1, -1] / steady.innovation[-1, -1]))
+    def units(self, values: Array, logarithms: Array, covariance: Array) -> Array:
+        """By how much the noise that drives each state is larger than it is told here, (n, nx), where the innovations
+        have the `covariance` (ny, ny); for parameter values (n, np) and logarithms (n, q), 1 where nothing tells.
+
+        The gain depends on the ratios of the noises alone. A state's unit is by how much more its corrections k e move
+        than they would by these noises: the root of k S k' over its expectation, with k its row of the gain.
+        """
+        found = np.ones((len(logarithms), len(self.process)))
+        for place, system in enumerate(zip(*self._systems(values, logarithms), strict=True)):
+            steady = _steady(*system)
+            if steady is None:
+                continue
+            moved, expected = (
+                np.einsum("ij,jk,ik->i", steady.gain, each, steady.gain) for each in (covariance, steady.innovation)
+            )
+            told = expected > 0.0
+            found[place, told] = np.sqrt(moved[told] / expected[told])
+        return found
 
     def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
         """The linear system that the gain is for: A (nx, nx), C (ny, nx) and the covariances of a row's process noise

@@ -254,8 +254,7 @@ class RecursivePredictor:
             return ()
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
         values, logarithms = self._values, self._regression.z[self._free :]
-        unit = self._noise.unit(values, logarithms, self._covariance())
-        return told(self._noise, values, logarithms, covariance * np.outer(sizes, sizes), unit)
+        return told(self._noise, values, logarithms, covariance * np.outer(sizes, sizes), self._covariance())
 
     @property
     def _values(self) -> Array:
