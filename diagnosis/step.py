@@ -264,11 +264,8 @@ def _full_fits(
             except OutOfTime:
                 workspace.leave(each.candidate.name)
                 break
-            if ended is None:
-                continue
-            found = ended
-            if found.log_likelihood > base.log_likelihood - CREEPING:
-                break
+            if ended is not None and (found is None or ended.log_likelihood > found.log_likelihood):
+                found = ended
         return found
 
     found: dict[str, FullFit | None] = {}
