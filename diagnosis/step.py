@@ -6,7 +6,7 @@ screen of all candidates -> quick fits -> full fits and their evidence -> the si
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -40,9 +40,11 @@ from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
+from estimators.disturbance import disturbances
 from estimators.fit_result import inverse
-from estimators.methods.prediction_error import result
+from estimators.methods.prediction_error import Begin, result
 from estimators.problem import Problem
+from models.disturbance import at_rest
 from models.effect import Effect, Place
 
 Tell = Callable[[str, float], None]
@@ -181,10 +183,37 @@ def named_alone(
 def _contenders(
     base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
 ) -> list[FullFit]:
-    """Full fits with the effects that explain most, each better than none, the one with most evidence first."""
+    """Full fits with the effects that explain most, each better than none, the one with most evidence first.
+
+    Most of what the model of `base` leaves, and most of what it would leave were nothing of it a disturbance: in its
+    fit the disturbance has grown to what the effect does.
+    """
+    quicks = [_quick_fits(base, screened, workspace, partial(_share, tell, 0.0))]
+    if any(each.shown for each in disturbances(base.fit)):
+        quicks.append(tried(partial(_undisturbed, base, workspace, partial(_share, tell, 0.3))) or [])
+    far = any(score.inflation > FAR for score in screened.scores if score.p_single < WORTH_A_FIT)
+    fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
+    allowed = LEVEL / max(1, len(screened.scores))
+    fits = [each for each in fits if tried(partial(_is_sure, each, base, allowed), each.name, workspace.failed)]
+    return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _share(tell: Tell, begin: float, text: str, share: float) -> None:
+    tell(text, begin + 0.3 * share)
+
+
+def _undisturbed(base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
+    """Quick fits of the model of `base` without a disturbance, each of which is to begin with the noise as stated."""
+    still = full(at_rest(base.model), workspace)
+    stated = np.zeros(len(base.fit.end.noise))
+    found = _quick_fits(still, look(still, workspace), workspace, tell)
+    return [replace(each, end=replace(each.end, noise=stated)) if each.end else each for each in found]
+
+
+def _quick_fits(base: FullFit, screened: Screen, workspace: Workspace, tell: Tell) -> list[QuickFit]:
+    """Of the candidates that are worth one by what the screen of `base` says."""
     worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
-    far = any(score.inflation > FAR for score in worth)
-    if far:
+    if any(score.inflation > FAR for score in worth):
         worth = list(screened.scores)
     # Where the model alone is far off, a line from there may miss what would do the same as the surest.
     near = worth[0].candidate.effect.confused_with if worth else ()
@@ -193,7 +222,7 @@ def _contenders(
     quickly = workspace.within(QUICKLY)
 
     def prepare(number: int, score: Score) -> bool:
-        title, share = score.candidate.effect.title, 0.3 * number / len(worth)
+        title, share = score.candidate.effect.title, number / len(worth)
         model = with_effect(base.model, score.candidate, score.starts[0])
         compiled = partial(quickly.problem, model, lambda text: tell(f"{text} with {title}", share))
         try:
@@ -214,13 +243,10 @@ def _contenders(
             return None
 
     quicks: list[QuickFit] = []
-    for each in side_by_side(quickly_fitted, worth):
+    for number, each in enumerate(side_by_side(quickly_fitted, worth), start=1):
         quicks += [each] if each is not None else []
-        tell("tried" + (f" {each.candidate.effect.title}" if each else ""), 0.3 + 0.3 * len(quicks) / len(worth))
-    fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
-    allowed = LEVEL / max(1, len(screened.scores))
-    fits = [each for each in fits if tried(partial(_is_sure, each, base, allowed), each.name, workspace.failed)]
-    return sorted(fits, key=lambda each: -each.evidence)
+        tell("tried" + (f" {each.candidate.effect.title}" if each else ""), number / len(worth))
+    return [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
 
 
 def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
@@ -240,50 +266,65 @@ def _is_sure(fitted: FullFit, base: FullFit, allowed: float) -> bool:
 
 
 def _full_fits(
-    base: FullFit, quicks: Sequence[QuickFit], workspace: Workspace, hidden: Collection[str], far: bool, tell: Tell
+    base: FullFit,
+    quicks: Sequence[Sequence[QuickFit]],
+    workspace: Workspace,
+    hidden: Collection[str],
+    far: bool,
+    tell: Tell,
 ) -> list[FullFit]:
-    """Of those of `quicks` that explain most, but for `hidden`, which have theirs. One that explains by what no
-    predictor knows is no measure of what is most.
+    """Of those that explain most in one of the lists of `quicks`, but for `hidden`, which have theirs. One that
+    explains by what no predictor knows is no measure of what is most.
 
-    A fit that ends less likely than the model alone began with a noise that this had, and the effect takes away: it is
-    begun again with the noise that is stated. Where friction was missing the gyro had had e^-6 of its noise, and the
-    fit with the friction ended 100,000 too low.
+    Each begins where its quick fits ended; the likeliest end stays. A fit that ends less likely than the model alone
+    began with a noise that this had, and the effect takes away: it is begun again with the noise that is stated. Where
+    friction was missing the gyro had had e^-6 of its noise, and the fit with the friction ended 100,000 too low.
     """
-    left = sorted((each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0), key=lambda each: -each.gain)
+    left = [sorted(each, key=lambda one: -one.gain) for each in quicks]
 
-    def fitted(each: QuickFit) -> FullFit | None:
-        assert each.end is not None
-        model, found = with_effect(base.model, each.candidate, each.values), None
-        for begin in (each.end, replace(each.end, noise=np.zeros(len(each.end.noise)))):
-            try:
-                ended = tried(
-                    partial(full, model, workspace.within(EACH), each.candidate, begin, longer=FURTHER_FITS),
-                    each.candidate.name,
-                    workspace.failed,
-                )
-            except OutOfTime:
-                workspace.leave(each.candidate.name)
-                break
-            if ended is not None and (found is None or ended.log_likelihood > found.log_likelihood):
-                found = ended
-        return found
+    def fitted(candidate: Candidate) -> FullFit | None:
+        ends = [each for one in quicks for each in one if each.candidate.name == candidate.name]
+        begins = [(each.values, each.end) for each in ends if each.end is not None]
+        values, end = begins[0]
+        found = [_fitted(base, candidate, *each, workspace) for each in begins]
+        if not any(each is not None and each.log_likelihood > base.log_likelihood - CREEPING for each in found):
+            found.append(_fitted(base, candidate, values, replace(end, noise=np.zeros(len(end.noise))), workspace))
+        return max((each for each in found if each is not None), key=lambda each: each.log_likelihood, default=None)
 
     found: dict[str, FullFit | None] = {}
     while True:
-        # At the noise of the model alone, in which the disturbance stands in for the effect, what does the same may
-        # gain a fifth: a sensor that is mounted askew of what a constant torque does.
-        most = [each.candidate.effect for each in left if each.gain >= CONTENDING * left[0].gain]
-        near = [each for each in left if each.candidate.effect in most or _like_any(each, most)]
-        near = near[: CONTENDERS * (2 if far else 1)]
-        chosen = [each for each in near if each.candidate.name not in {*hidden, *found}]
+        near = {each.name: each for one in left for each in _most(one, far)}
+        chosen = [each for each in near.values() if each.name not in {*hidden, *found}]
         if not chosen:
             return [each for each in found.values() if each is not None]
         for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
-            tell(f"fitted {each.candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
+            tell(f"fitted {each.effect.title}", 0.6 + 0.3 * number / len(chosen))
             if fit is not None and tried(partial(foresees, fit.fit, base.fit)):
-                left = [other for other in left if other is not each]
+                left = [[other for other in one if other.candidate.name != each.name] for one in left]
             else:
-                found[each.candidate.name] = fit
+                found[each.name] = fit
+
+
+def _fitted(
+    base: FullFit, candidate: Candidate, values: Mapping[str, float], end: Begin, workspace: Workspace
+) -> FullFit | None:
+    """The full fit of the model with the candidate from `end` on; None where it fails or the time is over."""
+    model = with_effect(base.model, candidate, values)
+    fit = partial(full, model, workspace.within(EACH), candidate, end, longer=FURTHER_FITS)
+    try:
+        return tried(fit, candidate.name, workspace.failed)
+    except OutOfTime:
+        workspace.leave(candidate.name)
+        return None
+
+
+def _most(fits: Sequence[QuickFit], far: bool) -> list[Candidate]:
+    """Those of `fits`, the most gaining first, that explain most, and what does the same as one of these: with a noise
+    in which the disturbance stands in for the effect, a sensor that is mounted askew may gain a fifth of what a
+    constant torque does."""
+    most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * fits[0].gain]
+    near = [each.candidate for each in fits if each.candidate.effect in most or _like_any(each, most)]
+    return near[: CONTENDERS * (2 if far else 1)]
 
 
 def _like_any(fitted: QuickFit, effects: Sequence[Effect]) -> bool:

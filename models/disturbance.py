@@ -74,6 +74,17 @@ def undisturbed(model: Model, fitted: Model) -> Model:
     )
 
 
+def at_rest(model: Model) -> Model:
+    """`model` with the disturbances that it has held at nothing."""
+    states = tuple(
+        replace(each, process_noise=0.0, noise_known=True, initial_std=0.0) if each.correlation_time else each
+        for each in model.base_states
+    )
+    times = {each.correlation_time for each in model.base_states}
+    parameters = tuple(replace(p, estimated=False) if p.name in times else p for p in model.base_parameters)
+    return replace(model, base_states=states, base_parameters=parameters)
+
+
 def _has_own(model: Model, joint: Joint) -> bool:
     """Whether a state of the model that nothing but noise drives pushes at `joint`, as a disturbance that is there."""
     parameters, pushing = {each.name for each in model.base_parameters}, _pushing(model, joint)
