@@ -53,7 +53,7 @@ class QuickFit:
     candidate: Candidate
     values: Mapping[str, float]
     gain: float
-    end: Begin | None = None
+    end: Begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
     taken = [place for place, p in enumerate(base.problem.parameters) if p.name in same]
     begin[taken] = base.problem.start[taken]
     if before is None:
-        return QuickFit(candidate, dict(start), -np.inf)
+        return QuickFit(candidate, dict(start), -np.inf, base.end)
     cost = 0.5 * sum(float(block.residual @ block.residual) for block in before)
 
     def fitted(common: Array, own: Sequence[Array], iterations: int) -> Minimum | None:
@@ -168,7 +168,7 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
         nothing = np.where(np.isin(np.arange(len(begin)), sizes), 0.0, begin)
         minimum = fitted(nothing, own, LONGER) or minimum
     if minimum is None:
-        return QuickFit(candidate, dict(start), -np.inf)
+        return QuickFit(candidate, dict(start), -np.inf, base.end)
     everything = dict(zip([p.name for p in task.parameters], minimum.common.tolist(), strict=True))
     values = {p.name: everything[p.name] for p in further}
     return QuickFit(candidate, values, cost - minimum.cost, replace(base.end, values=everything))

@@ -6,7 +6,7 @@ screen of all candidates -> quick fits -> full fits and their evidence -> the si
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -42,7 +42,7 @@ from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.disturbance import disturbances
 from estimators.fit_result import inverse
-from estimators.methods.prediction_error import Begin, result
+from estimators.methods.prediction_error import MUCH, Begin, noise_of, result
 from estimators.problem import Problem
 from models.disturbance import at_rest
 from models.effect import Effect, Place
@@ -203,11 +203,12 @@ def _share(tell: Tell, begin: float, text: str, share: float) -> None:
 
 
 def _undisturbed(base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
-    """Quick fits of the model of `base` without a disturbance, each of which is to begin with the noise as stated."""
+    """Those quick fits of the model of `base` without a disturbance that explain most; each is to go on with little of
+    one, and all other noise as stated."""
     still = full(at_rest(base.model), workspace)
-    stated = np.zeros(len(base.fit.end.noise))
+    noise = noise_of(base.fit.problem, shaken=-MUCH)
     found = _quick_fits(still, look(still, workspace), workspace, tell)
-    return [replace(each, end=replace(each.end, noise=stated)) if each.end else each for each in found]
+    return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
 
 def _quick_fits(base: FullFit, screened: Screen, workspace: Workspace, tell: Tell) -> list[QuickFit]:
@@ -282,34 +283,32 @@ def _full_fits(
     """
     left = [sorted(each, key=lambda one: -one.gain) for each in quicks]
 
-    def fitted(candidate: Candidate) -> FullFit | None:
-        ends = [each for one in quicks for each in one if each.candidate.name == candidate.name]
-        begins = [(each.values, each.end) for each in ends if each.end is not None]
-        values, end = begins[0]
-        found = [_fitted(base, candidate, *each, workspace) for each in begins]
+    def fitted(ends: Sequence[QuickFit]) -> FullFit | None:
+        found = [_fitted(base, each, each.end, workspace) for each in ends]
         if not any(each is not None and each.log_likelihood > base.log_likelihood - CREEPING for each in found):
-            found.append(_fitted(base, candidate, values, replace(end, noise=np.zeros(len(end.noise))), workspace))
+            found.append(_fitted(base, ends[0], replace(ends[0].end, noise=stated), workspace))
         return max((each for each in found if each is not None), key=lambda each: each.log_likelihood, default=None)
 
-    found: dict[str, FullFit | None] = {}
+    stated, found = np.zeros(len(base.fit.end.noise)), dict[str, FullFit | None]()
     while True:
-        near = {each.name: each for one in left for each in _most(one, far)}
-        chosen = [each for each in near.values() if each.name not in {*hidden, *found}]
+        chosen: dict[str, list[QuickFit]] = {}
+        for each in (*_with_alike(left[0], far), *(each for one in left[1:] for each in _most(one))):
+            if each.candidate.name not in {*hidden, *found}:
+                chosen.setdefault(each.candidate.name, []).append(each)
         if not chosen:
             return [each for each in found.values() if each is not None]
-        for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
-            tell(f"fitted {each.effect.title}", 0.6 + 0.3 * number / len(chosen))
+        for number, (name, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen.values()), strict=True), start=1):
+            tell(f"fitted {chosen[name][0].candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
             if fit is not None and tried(partial(foresees, fit.fit, base.fit)):
-                left = [[other for other in one if other.candidate.name != each.name] for one in left]
+                left = [[each for each in one if each.candidate.name != name] for one in left]
             else:
-                found[each.name] = fit
+                found[name] = fit
 
 
-def _fitted(
-    base: FullFit, candidate: Candidate, values: Mapping[str, float], end: Begin, workspace: Workspace
-) -> FullFit | None:
-    """The full fit of the model with the candidate from `end` on; None where it fails or the time is over."""
-    model = with_effect(base.model, candidate, values)
+def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) -> FullFit | None:
+    """The full fit of the model with the effect of `quick` from `end` on; None where it fails or the time is over."""
+    candidate = quick.candidate
+    model = with_effect(base.model, candidate, quick.values)
     fit = partial(full, model, workspace.within(EACH), candidate, end, longer=FURTHER_FITS)
     try:
         return tried(fit, candidate.name, workspace.failed)
@@ -318,12 +317,17 @@ def _fitted(
         return None
 
 
-def _most(fits: Sequence[QuickFit], far: bool) -> list[Candidate]:
-    """Those of `fits`, the most gaining first, that explain most, and what does the same as one of these: with a noise
-    in which the disturbance stands in for the effect, a sensor that is mounted askew may gain a fifth of what a
-    constant torque does."""
+def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:
+    """Those of `fits`, the most gaining first, that explain most."""
+    return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * fits[0].gain]
+
+
+def _with_alike(fits: Sequence[QuickFit], far: bool) -> list[QuickFit]:
+    """Those that explain most, and what does the same as one of these: at the noise of the model alone, in which the
+    disturbance stands in for the effect, it may gain a fifth, as a sensor that is mounted askew of what a constant
+    torque does."""
     most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * fits[0].gain]
-    near = [each.candidate for each in fits if each.candidate.effect in most or _like_any(each, most)]
+    near = [each for each in fits if each.candidate.effect in most or _like_any(each, most)]
     return near[: CONTENDERS * (2 if far else 1)]
 
 

@@ -43,7 +43,7 @@ ITERATIONS = 200
 ENOUGH = 1e-3
 """Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
 MUCH = 3.0
-"""Natural logarithm by which a disturbance is more, and white noise less, than the model says, to begin with."""
+"""Natural logarithm by which a noise is more, or less, than the model says, to begin with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,15 +194,18 @@ def fit(
 
 def _starts(task: Problem) -> list[Begin | None]:
     """Of the noise: as the model has it, and with much of its disturbances and little white."""
+    much = noise_of(task, shaken=MUCH, white=-MUCH)
+    return [None, Begin({}, much)] if (much < 0.0).any() and (much > 0.0).any() else [None]
+
+
+def noise_of(task: Problem, *, shaken: float = 0.0, white: float = 0.0) -> Array:
+    """Logarithms (q,) of the noise as the model has it, but for those of its disturbances and of the white process
+    noise."""
     noise, states = NoiseModel.of(task), task.model.states
-    numbers = list(zip(noise.noisy, noise.process_place, strict=True))
-    shaken = [number for place, number in numbers if states[place].correlation_time]
-    white = [number for place, number in numbers if not states[place].correlation_time]
-    if not (shaken and white):
-        return [None]
     logarithms = np.zeros(noise.size)
-    logarithms[white], logarithms[shaken] = -MUCH, MUCH
-    return [None, Begin({}, logarithms)]
+    for place, number in zip(noise.noisy, noise.process_place, strict=True):
+        logarithms[number] = shaken if states[place].correlation_time else white
+    return logarithms
 
 
 def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: Begin | None) -> Fit:

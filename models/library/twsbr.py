@@ -278,6 +278,8 @@ TWSBR = Model(
             coordinate_scale=0.1,
             rate_scale=1.0,
             smooth_rate=0.02,
+            # A random torque here can stand for friction of the gears (docs/decisions.md).
+            disturbance=None,
         ),
         _joint(
             "travel",
