@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.closed_loop_error import Loop
@@ -24,6 +24,7 @@ from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
+from diagnosis.random_parts import RANDOM, Absorbed, absorbed
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
@@ -121,11 +122,8 @@ def _whole(
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out), []
-    bare = _without_blows(base, unhurried)
-    of_blows = max(0.0, base.log_likelihood - bare.log_likelihood)
-    findings, fits, screens, last = _search(
-        base, workspace.within(SEARCH), most, masked, of_blows, partial(_part, tell, 0.1, 0.85)
-    )
+    searched = _beside_random_parts(base, workspace.within(SEARCH), most, masked, partial(_part, tell, 0.1, 0.85))
+    base, bare, findings, fits, screens, last = searched
     tell("looking for what has no name", 0.95)
     rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
     steps = [base, *fits]
@@ -142,6 +140,52 @@ def _whole(
         untried=tuple(each for each in workspace.untried if each not in {one.effect for one in findings}),
     )
     return found, events(last.fit)
+
+
+class Searched(NamedTuple):
+    """What a search found beside the model alone, whose fit is `base`, and `bare` that without parts that strike each
+    other; the others are what `_search` gives."""
+
+    base: FullFit
+    bare: FullFit
+    findings: list[Finding]
+    fits: list[FullFit]
+    screens: list[Screen]
+    last: FullFit
+
+
+def _beside_random_parts(
+    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress
+) -> Searched:
+    """The effects that are found beside the random parts that the record asks for; these are looked for beside the
+    effects, and the effects again beside each, as long as all of them together gain evidence."""
+    found = _searched(base, workspace, most, masked, tell)
+    while True:
+        looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
+        if looked is None:
+            return found
+        again = [_searched(looked.base, workspace, most, masked, tell), *_kept(found, looked, workspace)]
+        best = max(again, key=lambda each: each.last.evidence)
+        if best.last.evidence <= found.last.evidence:
+            return found
+        found = best
+
+
+def _kept(found: Searched, looked: Absorbed, workspace: Workspace) -> list[Searched]:
+    """What was `found`, beside the random part that was found then; none where one of the effects has no name."""
+    base, last = looked.base, looked.last
+    if last is None or len(found.findings) != len(last.model.effects) - len(base.model.effects):
+        return []
+    fits = tried(partial(one_by_one, found.findings, last, workspace.unhurried))
+    findings = [tried(partial(retold, each, last)) or each for each in found.findings]
+    bare = _without_blows(base, workspace.unhurried)
+    return [] if fits is None else [Searched(base, bare, findings, fits, found.screens, last)]
+
+
+def _searched(base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress) -> Searched:
+    bare = _without_blows(base, workspace.unhurried)
+    of_blows = max(0.0, base.log_likelihood - bare.log_likelihood)
+    return Searched(base, bare, *_search(base, workspace, most, masked, of_blows, tell))
 
 
 def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str:
@@ -297,7 +341,7 @@ def _what_would_do(silent: Sequence[ParameterEstimate], base: FullFit) -> str:
 
     Standard deviations fall with the root of the length, and with the amplitude.
     """
-    shown = [each for each in disturbances(base.fit) if each.shown]
+    shown = [each for each in disturbances(base.fit) if each.acts]
     least = min((each.coverage_percent for each in silent), default=0.0)
     if not shown or least <= 0.0:
         return ""

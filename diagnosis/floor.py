@@ -29,6 +29,7 @@ from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
 from estimators.white_noise import white_variance
+from models.disturbance import parameters_of
 from models.model import State
 
 Array = NDArray[np.float64]
@@ -237,10 +238,8 @@ def shaken_as(task: Problem, values: Array, of: Fit) -> tuple[Problem, Array]:
     known = {state.name: float(spread) for state, spread in _starts(of.problem) if state.correlation_time}
     spread = np.array([known.get(state.name, float(each)) for state, each in _starts(task)])
     values = values.copy()
-    for state in of.problem.model.base_states:
-        if state.correlation_time in task.kernel.parameters:
-            place = of.problem.kernel.index(state.correlation_time)
-            values[task.kernel.index(state.correlation_time)] = of.values[place]
+    for name in parameters_of(of.problem.model.base_states).intersection(task.kernel.parameters):
+        values[task.kernel.index(name)] = of.values[of.problem.kernel.index(name)]
     return replace(task, model=stated(task.model, of), spread=spread), values
 
 

@@ -24,6 +24,7 @@ from estimators.budget import UNLIMITED
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.methods.prediction_error import Begin, Fit, fit
+from models.disturbance import narrow_count
 from models.effect import Place
 from models.model import Model
 from models.sensing import delayed
@@ -58,7 +59,8 @@ class QuickFit:
 
 @dataclass(frozen=True, slots=True)
 class FullFit:
-    """`log_likelihood` at its own noise; `count`, of its effects' estimated parameters; `rows` that were fitted."""
+    """`log_likelihood` at its own noise; `count`, of its effects' estimated parameters and of what tells a
+    random part; `rows` that were fitted."""
 
     candidate: Candidate | None
     model: Model
@@ -213,7 +215,7 @@ def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate 
     # What is looked at later is looked at whatever time the fit had.
     fitted = replace(fitted, problem=replace(fitted.problem, budget=UNLIMITED))
     own = {p.name for each in model.effects for p in each.parameters}
-    count = sum(p.estimated for p in model.parameters if p.name in own)
+    count = sum(p.estimated for p in model.parameters if p.name in own) + narrow_count(model)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
     return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
 

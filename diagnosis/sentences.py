@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from diagnosis.findings import Diagnosis, Finding
 from diagnosis.repair_words import readable
-from estimators.disturbance import DisturbanceEstimate, in_words, rms
+from estimators.disturbance import DisturbanceEstimate, in_words
 
 NOTHING_MATTERS = "nothing is missing that matters"
 """Of a model all of whose findings are negligible."""
@@ -26,8 +26,8 @@ def negligible(diagnosis: Diagnosis) -> list[Finding]:
 
 def to_within(diagnosis: Diagnosis) -> str:
     """How well an adequate model explains its recordings: to within what."""
-    shown = [each for each in diagnosis.disturbance if each.shown]
-    sizes = [rms(each) + (f" at {each.joint}" if len(shown) > 1 else "") for each in shown]
+    shown = [each for each in diagnosis.disturbance if each.acts]
+    sizes = [each.size + (f" at {each.joint}" if len(shown) > 1 else "") for each in shown]
     return "to within their noise" + (f" and a random disturbance of {' and '.join(sizes)}" if sizes else "")
 
 
@@ -41,7 +41,7 @@ def disturbance_sentences(diagnosis: Diagnosis) -> str:
     words = in_words(diagnosis.disturbance)
     if not words:
         return ""
-    shown = any(each.shown for each in diagnosis.disturbance)
+    shown = any(each.acts for each in diagnosis.disturbance)
     told = f"{words[:1].upper()}{words[1:]}{'; no effect explains it' if shown else ''}."
     limits = " and ".join(_limits(diagnosis, shown))
     if diagnosis.prediction_limit is None or not limits:
@@ -59,7 +59,7 @@ def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:
     if limit is None or not diagnosis.steps:
         return
     model = diagnosis.steps[-1].model
-    places = {each.joint for each in diagnosis.disturbance if each.shown or not shown}
+    places = {each.joint for each in diagnosis.disturbance if each.acts or not shown}
     coordinates = {each.coordinate for each in model.joints if each.name in places}
     for output in model.outputs:
         if output.name in coordinates and output.name in limit.disturbed:

@@ -18,6 +18,7 @@ from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
 from estimators.time_scale import time_scale
+from models.segment import Segment
 
 Array = NDArray[np.float64]
 
@@ -128,11 +129,7 @@ SLOWEST = 0.04
 def peaks(innovations: Whitened) -> tuple[list[float], int]:
     """Frequencies, Hz, at which the innovations have most power, where a line or a mode would be; among how many."""
     task = innovations.fit.problem
-    outputs = len(task.kernel.outputs)
-    longest = int(np.argmax([len(segment) for segment in task.segments]))
-    before = sum(len(segment) * outputs + len(task.own) for segment in task.segments[:longest])
-    segment = task.segments[longest]
-    rows = innovations.residual[before : before + len(segment) * outputs].reshape(-1, outputs)
+    segment, rows = of_longest(innovations)
     window = np.hanning(len(rows))[:, None]
     # Between the frequencies of the record, too: half of one off, a line of the record's length is hardly seen.
     padded = FINER * len(rows)
@@ -146,6 +143,16 @@ def peaks(innovations: Whitened) -> tuple[list[float], int]:
         if len(found) == PEAKS:
             break
     return found, len(rows) // 2 + 1
+
+
+def of_longest(innovations: Whitened) -> tuple[Segment, Array]:
+    """The longest stretch, and its whitened innovations (n, ny)."""
+    task = innovations.fit.problem
+    outputs = len(task.kernel.outputs)
+    longest = int(np.argmax([len(segment) for segment in task.segments]))
+    before = sum(len(segment) * outputs + len(task.own) for segment in task.segments[:longest])
+    segment = task.segments[longest]
+    return segment, innovations.residual[before : before + len(segment) * outputs].reshape(-1, outputs)
 
 
 def whitening(fitted: Fit) -> Array:

@@ -5,7 +5,8 @@
 where the logarithm of q is among the noises that are estimated, and the correlation time among the parameters; the
 covariance of all of them gives the standard deviations (delta method). A fit tells the ratios of the noises; how large
 all are is told by what the filter corrects of the disturbance (NoiseModel.units). Where a record shows none, its RMS is
-said to be less than a bound.
+said to be less than a bound. Of one of a narrow band beside it, where the model has that, frequency and damping ratio
+are told.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from estimators.fit_result import inverse
 from estimators.innovations import NoiseModel
-from models.disturbance import at_joints
+from models.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
 from models.model import Model
 
 if TYPE_CHECKING:
@@ -37,12 +38,50 @@ BOUND = 2.0
 
 
 @dataclass(frozen=True, slots=True)
+class NarrowBandEstimate:
+    """A random force about `frequency` (Hz): RMS `std` in the `unit`, and `damping` ratio, each with the standard
+    deviation of its error."""
+
+    unit: str
+    std: float
+    std_error: float
+    frequency: float
+    frequency_error: float
+    damping: float
+    damping_error: float
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "rms": self.std,
+            "rms_std": self.std_error,
+            "frequency": self.frequency,
+            "frequency_std": self.frequency_error,
+            "damping_ratio": self.damping,
+            "damping_ratio_std": self.damping_error,
+        }
+
+    @classmethod
+    def from_json(cls, unit: str, entry: Mapping[str, float] | None) -> NarrowBandEstimate | None:
+        """What `to_json` made of one."""
+        return None if entry is None else cls(unit, *entry.values())
+
+    def __str__(self) -> str:
+        """`3.0 ± 0.2 N m RMS about 2.10 ± 0.03 Hz, damping ratio 0.05 ± 0.01`."""
+        return (
+            f"{with_error(self.std, self.std_error)} {self.unit} RMS about"
+            f" {with_error(self.frequency, self.frequency_error)} Hz, damping ratio"
+            f" {with_error(self.damping, self.damping_error)}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class DisturbanceEstimate:
     """A first-order random force at `joint`, in `unit`: RMS `std` and `correlation_time` (s), each with the standard
     deviation of its error.
 
     Where the record shows none (`shown` is False), `std` is a bound that it is less than, and its error and the
-    correlation time are None. What is `known` was stated, and has no error.
+    correlation time are None. What is `known` was stated, and has no error. `narrow_band`: what acts beside it.
     """
 
     joint: str
@@ -53,15 +92,16 @@ class DisturbanceEstimate:
     correlation_time_error: float | None
     shown: bool = True
     known: bool = False
+    narrow_band: NarrowBandEstimate | None = None
 
     @classmethod
     def from_json(cls, joint: str, entry: Mapping[str, Any]) -> DisturbanceEstimate:
         """What `to_json` made of one."""
         rms, time = entry["rms"], entry["correlation_time"]
         known = bool(entry["shown"] and entry["rms_std"] is None)
-        return cls(
-            joint, entry["unit"], rms, entry["rms_std"], time, entry["correlation_time_std"], entry["shown"], known
-        )
+        unit, narrow = entry["unit"], NarrowBandEstimate.from_json(entry["unit"], entry.get("narrow_band"))
+        time_std = entry["correlation_time_std"]
+        return cls(joint, unit, rms, entry["rms_std"], time, time_std, entry["shown"], known, narrow)
 
     def to_json(self) -> dict[str, Any]:
         """JSON-ready."""
@@ -72,10 +112,30 @@ class DisturbanceEstimate:
             "correlation_time": self.correlation_time,
             "correlation_time_std": self.correlation_time_error,
             "shown": self.shown,
+            **({"narrow_band": self.narrow_band.to_json()} if self.narrow_band else {}),
         }
 
     def __str__(self) -> str:
-        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`."""
+        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, and what acts beside it."""
+        return ", and ".join(map(str, self._acting(self._broad)))
+
+    @property
+    def acts(self) -> bool:
+        """Whether the record shows any of it."""
+        return self.shown or self.narrow_band is not None
+
+    @property
+    def size(self) -> str:
+        """`8.1 ± 0.4 N m RMS`, and what acts beside it."""
+        return " and ".join(map(str, self._acting(rms(self))))
+
+    def _acting(self, broad: str) -> list[str | NarrowBandEstimate]:
+        if self.narrow_band is None:
+            return [broad]
+        return [broad, self.narrow_band] if self.shown else [self.narrow_band]
+
+    @property
+    def _broad(self) -> str:
         if not self.shown:
             return f"none shows; less than {self.std:.2g} {self.unit} RMS"
         if self.known or self.std_error is None or self.correlation_time_error is None:
@@ -121,7 +181,39 @@ def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint that has one, in the model's order."""
     noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
     logarithms, covariance = fitted.minimum.common[size:], inverse(fitted.minimum.information)
-    return told(noise, fitted.values, logarithms, covariance, fitted.covariance)
+    narrow = narrow_bands(noise, fitted.values, logarithms, covariance, fitted.covariance)
+    found = told(noise, fitted.values, logarithms, covariance, fitted.covariance)
+    return tuple(replace(each, narrow_band=narrow.get(each.joint)) for each in found)
+
+
+def narrow_bands(
+    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array
+) -> Mapping[str, NarrowBandEstimate]:
+    """By joint, of those that have one; the arguments are those of `told`."""
+    task = noise.problem
+    size, found = len(task.free), {}
+    for joint, place in narrow_at_joints(task.model):
+        state = task.model.base_states[place]
+        time_place, frequency_place = (task.kernel.index(name) for name in (state.correlation_time, state.frequency))
+        time, frequency = values[time_place], values[frequency_place]
+        driving_place = next(n for n, each in enumerate(task.model.base_states) if each.name == state.driven_by)
+        driving = task.model.base_states[driving_place]
+        number = noise.logarithm_of(driving.name)
+        if number is None:  # what was stated is told by who stated it
+            continue
+        # Derivatives of the logarithms of RMS, frequency and damping ratio by the unknowns.
+        slopes = np.zeros((3, len(covariance)))
+        unit, slopes[0] = _unit(noise, values, logarithms, innovation, driving_place, time_place)
+        std = unit * driving.process_noise * math.exp(logarithms[number]) * math.sqrt(power_share(driving) * time)
+        by_frequency, by_time = (task.free.index(each) for each in (frequency_place, time_place))
+        slopes[0, size + number] += 1.0
+        slopes[0, by_time] += 0.5 / time
+        slopes[1:, by_frequency] = (1.0 / frequency, -1.0 / frequency)
+        slopes[2, by_time] = -1.0 / time
+        told = np.array([std, frequency, 1.0 / (2.0 * math.pi * frequency * time)])
+        errors = told * np.sqrt(np.diag(slopes @ covariance @ slopes.T))
+        found[joint.name] = NarrowBandEstimate(joint.force_unit, *np.stack((told, errors), axis=1).ravel().tolist())
+    return found
 
 
 def told(
@@ -189,13 +281,13 @@ def stated(model: Model, fitted: Fit) -> Model:
     """`model` with the disturbances of `fitted` as what is known of them."""
     known = densities(fitted)
     values = dict(zip(fitted.problem.kernel.parameters, fitted.values.tolist(), strict=True))
-    times = {each.correlation_time for each in model.base_states if each.name in known}
+    its = parameters_of([each for each in model.base_states if each.name in known])
     states = tuple(
         replace(each, process_noise=known[each.name], noise_known=True) if each.name in known else each
         for each in model.base_states
     )
     parameters = tuple(
-        replace(each, value=values[each.name], estimated=False, std=0.0) if each.name in times else each
+        replace(each, value=values[each.name], estimated=False, std=0.0) if each.name in its else each
         for each in model.base_parameters
     )
     return replace(model, base_states=states, base_parameters=parameters)
@@ -210,9 +302,10 @@ def long_run(noise: NoiseModel, values: Array, logarithms: Array) -> LongRun:
         if not state.correlation_time:
             continue
         time = task.kernel.index(state.correlation_time)
-        which = noise.logarithm_of(state.name)
+        driving = next(each for each in task.model.states if each.name == (state.driven_by or state.name))
+        which = noise.logarithm_of(driving.name)
         grown = 0.0 if which is None else float(logarithms[which])
-        spread[number] = state.process_noise * np.exp(grown) * np.sqrt(0.5 * values[time])
+        spread[number] = driving.process_noise * np.exp(grown) * np.sqrt(power_share(state) * values[time])
         logarithm += float(np.log(spread[number] / task.spread[number]))
         if time in task.free:
             entries.append((number, task.free.index(time), 0.5 / float(values[time])))
@@ -242,12 +335,12 @@ def densities(fitted: Fit) -> Mapping[str, float]:
 
 def is_of_disturbance(model: Model) -> frozenset[str]:
     """Names of the parameters of `model` that are a disturbance's, and not the machine's."""
-    return frozenset(each.correlation_time for each in model.base_states if each.correlation_time)
+    return parameters_of(model.base_states)
 
 
 def in_words(found: Sequence[DisturbanceEstimate]) -> str:
     """A sentence, empty where nothing is known."""
-    shown = [each for each in found if each.shown] or list(found)
+    shown = [each for each in found if each.acts] or list(found)
     if not shown:
         return ""
     where = len(found) > 1

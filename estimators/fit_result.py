@@ -17,6 +17,7 @@ from estimators.contract import Estimate, ParameterEstimate, Status
 from estimators.gauss_newton import Minimum
 from estimators.problem import Problem
 from estimators.segments import DataError
+from models.disturbance import parameters_of
 from models.model import Model, Parameter
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def assemble(
     related = correlation(data_covariance)
     lower, upper = problem.bounds
     bounds_hit = []
-    of_disturbance = {state.correlation_time for state in problem.model.base_states}
+    of_disturbance = parameters_of(problem.model.base_states)
     own = [place for place, parameter in enumerate(problem.parameters) if parameter.name not in of_disturbance]
     for place in own:
         parameter = problem.parameters[place]

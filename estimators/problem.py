@@ -17,6 +17,7 @@ from estimators.gauss_newton import Block
 from estimators.segments import segments
 from estimators.white_noise import white_variance
 from models import library
+from models.disturbance import parameters_of
 from models.expressions import number
 from models.kernel import Kernel, Progress, compile_model
 from models.model import Model, Parameter
@@ -173,7 +174,7 @@ def problem(
         model = library.get(model)
     model = model.change(estimated=estimate) if estimate is not None else model
     free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
-    shaken = {state.correlation_time for state in model.base_states}
+    shaken = parameters_of(model.base_states)
     if not any(model.parameters[place].name not in shaken for place in free):
         raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
     for place in free:

@@ -25,7 +25,7 @@ from estimators.frame_chunks import FrameChunks
 from estimators.problem import FINEST, Problem, jacobian
 from estimators.recursive_predictor import RecursivePredictor, Seen
 from models import library
-from models.disturbance import disturbed
+from models.disturbance import disturbed, parameters_of
 from models.kernel import Progress, compile_model
 from models.model import Model, Parameter
 from models.segment import Segment
@@ -80,7 +80,7 @@ class RecursivePredictionError:
         values = {name: value for name, value in (parameters or {}).items() if name in names}
         spread = {name: std for name, std in (deviations or {}).items() if name in names}
         model = _computable(model.change(values, deviations=spread))
-        shaken = {state.correlation_time for state in model.base_states}
+        shaken = parameters_of(model.base_states)
         if not any(parameter.estimated and parameter.name not in shaken for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
         # A simulation that begins anew every second knows nothing of what pushed before.

@@ -5,14 +5,20 @@
 is a first-order (Ornstein-Uhlenbeck) random force d beside a joint's load; w is white, of density q^2. It fades within
 `correlation_time` s and has the RMS `std` in the long run. White process noise is its limit for short correlation
 times, a drift that for long ones. Both numbers are estimated with the parameters, by maximum likelihood.
-`disturbed` puts it into a model that is about to meet a record. Source: Gelb, "Applied optimal estimation" (1974),
+`disturbed` puts it into a model that is about to meet a record.
+
+    x' = W v,    v' = -W x - 2 v / correlation_time + w,    W = 2 pi frequency,    std^2 = q^2 correlation_time / 4
+
+is a second one, x, where evidence asks for it (diagnosis.random_parts): of a narrow band, as a mode of the body or rail
+joints at constant speed make it. It swings about its frequency, within `correlation_time` s no longer in phase; its
+damping ratio is 1 / (W correlation_time), and v has its RMS, too. Source: Gelb, "Applied optimal estimation" (1974),
 section 3.8 (Gauss-Markov processes).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +40,7 @@ LEAST_TIMES = 10.0
 """Correlation times that a record holds at least: of what fades more slowly it does not show that it is random, and
 what only drifts is not."""
 PREFIX = "disturbance_"
+NARROW = "narrow_band_"
 
 
 def state_of(joint: str) -> str:
@@ -64,12 +71,12 @@ def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
 def undisturbed(model: Model, fitted: Model) -> Model:
     """`fitted`, which came of what `disturbed` made of `model`, without the disturbances: they are of a record."""
     own = {each.name for each in model.base_states}
-    times = {each.correlation_time for each in fitted.base_states if each.name not in own}
+    its = parameters_of([each for each in fitted.base_states if each.name not in own])
     joints = {each.name: each for each in model.joints}
     return replace(
         fitted,
         base_states=tuple(each for each in fitted.base_states if each.name in own),
-        base_parameters=tuple(each for each in fitted.base_parameters if each.name not in times),
+        base_parameters=tuple(each for each in fitted.base_parameters if each.name not in its),
         joints=tuple(replace(each, load=joints[each.name].load) for each in fitted.joints),
     )
 
@@ -80,8 +87,8 @@ def at_rest(model: Model) -> Model:
         replace(each, process_noise=0.0, noise_known=True, initial_std=0.0) if each.correlation_time else each
         for each in model.base_states
     )
-    times = {each.correlation_time for each in model.base_states}
-    parameters = tuple(replace(p, estimated=False) if p.name in times else p for p in model.base_parameters)
+    its = parameters_of(model.base_states)
+    parameters = tuple(replace(p, estimated=False) if p.name in its else p for p in model.base_parameters)
     return replace(model, base_states=states, base_parameters=parameters)
 
 
@@ -97,8 +104,79 @@ def _has_own(model: Model, joint: Joint) -> bool:
 
 def at_joints(model: Model) -> list[tuple[Joint, int]]:
     """Each joint of `model` with the place of the state that is its disturbance, those that have one."""
-    shaken = [(place, state.name) for place, state in enumerate(model.base_states) if state.correlation_time]
+    return _at_joints(model, narrow=False)
+
+
+def narrow_at_joints(model: Model) -> list[tuple[Joint, int]]:
+    """The same of the disturbances of a narrow band."""
+    return _at_joints(model, narrow=True)
+
+
+def narrow_count(model: Model) -> int:
+    """Numbers that tell those: RMS, frequency and correlation time of each."""
+    return 3 * len(narrow_at_joints(model))
+
+
+def _at_joints(model: Model, *, narrow: bool) -> list[tuple[Joint, int]]:
+    shaken = [
+        (place, state.name)
+        for place, state in enumerate(model.base_states)
+        if state.correlation_time and bool(state.frequency) is narrow
+    ]
     return [(joint, place) for joint in model.joints for place, name in shaken if name in _pushing(model, joint)]
+
+
+def parameters_of(states: Iterable[State]) -> frozenset[str]:
+    """Names of the parameters of those of `states` that are a disturbance: times and frequencies."""
+    return frozenset(name for each in states for name in (each.correlation_time, each.frequency) if name)
+
+
+def power_share(state: State) -> float:
+    """Variance of a disturbance in the long run, in its q^2 correlation_time."""
+    return 0.25 if state.frequency else 0.5
+
+
+def with_narrow_band(model: Model, joint: Joint, frequency: float, longest: float) -> Model:
+    """`model` with a random force of a narrow band at `joint`, for a record of `longest` s; its estimation starts at
+    `frequency`, Hz, and where it swings as long as a geometric mean of a radian and the longest that is sought."""
+    name = f"{NARROW}{joint.name}"
+    lead, about, time = f"{name}_lead", f"{name}_frequency", f"{name}_time"
+    shortest = 1.0 / (2.0 * math.pi * frequency)
+    most = max(longest / LEAST_TIMES, 2.0 * shortest)
+    lasting, std = math.sqrt(shortest * most), SMALL * joint.force_scale
+    turn = f"{2.0 * math.pi!r} * {about}"
+    swinging = State(
+        name=name,
+        unit=joint.force_unit,
+        derivative=f"{turn} * {lead}",
+        initial_std=std,
+        correlation_time=time,
+        frequency=about,
+        driven_by=lead,
+        meaning=f"random force of a narrow band at {joint.name}",
+    )
+    leading = replace(
+        swinging,
+        name=lead,
+        derivative=f"-{turn} * {name} - 2.0 * {lead} / {time}",
+        process_noise=2.0 * std / math.sqrt(lasting),
+        noise_spread=SPREAD,
+        driven_by="",
+        meaning="the same, a quarter of a period ahead",
+    )
+    parameters = (
+        Parameter(about, "Hz", frequency, std=frequency, lower=0.0, meaning=f"about which {name} swings"),
+        Parameter(
+            time, "s", lasting, std=ROUGHLY * lasting, lower=shortest, upper=most, meaning=f"for which {name} swings on"
+        ),
+    )
+    joints = tuple(replace(each, load=f"{each.load} + {name}") if each is joint else each for each in model.joints)
+    return replace(
+        model,
+        base_states=(*model.base_states, swinging, leading),
+        base_parameters=(*model.base_parameters, *parameters),
+        joints=joints,
+    )
 
 
 def _pushing(model: Model, joint: Joint) -> set[str]:

@@ -77,7 +77,8 @@ class State:
     shows that no filter made it, the state fades within a second, and nothing that moves makes it. `noise_spread`:
     standard deviation of the natural logarithm of the noise about `process_noise`, before a record is seen.
     `correlation_time` names the parameter (s) with which the state fades where it is a random disturbance
-    (models.disturbance): it then begins as it is in the long run, not within `initial_std`.
+    (models.disturbance): it then begins as it is in the long run, not within `initial_std`. `frequency` names the one
+    (Hz) about which it then swings, and `driven_by` the state whose noise drives it, where that is not its own.
     """
 
     name: str
@@ -91,6 +92,8 @@ class State:
     error_of: str = ""
     noise_spread: float = 1.0
     correlation_time: str = ""
+    frequency: str = ""
+    driven_by: str = ""
     meaning: str = ""
 
 

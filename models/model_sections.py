@@ -42,6 +42,8 @@ class StateSection(Section):
     error_of: str = ""
     noise_spread: Positive = 1.0
     correlation_time: str = ""
+    frequency: str = ""
+    driven_by: str = ""
     meaning: str = ""
 
 

@@ -211,9 +211,11 @@ def _check_references(tables: ModelSection, file: str) -> None:
     references = [(f"states.{name}.noise_of", state.noise_of, "outputs") for name, state in tables.states.items()]
     references += [(f"states.{name}.error_of", state.error_of, "outputs") for name, state in tables.states.items()]
     references += [
-        (f"states.{name}.correlation_time", state.correlation_time, "parameters")
+        (f"states.{name}.{key}", getattr(state, key), "parameters")
         for name, state in tables.states.items()
+        for key in ("correlation_time", "frequency")
     ]
+    references += [(f"states.{name}.driven_by", state.driven_by, "states") for name, state in tables.states.items()]
     for name, each in tables.inputs.items():
         references += [(f"inputs.{name}.delays", delay, "parameters") for delay in each.delays]
         references += [(f"inputs.{name}.lag", each.lag, "parameters")]

@@ -18,7 +18,7 @@ from simulation import runner
 from simulation.config import DriveNode, ImuNode, PlantTruth, SimulationConfig, Truth
 from simulation.disturbance import Disturbance
 from simulation.faults import Fault
-from simulation.hidden import parse_disturbance, parse_hidden
+from simulation.hidden import parse_disturbance, parse_hidden, parse_narrow_band
 from simulation.runner import RunStatistics
 from simulation.twsbr.truth import TwsbrTruth
 
@@ -93,6 +93,7 @@ def configuration(
         latency=imu.latency,
     )
     effects, disturbance = parse_disturbance(hide, twin.truth.registry, disturbance)
+    effects, narrow_band = parse_narrow_band(effects, twin.truth.registry)
     hidden, onsets = parse_hidden(effects, twin.truth.registry)
     return SimulationConfig(
         drives=drives,
@@ -103,6 +104,7 @@ def configuration(
         hidden=hidden,
         onsets=onsets,
         disturbance=disturbance,
+        narrow_band=narrow_band,
     )
 
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from simulation.disturbance import Disturbance
+from simulation.disturbance import Disturbance, RandomTorque
 from simulation.hidden import MONOCAB, Registry, sizes_of
+from simulation.narrow_band import NarrowBand, NarrowBandTorque
 from telemetry.samples import Vector3
 
 if TYPE_CHECKING:
@@ -184,11 +185,23 @@ class SimulationConfig:
     """s after the first SYNC at which a hidden effect sets in; those that are not named are there from the start."""
     disturbance: Disturbance | None = None
     """The random torque on the axis that the vehicle falls about; None: there is none."""
+    narrow_band: NarrowBand | None = None
+    """A second one, of a narrow band, likewise."""
 
     @property
     def sizes(self) -> dict[str, float]:
         """The size of each hidden effect in its own unit. Raises UnknownEffectError."""
         return sizes_of(self.hidden, self.plant.registry)
+
+    @property
+    def random_torques(self) -> tuple[RandomTorque | NarrowBandTorque, ...]:
+        """What acts at random on the axis that the vehicle falls about, each from its beginning."""
+        found: list[RandomTorque | NarrowBandTorque] = []
+        if self.disturbance is not None:
+            found.append(RandomTorque(self.disturbance, self.step, self.seed))
+        if self.narrow_band is not None:
+            found.append(NarrowBandTorque(self.narrow_band, self.step, self.seed))
+        return tuple(found)
 
     @property
     def period_ns(self) -> int:

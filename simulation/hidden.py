@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 from simulation.disturbance import Disturbance
+from simulation.narrow_band import NarrowBand
 from telemetry.errors import UprightError
 
 
@@ -129,7 +131,12 @@ LATE = frozenset(
 
 
 DISTURBANCE = "disturbance"
-"""What the random torque is called beside the effects."""
+"""What the random torque is called beside the effects, and"""
+NARROW_BAND = "narrow_band"
+"""the one of a narrow band."""
+UNITS = {DISTURBANCE: "s", NARROW_BAND: "Hz"}
+"""Of their second number; the first is an RMS."""
+Random = TypeVar("Random", Disturbance, NarrowBand)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,18 +148,26 @@ class Registry:
     late: frozenset[str]
     """Names of those that can set in during a run."""
     disturbance: Disturbance
-    """The random torque at level 1."""
+    """The random torque at level 1, and"""
+    narrow_band: NarrowBand
+    """that of a narrow band."""
 
     def find(self, name: str) -> HiddenEffect:
         """The effect `name`. Raises UnknownEffectError."""
         effect = self.listed.get(name) or self.unlisted.get(name)
         if effect is None:
-            there = ", ".join((*self.listed, DISTURBANCE))
+            there = ", ".join((*self.listed, DISTURBANCE, NARROW_BAND))
             raise UnknownEffectError(name, f"there is no hidden effect {name!r}.", remedy=f"Use one of: {there}.")
         return effect
 
 
-MONOCAB = Registry(HIDDEN, UNLISTED, LATE, Disturbance(rms=8.0, correlation_time=0.3))
+MONOCAB = Registry(
+    HIDDEN,
+    UNLISTED,
+    LATE,
+    Disturbance(rms=8.0, correlation_time=0.3),
+    NarrowBand(rms=4.0, frequency=2.0, damping=0.05),
+)
 """The MONOCAB's. Its disturbance is what the alignment of a worn rail does to it at walking pace, 3 % of the gravity
 torque at 1 deg; the calculation, and what wind does, are in docs/explanation/disturbance.md."""
 
@@ -166,36 +181,48 @@ def parse_disturbance(
     and s; each may end in `@SECONDS`. None with `disturbance=0`; `default` where nothing is said of it. The last one
     counts. Raises UnknownEffectError.
     """
+    return _parsed(arguments, DISTURBANCE, registry.disturbance, default)
+
+
+def parse_narrow_band(arguments: Iterable[str], registry: Registry = MONOCAB) -> tuple[list[str], NarrowBand | None]:
+    """The same of the random torque of a narrow band, `narrow_band=RMS,FREQUENCY,DAMPING` in N m and Hz."""
+    return _parsed(arguments, NARROW_BAND, registry.narrow_band, None)
+
+
+def _parsed(
+    arguments: Iterable[str], name: str, usual: Random, default: Random | None
+) -> tuple[list[str], Random | None]:
     others: list[str] = []
     found = default
     for argument in arguments:
-        if argument.partition("@")[0].partition("=")[0] == DISTURBANCE:
-            found = _disturbance(argument, registry.disturbance)
+        if argument.partition("@")[0].partition("=")[0] == name:
+            found = _random(argument, name, usual)
         else:
             others.append(argument)
     return others, found
 
 
-def _disturbance(argument: str, usual: Disturbance) -> Disturbance | None:
+def _random(argument: str, name: str, usual: Random) -> Random | None:
+    """`name`, `name=LEVEL` or `name=NUMBER,...` with the numbers of `usual`, the RMS first; None where that is 0."""
     text, late, second = argument.partition("@")
     _, separator, value = text.partition("=")
+    numbered = [each.name for each in fields(usual)][:-1]
     try:
         numbers = [float(word) for word in value.split(",")] if separator else [1.0]
         onset = float(second) if late else None
         if len(numbers) == 1:
-            numbers = [usual.rms * numbers[0], usual.correlation_time]
-        rms, correlation_time = numbers
-        if rms == 0.0:
-            return None
-        return Disturbance(rms, correlation_time, onset)
+            return replace(usual, rms=usual.rms * numbers[0], onset=onset) if numbers[0] != 0.0 else None
+        given = dict(zip(numbered, numbers, strict=True))
+        return replace(usual, **given, onset=onset) if numbers[0] != 0.0 else None
     except ValueError as error:
-        why = str(error) if str(error).startswith("the ") else f"{argument!r} is no disturbance"
-        example = f"{usual.rms:g},{usual.correlation_time:g}"
+        why = str(error) if str(error).startswith("the ") else f"{argument!r} is no {name.replace('_', ' ')}"
+        example = ",".join(f"{getattr(usual, each):g}" for each in numbered)
+        asked = ",".join(numbered).upper()
         raise UnknownEffectError(
-            DISTURBANCE,
+            name,
             f"{why}.",
-            remedy=f"Give {DISTURBANCE}=LEVEL, or {DISTURBANCE}=RMS,CORRELATION_TIME in N m and s, both above 0, as in "
-            f"{DISTURBANCE}={example}, with @SECONDS for when it sets in; {DISTURBANCE}=0 switches it off.",
+            remedy=f"Give {name}=LEVEL, or {name}={asked} in N m and {UNITS[name]}, all above 0, as in "
+            f"{name}={example}, with @SECONDS for when it sets in; {name}=0 switches it off.",
         ) from None
 
 

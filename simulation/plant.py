@@ -17,7 +17,6 @@ from typing import ClassVar
 
 from simulation.config import DriveNode, PlantTruth, SimulationConfig
 from simulation.contact import Supports
-from simulation.disturbance import RandomTorque
 from simulation.gimbal import Gimbal
 from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
@@ -78,7 +77,7 @@ class Plant(Machine):
         self.roll_acceleration = 0.0
         self.gyroscopic_torque = 0.0
         self._effects = roll_effects(sizes, inertia=truth.inertia, onsets=config.onsets)
-        self._disturbance = RandomTorque(config.disturbance, step, config.seed) if config.disturbance else None
+        self._random_torques = config.random_torques
         self._inertia = truth.inertia * (1.0 - sizes.get("flexible_mode", 0.0))
         self._gravity_stiffness = truth.gravity_stiffness
         self._rail_friction = truth.rail_friction
@@ -116,8 +115,8 @@ class Plant(Machine):
         return force, (rate, 0.0, 0.0)
 
     def restart_disturbance(self) -> None:
-        if self._disturbance is not None:
-            self._disturbance.restart()
+        for torque in self._random_torques:
+            torque.restart()
 
     def place(self, roll: float) -> None:
         """Let go of the vehicle at this roll angle, at rest."""
@@ -152,8 +151,8 @@ class Plant(Machine):
         )
         for effect in self._effects:
             torque += effect.torque(self)
-        if self._disturbance is not None:
-            torque += self._disturbance.torque(self.event_clock)
+        for random in self._random_torques:
+            torque += random.torque(self.event_clock)
         inertia = self._inertia + mass * trim.position * trim.position
         if trim.mode is AxisMode.BRAKED:
             trim.rate = self._trim_acceleration = 0.0

@@ -29,7 +29,8 @@ HideOption = Annotated[
     typer.Option(
         "--hide",
         help="EFFECT, EFFECT=LEVEL or EFFECT=LEVEL@SECONDS (when it sets in): a physical effect that the model lacks. "
-        "Likewise disturbance, or disturbance=RMS,CORRELATION_TIME (N m, s): a random torque; 0 is off.",
+        "Likewise disturbance, or disturbance=RMS,CORRELATION_TIME (N m, s): a random torque; 0 is off. "
+        "And narrow_band, or narrow_band=RMS,FREQUENCY,DAMPING (N m, Hz): one about a frequency.",
         show_default=False,
     ),
 ]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from simulation.disturbance import Disturbance
 from simulation.hidden import HiddenEffect, Registry
+from simulation.narrow_band import NarrowBand
 
 TWSBR_HIDDEN: dict[str, HiddenEffect] = {
     effect.name: effect
@@ -81,6 +82,7 @@ TWSBR = Registry(
         }
     ),
     Disturbance(rms=5.0e-4, correlation_time=0.3),
+    NarrowBand(rms=5.0e-4, frequency=2.0, damping=0.05),
 )
 """The registry of the balancing robot. Torques can set in during a run. Its disturbance, on the tilt, is a draught in a
 room, 8 % of the gravity torque at 1 deg; the calculation is in docs/explanation/disturbance.md."""

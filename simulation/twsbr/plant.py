@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from simulation.config import DriveNode, SimulationConfig
-from simulation.disturbance import RandomTorque
 from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
 from simulation.machine import Machine, Motion
@@ -48,9 +47,7 @@ class TwsbrPlant(Machine):
         self._supply = truth.supply_voltage
         self._sag = sizes.get("test_battery_sag", 0.0)
         self._tilt_effects = tilt_effects(sizes, onsets)
-        self._disturbance = (
-            RandomTorque(config.disturbance, self.step_size, config.seed) if config.disturbance else None
-        )
+        self._random_torques = config.random_torques
         self._wheel_effects = tuple(wheel_effects(sizes, onsets) for _ in range(2))
         self._gear_effects = tuple(gear_effects(sizes, onsets, self.step_size) for _ in range(2))
         self._drives: tuple[Drive, Drive] = ((0.0, 0.0), (0.0, 0.0))
@@ -86,8 +83,8 @@ class TwsbrPlant(Machine):
         return VoltageDrive(node, self.motors[number])
 
     def restart_disturbance(self) -> None:
-        if self._disturbance is not None:
-            self._disturbance.restart()
+        for torque in self._random_torques:
+            torque.restart()
 
     def place(self, tilt: float) -> None:
         """Let go of the robot at this tilt, at rest; its wheels have rolled along without turning in their gears."""
@@ -111,8 +108,8 @@ class TwsbrPlant(Machine):
         self._drives = (self._geared(0, left.set_voltage(supply)), self._geared(1, right.set_voltage(supply)))
         tilt, time = self.tilt, self.time
         on_tilt = sum([effect(tilt, time, clock) for effect in self._tilt_effects])
-        if self._disturbance is not None:
-            on_tilt += self._disturbance.torque(clock)
+        for random in self._random_torques:
+            on_tilt += random.torque(clock)
         self._held = (
             sum([effect(left, clock) for effect in self._wheel_effects[0]]),
             sum([effect(right, clock) for effect in self._wheel_effects[1]]),
