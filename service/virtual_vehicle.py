@@ -37,7 +37,7 @@ TWINS = {
 }
 
 
-DISTURBED_BY_DEFAULT = False
+DISTURBED_BY_DEFAULT = True
 """Whether a virtual vehicle that a person starts (demo, simulate, serve --virtual) has the disturbance of level 1 where
 `--hide` says nothing of it. Programs and tests ask for theirs."""
 

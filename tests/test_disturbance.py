@@ -244,6 +244,10 @@ def test_people_can_have_it_by_default_and_switch_it_off(vehicle: str, monkeypat
         assert virtual_vehicle.asked_disturbance(file, ["disturbance=0"]) is None
 
 
+def test_a_vehicle_that_a_person_starts_is_shaken() -> None:
+    assert virtual_vehicle.asked_disturbance(load("monocab"), []) == MONOCAB.disturbance
+
+
 @pytest.mark.parametrize("words", [["demo"], ["serve", "monocab", "--virtual"], ["simulate", "monocab"]])
 def test_the_commands_refuse_one_that_cannot_be(words: list[str]) -> None:
     said = CliRunner().invoke(app, [*words, "--hide", "disturbance=8,x"])
