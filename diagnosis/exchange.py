@@ -22,6 +22,7 @@ from itertools import pairwise
 
 from diagnosis.candidates import Candidate
 from diagnosis.findings import Finding, MadeOf
+from diagnosis.finer import is_finer
 from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
@@ -150,7 +151,7 @@ def put_together(
             continue
         tell(f"putting {parts[0].effect} and {parts[1].effect} together", 0.98)
         base = full(whole.model.remove(parts[0].effect).remove(parts[1].effect), workspace)
-        one = named_alone(base, look(base, workspace), made, parts, workspace)
+        one = named_alone(base, look(base, workspace), made, parts, workspace, is_finer(whole.model, workspace))
         if one is None:
             continue
         if worth_two(whole, one.fit, len(findings) - 1, workspace):

@@ -21,8 +21,10 @@ WORTH_A_WORD = 0.2
 def explain(finding: Finding, score: Score) -> str:
     """A paragraph of plain sentences."""
     candidate, effect = score.candidate, score.candidate.effect
-    sizes = _sizes(finding.parameters, f"{candidate.name}.")
-    told = [f"{effect.name}: {effect.title} ({effect.equation})" + (f"; {sizes}" if sizes else "") + "."]
+    prefix = f"{candidate.name}."
+    sizes = _sizes(finding.parameters, prefix)
+    formula = effect.with_parameters(name.removeprefix(prefix) for name in finding.parameters)
+    told = [f"{effect.name}: {effect.title} ({formula.equation})" + (f"; {sizes}" if sizes else "") + "."]
     told.append(effect.signature)
     instant = finding.parameters.get(candidate.attached.qualified(INSTANT))
     if instant is not None and instant.value is not None:

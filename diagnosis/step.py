@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from diagnosis.candidates import Candidate
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
+from diagnosis.finer import finest
 from diagnosis.foresight import foresees
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
@@ -111,7 +112,7 @@ def find(
     hidden = fits_of_masked(base.model, workspace, unseen, (before.fit.name,) if before else ())
     if before:
         hidden = [*hidden, before.fit]
-    fits = _contenders(base, screened, workspace, hidden, tell)
+    fits = finest(_contenders(base, screened, workspace, hidden, tell), workspace)
     # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
     # strongest is tested, the best fitting is named.
     left = [each.candidate for each in fits if each.candidate]
@@ -160,17 +161,18 @@ def _by_likelihood(fitted: FullFit, base: FullFit, screened: Screen) -> float:
 
 
 def named_alone(
-    base: FullFit, screened: Screen, made: Candidate, parts: Sequence[Finding], workspace: Workspace
+    base: FullFit, screened: Screen, made: Candidate, parts: Sequence[Finding], workspace: Workspace, finer: bool
 ) -> Named | None:
     """`made` in the model of `base` in place of `parts`, whose names it may be tied with; None where it does not stand
-    up to a full fit and to unseen data."""
+    up to a full fit and to unseen data. It may have its `finer` formula where these have theirs."""
     fits = []
     for each in workspace.candidates:
         if each is made or each.name in {part.effect for part in parts}:
             model = with_effect(base.model, each, screened.score(each.name).starts[0])
             ended = tried(partial(full, model, workspace, each), each.name, workspace.failed)
             fits += [ended] if ended is not None else []
-    best = next((each for each in fits if each.candidate is made), None)
+    fits = finest(fits, workspace) if finer else fits
+    best = next((each for each in fits if each.name == made.name), None)
     if best is None or not best.fit.minimum.converged or surety(best) <= SURE:
         return None
     held_out = UnseenCheck(base, workspace).of(best)

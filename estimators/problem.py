@@ -95,7 +95,8 @@ class Problem:
 
     def refined(self, common: Array) -> Problem:
         """With steps as short as the model is fast at `common`: friction that starts at zero makes it stiff later."""
-        return replace(self, substeps=max(self.substeps, _substeps(self.kernel, self.values(common), self.segments)))
+        enough = _substeps(self.model, self.kernel, self.values(common), self.segments)
+        return replace(self, substeps=max(self.substeps, enough))
 
     def like(self, other: Problem) -> Problem:
         """With steps as short as those of `other`, and as sure of the starts of its states, which come first here."""
@@ -190,12 +191,19 @@ def problem(
     initials = tuple(initial_state(model, segment) for segment in data)
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
     spread = np.array([model.states[place].initial_std for place in own])
-    return Problem(model, kernel, tuple(data), free, own, initials, _substeps(kernel, kernel.vector(), data), spread)
+    substeps = _substeps(model, kernel, kernel.vector(), data)
+    return Problem(model, kernel, tuple(data), free, own, initials, substeps, spread)
 
 
-def _substeps(kernel: Kernel, values: Array, data: Sequence[Segment]) -> int:
-    """Steps a row that the fastest pole asks for at parameter values (np,)."""
-    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, values, data)))))
+def _substeps(model: Model, kernel: Kernel, values: Array, data: Sequence[Segment]) -> int:
+    """Steps a row that the fastest pole asks for at parameter values (np,), at rest and in motion."""
+    return substeps_of(kernel, values, data, typical_motion(model, data))
+
+
+def substeps_of(kernel: Kernel, values: Array, data: Sequence[Segment], motion: Array) -> int:
+    """Steps a row that the fastest pole asks for at parameter values (np,), at rest and in the state `motion` (nx,)."""
+    matrices = [jacobian(kernel, values, data, state) for state in (None, motion)]
+    fastest = float(np.max(np.abs(np.linalg.eigvals(np.array(matrices)))))
     return int(np.clip(np.ceil(float(np.median(np.diff(data[0].time))) * fastest / FINEST), 1, 50))
 
 
@@ -209,10 +217,10 @@ def initial_state(model: Model, segment: Segment) -> Array:
     return np.array([number(state.initial, known, f"state {state.name}, initial") for state in model.states])
 
 
-def jacobian(kernel: Kernel, values: Array, data: Sequence[Segment]) -> Array:
-    """The continuous system matrix (nx, nx) at the middle of the data."""
+def jacobian(kernel: Kernel, values: Array, data: Sequence[Segment], motion: Array | None = None) -> Array:
+    """The continuous system matrix (nx, nx) at the middle of the data, at rest or in the state `motion` (nx,)."""
     short = SHORT * float(np.median(np.diff(data[0].time)))
-    transition, _ = linearise(kernel, values[None], at_rest(kernel, data, short))
+    transition, _ = linearise(kernel, values[None], at_rest(kernel, data, short), motion)
     return np.asarray((transition[0] - np.eye(len(kernel.states))) / short)
 
 
@@ -242,6 +250,12 @@ def typical_motion(model: Model, data: Sequence[Segment]) -> Array:
         elif angles is not None:
             motion[states.index(joint.rate)] = _usual_rate(data, angles)
     return motion
+
+
+def usual_motion(model: Model) -> Array:
+    """The same as the model's scales have it, where nothing is measured yet."""
+    rates = {joint.rate: joint.rate_scale for joint in model.joints}
+    return np.array([rates.get(state.name, 0.0) for state in model.states])
 
 
 def shown_by(model: Model, text: str) -> int | None:

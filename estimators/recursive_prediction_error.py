@@ -22,7 +22,7 @@ import numpy as np
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.disturbance import DisturbanceEstimate, is_of_disturbance
 from estimators.frame_chunks import FrameChunks
-from estimators.problem import FINEST, Problem, jacobian
+from estimators.problem import Problem, substeps_of, usual_motion
 from estimators.recursive_predictor import RecursivePredictor, Seen
 from models import library
 from models.disturbance import disturbed, parameters_of
@@ -160,8 +160,7 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
     rest = Segment(time, knots, np.zeros((3, inputs)), measured, "at rest")
     free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
     own = tuple(place for place, state in enumerate(model.states) if state.initial_std > 0.0)
-    fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, kernel.vector(), (rest,))))))
-    substeps = int(np.clip(np.ceil(period * fastest / FINEST), 1, 50))
+    substeps = substeps_of(kernel, kernel.vector(), (rest,), usual_motion(model))
     spread = np.array([model.states[place].initial_std for place in own])
     return Problem(model, kernel, (rest,), free, own, (), substeps, spread)
 

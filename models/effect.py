@@ -26,7 +26,7 @@ another than the first place that can have the effect).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -113,7 +113,8 @@ class Effect:
     of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `strikes`: parts
     strike each other, so that what a little of it does says nothing of what more of it does. `in_radians`: names that
     are an angle in rad, or the effect makes no sense. `source` is where the equation is from. `instead`: the formula of
-    the same effect at places that offer what that one asks for.
+    the same effect at places that offer what that one asks for. `finer`: a formula of the same effect with more physics
+    and more parameters, which takes more of a record to tell.
     """
 
     name: str
@@ -141,11 +142,17 @@ class Effect:
     in_radians: tuple[str, ...] = ()
     source: str = ""
     instead: Effect | None = None
+    finer: Effect | None = None
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
         """Local names of the parameters that are zero where the effect is absent."""
         return tuple(parameter.name for parameter in self.parameters if parameter.amplitude)
+
+    def with_parameters(self, names: Iterable[str]) -> Effect:
+        """It by its finer formula, where `names` (local) are not all of this one's parameters."""
+        strange = set(names) - {parameter.name for parameter in self.parameters}
+        return self.finer if self.finer and strange else self
 
     @property
     def own_names(self) -> tuple[str, ...]:

@@ -121,12 +121,14 @@ def _attach(model: Model, entry: EffectSection, file: str, where: str) -> tuple[
     return replace(model, effects=(*others, attached)), attached
 
 
-def _effect(entry: EffectSection, file: str) -> Effect | str:
+def _effect(entry: EffectSection, file: str) -> Effect:
+    from models.effects import find
+
     if not entry.file:
         if not entry.name:
             what = "has neither name nor file"
             raise ModelError("effect", what, remedy="name an effect; `upright model list-effects` lists them.")
-        return entry.name
+        return find(entry.name).with_parameters(entry.parameters)
     from models.effects.custom import load_effect
 
     effect = load_effect(Path(file).parent / entry.file)
@@ -156,7 +158,7 @@ def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None
         known = find(attached.effect.name)
     except ModelError:
         known = None
-    if known is None or attached.effect not in (known, known.instead):
+    if known is None or attached.effect not in (known, known.instead, known.finer):
         remedy = "write it into a file of its own and name that in `effect_files`."
         raise ModelError(where, "is not in the catalogue, and no file is known for it", remedy=remedy)
 

@@ -22,6 +22,10 @@ TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 pytestmark = pytest.mark.timeout(180)
 
 
+STILL = ("--hide", "disturbance=0")
+"""What is asserted of a demo is asserted of a vehicle that nothing shakes."""
+
+
 def upright(*words: str, code: int = 0) -> str:
     done = subprocess.run([*UPRIGHT, *words], capture_output=True, text=True, timeout=170, check=False)
     assert done.returncode == code, done.stderr
@@ -35,7 +39,7 @@ def document(*words: str) -> Any:
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("demo")
-    upright("demo", "--data", str(folder))
+    upright("demo", *STILL, "--data", str(folder))
     return {name: next(folder.glob(f"*_{name}.arrow")) for name in ("step", "sweep")}
 
 
@@ -84,7 +88,7 @@ def test_a_truncated_recording_gives_what_it_holds_and_says_so(recordings: dict[
 
 
 def test_a_hidden_effect_makes_the_model_fail(tmp_path: Path) -> None:
-    upright("demo", "--experiment", "multisine", "--hide", "coulomb_friction", "--data", str(tmp_path))
+    upright("demo", *STILL, "--experiment", "multisine", "--hide", "coulomb_friction", "--data", str(tmp_path))
     recording = next(tmp_path.glob("*_multisine.arrow"))
     models = document("compare", str(recording), "--model", str(recording.with_suffix(".estimates.json")))["models"]
     assert not any(model["adequate"] for model in models)
@@ -179,7 +183,7 @@ def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
 
 def test_the_balancing_robot_has_a_story_of_its_own(tmp_path: Path) -> None:
     """It is identified afterwards as well, without the seconds in which it gets up."""
-    told = upright("demo", "--vehicle", "twsbr", "--experiment", "square", "--data", str(tmp_path))
+    told = upright("demo", *STILL, "--vehicle", "twsbr", "--experiment", "square", "--data", str(tmp_path))
     (recording,) = tmp_path.glob("*_square.arrow")
     fitted = json.loads(recording.with_suffix(".estimates.json").read_text())["methods"]["prediction_error"]
     assert fitted["status"] == "ok"

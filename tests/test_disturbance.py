@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from estimators.identify import nominal_model
 from service import virtual_vehicle
 from service.cli import app
 from service.hidden_effects.by_disturbance import thirds
@@ -235,13 +236,14 @@ def test_programs_have_none_unless_they_ask() -> None:
 
 
 @pytest.mark.parametrize("vehicle", ["monocab", "twsbr"])
-def test_people_can_have_it_by_default_and_switch_it_off(vehicle: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_vehicle_that_a_person_starts_is_shaken_where_its_model_may_be(vehicle: str) -> None:
     file = load(vehicle)
-    for default in (False, True):
-        monkeypatch.setattr(virtual_vehicle, "DISTURBED_BY_DEFAULT", default)
-        registry = virtual_vehicle.TWINS[vehicle].truth.registry
-        assert virtual_vehicle.asked_disturbance(file, ["static_torque"]) == (registry.disturbance if default else None)
-        assert virtual_vehicle.asked_disturbance(file, ["disturbance=0"]) is None
+    registry = virtual_vehicle.TWINS[vehicle].truth.registry
+    may_be = any(joint.disturbance is not None for joint in nominal_model(vehicle).joints)
+    for hide in ([], ["static_torque"]):
+        assert virtual_vehicle.asked_disturbance(file, hide) == (registry.disturbance if may_be else None)
+    assert virtual_vehicle.asked_disturbance(file, ["disturbance=0"]) is None
+    assert virtual_vehicle.asked_disturbance(file, ["disturbance"]) == registry.disturbance
 
 
 @pytest.mark.parametrize("words", [["demo"], ["serve", "monocab", "--virtual"], ["simulate", "monocab"]])

@@ -1,13 +1,59 @@
 """Dry friction: a force against the motion whose size does not depend on how fast the motion is, or falls with it.
 
 sign(rate) is drawn as tanh(rate / smooth_rate); a positive size always takes energy out.
+
+No real contact turns its force at once. Bristles bend by `travel` before they slide, and are damped while they do:
+
+    F = -level (bend + bend_time bend'),  bend' = (rate - |rate| bend) / travel
+
+(LuGre, Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40 (1995) 419, with the deflection as
+a share of that at which they slide). So each has a finer formula, which a diagnosis takes where the record asks for it.
 """
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family, Place
+from dataclasses import replace
 
-COULOMB_FRICTION = Effect(
+from models.effect import Effect, EffectParameter, EffectState, Family, Place
+
+# Bristles that slide fast stay bent: by a lag that is nothing beside the motion, they are no reason for shorter steps.
+_BENDING = "(rate - abs(rate) * bend) / (travel + 0.005 * time_scale * abs(rate))"
+_BRISTLES = (
+    EffectParameter(
+        "travel",
+        "{coordinate}",
+        "by which the contact bends before it slides",
+        value="coordinate_scale / 100",
+        scale="coordinate_scale / 200",
+        lower="coordinate_scale / 20000",
+        upper="coordinate_scale",
+    ),
+    EffectParameter(
+        "bend_time",
+        "s",
+        "damping of the contact, over its stiffness",
+        value="0.025 * time_scale",
+        scale="0.025 * time_scale",
+        lower="0",
+        upper="time_scale",
+    ),
+)
+
+
+def _with_bristles(effect: Effect) -> Effect:
+    """`effect` with the finer formula of the same, in which bristles take the place of the sign of the rate."""
+    level = effect.force.removesuffix("tanh(rate / smooth_rate)")
+    finer = replace(
+        effect,
+        equation=f"{effect.equation},  with bend + bend_time bend' for sgn(rate),  travel bend' = rate - |rate| bend",
+        parameters=(*effect.parameters, *_BRISTLES),
+        states=(EffectState("bend", "1", _BENDING, "of the contact, over that at which it slides"),),
+        force=f"{level}(bend + bend_time * {_BENDING})",
+    )
+    return replace(effect, finer=finer)
+
+
+_COULOMB = Effect(
     name="coulomb_friction",
     family=Family.DRY_FRICTION,
     title="dry friction of constant size",
@@ -29,8 +75,9 @@ COULOMB_FRICTION = Effect(
     dissipative=True,
     source="Coulomb; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083, section 2",
 )
+COULOMB_FRICTION = _with_bristles(_COULOMB)
 
-STRIBECK_FRICTION = Effect(
+_STRIBECK = Effect(
     name="stribeck_friction",
     family=Family.DRY_FRICTION,
     title="dry friction that is strongest at rest and falls as the motion gets faster",
@@ -77,8 +124,9 @@ STRIBECK_FRICTION = Effect(
     source="Stribeck; Armstrong-Helouvry et al., Automatica 30 (1994) 1083; Olsson et al., Eur. J. Control 4 (1998) "
     "176",
 )
+STRIBECK_FRICTION = _with_bristles(_STRIBECK)
 
-LOAD_DEPENDENT_FRICTION = Effect(
+_LOAD_DEPENDENT = Effect(
     name="load_dependent_friction",
     family=Family.DRY_FRICTION,
     title="dry friction that grows with the force the actuator passes on",
@@ -101,8 +149,9 @@ LOAD_DEPENDENT_FRICTION = Effect(
     dissipative=True,
     source="Armstrong-Helouvry et al., Automatica 30 (1994) 1083; Hamon, Gautier, Garrec, IROS 2010",
 )
+LOAD_DEPENDENT_FRICTION = _with_bristles(_LOAD_DEPENDENT)
 
-ASYMMETRIC_FRICTION = Effect(
+_ASYMMETRIC = Effect(
     name="asymmetric_friction",
     family=Family.DRY_FRICTION,
     title="dry friction that differs between the two directions",
@@ -134,3 +183,4 @@ ASYMMETRIC_FRICTION = Effect(
     dissipative=True,
     source="Armstrong-Helouvry, Control of Machines with Friction (1991)",
 )
+ASYMMETRIC_FRICTION = _with_bristles(_ASYMMETRIC)

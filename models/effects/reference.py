@@ -93,14 +93,13 @@ def _section(effect: Effect) -> str:
         names = set().union(*map(names_in, effect.instead.expressions.values())) & VOCABULARY[effect.place]
         names -= set().union(EVERY_JOINT, *map(names_in, effect.expressions.values()))
         lines += [f"Instead, at a {effect.place} that offers {_code(names)}:", "", *_formula(effect.instead)]
+    if effect.finer:
+        lines += ["A diagnosis takes the finer formula where the record asks for it:", "", *_equation(effect.finer)]
     return "\n".join([*lines, ""])
 
 
 def _formula(effect: Effect) -> list[str]:
-    lines = ["```", effect.equation, "```", ""]
-    lines += ["| parameter | unit | meaning | value | bounds |", "|---|---|---|---|---|"]
-    lines += map(_row, effect.parameters)
-    lines += ["", f"**In a record:** {effect.signature}", ""]
+    lines = [*_equation(effect), f"**In a record:** {effect.signature}", ""]
     lines += [f"**Confused with:** {', '.join(f'[`{name}`](#{name})' for name in effect.confused_with)}.", ""]
     lines += [f"**Told apart by:** {effect.separated_by}", ""]
     more = "It never adds energy. " if effect.dissipative else ""
@@ -112,6 +111,12 @@ def _formula(effect: Effect) -> list[str]:
     if effect.in_radians:
         more += f"It needs {' and '.join(f'`{name}`' for name in effect.in_radians)} in rad. "
     return [*lines, f"{more}Source: {effect.source}.", ""]
+
+
+def _equation(effect: Effect) -> list[str]:
+    lines = ["```", effect.equation, "```", ""]
+    lines += ["| parameter | unit | meaning | value | bounds |", "|---|---|---|---|---|"]
+    return [*lines, *map(_row, effect.parameters), ""]
 
 
 def _row(parameter: EffectParameter) -> str:

@@ -40,8 +40,9 @@ def validate(effect: Effect) -> None:
             remedy = f"name others of the catalogue: {', '.join(CATALOGUE)}."
             raise ModelError(f"{where}, confused_with", f"there is no other effect {name!r}", remedy=remedy)
     _validate_neutral(effect, where)
-    if effect.instead:
-        validate(effect.instead)
+    for formula in (effect.instead, effect.finer):
+        if formula:
+            validate(formula)
 
 
 def _validate_own_names(effect: Effect, where: str) -> None:

@@ -1,0 +1,45 @@
+"""Effects by a finer formula where the record asks for it, before any further name is looked for.
+
+What the usual formula of an effect leaves looks like another effect beside it. Dry friction whose contact bends before
+it slides, drawn as the sign of the rate, left 800 nats where it gained 1,140. These were play, friction that falls with
+the rate, or something without a name; by the finer formula nothing was left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from diagnosis.effect_fit import candidate_of
+from diagnosis.refit import FURTHER_FITS, FullFit, full, with_effect
+from diagnosis.trial import tried
+from diagnosis.workspace import Workspace
+from models.model import Model
+
+
+def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
+    """`fits`, each by the formula of its effect that has more evidence, the one with most evidence first."""
+    return sorted((_likelier(each, workspace) for each in fits), key=lambda each: -each.evidence)
+
+
+def is_finer(model: Model, workspace: Workspace) -> bool:
+    """Whether `model` has an effect of `workspace` by its finer formula."""
+    return any(each.effect is usual.effect.finer for each in model.effects for usual in workspace.candidates)
+
+
+def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
+    finer = tried(partial(_finer, fitted, workspace))
+    return finer if finer and finer.fit.minimum.converged and finer.evidence > fitted.evidence else fitted
+
+
+def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:
+    """`fitted` with the effect that was added last by its finer formula; None where it has none."""
+    attached = next(each for each in fitted.model.effects if each.name == fitted.name)
+    if attached.effect.finer is None:
+        return None
+    model, values = fitted.model.remove(attached.name), fitted.fitted.values
+    candidate = candidate_of(model, model.add(attached.effect.finer, attached.at).effects[-1])
+    own = {parameter.name: values[parameter.name] for parameter in attached.parameters}
+    begun = with_effect(model, candidate, {**candidate.variants[0], **own})
+    # The noise is begun afresh: beside the coarser formula another kind of it may have stood in for what this explains.
+    return full(begun, workspace, candidate, longer=FURTHER_FITS)

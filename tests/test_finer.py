@@ -1,0 +1,59 @@
+"""An effect gets its finer formula where a record asks for it, so that what the usual one leaves gets no name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from diagnosis.diagnose import Verdict, diagnose
+from estimators.identify import nominal_model, with_values
+from models.effects import find
+from models.expressions import number
+from models.model_file import ModelFile, read, write
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+
+
+@pytest.mark.parametrize("hide", [("disturbance", "coulomb_friction"), ("coulomb_friction",)], ids=["shaken", "still"])
+def test_friction_whose_contact_bends_is_named_alone(hide: tuple[str, ...]) -> None:
+    """By the sign of the rate it was Stribeck friction, play beside it, or something without a name."""
+    recording = record("monocab", "multisine", hide=hide, seed=6001)
+    candidates = ("coulomb_friction", "stribeck_friction", "viscous_friction", "backlash")
+    found = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates)
+    assert found.verdict is Verdict.MISSING_EFFECT, found.reason
+    (named,) = found.findings
+    assert (named.effect, named.tied_with) == ("coulomb_friction", ())
+    truth = {"torque": 60.0, "travel": BRISTLE_DEFLECTION, "bend_time": BRISTLE_DAMPING}
+    for name, value in truth.items():
+        assert named.parameters[f"coulomb_friction.{name}"].value == pytest.approx(value, rel=0.1)
+    assert "bend_time bend'" in named.explanation
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "stribeck_friction", "asymmetric_friction"])
+def test_a_contact_is_a_spring_before_it_slides_and_the_usual_friction_after(name: str) -> None:
+    usual = find(name)
+    finer = usual.finer
+    assert finer is not None
+    known = dict.fromkeys((parameter.name for parameter in finer.parameters), 0.5) | {"travel": 1e-4, "bend_time": 0.0}
+    known |= {"smooth_rate": 1e-3, "time_scale": 0.4, "rate": 0.01}
+    (bend,) = finer.states
+    assert number(bend.derivative, known | {"bend": 0.0}) == pytest.approx(0.01 / 1e-4, rel=0.2)
+    assert number(bend.derivative, known | {"bend": 1.0}) == 0.0
+    sliding = number(usual.force, known)
+    for share in (0.0, 0.1, 1.0):
+        assert number(finer.force, known | {"bend": share}) == pytest.approx(share * sliding)
+
+
+def test_a_model_with_a_finer_formula_is_read_again_as_it_was(tmp_path: Path) -> None:
+    effect = find("coulomb_friction").finer
+    assert effect is not None
+    model = MODEL.add(effect).change({"coulomb_friction.torque": 60.0, "coulomb_friction.travel": 1e-4})
+    write(ModelFile(model), tmp_path / "mine.toml")
+    assert read(tmp_path / "mine.toml").model.effects == model.effects
