@@ -8,6 +8,8 @@ Where parts strike each other it is not smooth: a blow that comes a row early or
 expected, so fits end hundreds apart of thousands that they gain, and some of them with a filter that each blow throws
 off. There each shape is begun with all else at what was known before and at where the model without the effect ended,
 and of those that gain almost as much as the best the one stays that foretells its own record best, half a second ahead.
+
+As in a diagnosis (diagnosis.finer), an effect that has a finer formula is fitted by that as well.
 """
 
 from __future__ import annotations
@@ -160,13 +162,35 @@ def fit_effect(
     most: int = MOST_STARTS,
 ) -> Fitted:
     """`model` with the effect of `candidate`, from at most `most` shapes; `without` is the fit of `model` to the same
-    `recordings`, and `score` what the screen says of the effect.
+    `recordings`, and `score` what the screen says of the effect. Its finer formula stays where that is likelier.
 
     Raises DataError and EstimationError as `fit_model`, the latter only where every start fails.
     """
+    starts = _starts(model, candidate, score)[:most]
+    usual = _fit_formula(model, candidate, starts, recordings, without, support)
+    if candidate.effect.finer is None:
+        return usual
+    finer = candidate_of(model, model.add(candidate.effect.finer, candidate.attached.at).effects[-1])
+    known = usual.model.values
+    begun = {**finer.variants[0], **{p.name: known[p.name] for p in candidate.attached.parameters}}
+    try:
+        by_finer = _fit_formula(model, finer, [begun], recordings, without, support)
+    except EstimationError:
+        return usual
+    return _best([usual, by_finer], without, candidate.effect.strikes)
+
+
+def _fit_formula(
+    model: Model,
+    candidate: Candidate,
+    shapes: Sequence[Mapping[str, float]],
+    recordings: Sequence[Recording],
+    without: Fitted,
+    support: float | None,
+) -> Fitted:
+    """The same by the formula of `candidate` alone, from each of `shapes`, which may have amplitudes."""
     with_it = model.add(candidate.effect, candidate.attached.at)
     problem(with_it, recordings, support=support)  # compiled before two threads ask for it
-    shapes = _starts(model, candidate, score)[:most]
     strikes = candidate.effect.strikes
     ends = (None, without.fit.end) if strikes else (None,)
     best = _best(_fits([with_it.change(shape) for shape in shapes], recordings, support, ends), without, strikes)

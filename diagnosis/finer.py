@@ -7,19 +7,33 @@ the rate, or something without a name; by the finer formula nothing was left.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
 from diagnosis.effect_fit import candidate_of
 from diagnosis.refit import FURTHER_FITS, FullFit, full, with_effect
+from diagnosis.ties import TIED
 from diagnosis.trial import tried
 from diagnosis.workspace import Workspace
+from models.effect import AttachedEffect
 from models.model import Model
+
+WORTH = -math.log(TIED)
+"""Logarithm of the odds to the usual formula that a finer one has to have, as a name to none."""
 
 
 def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
-    """`fits`, each by the formula of its effect that has more evidence, the one with most evidence first."""
-    return sorted((_likelier(each, workspace) for each in fits), key=lambda each: -each.evidence)
+    """`fits`, the one with most evidence first, each by the formula of its effect that has more evidence.
+
+    The likeliest of those that have a finer one tells whether the record asks for any: all of these say the same of
+    what is finer in them.
+    """
+    able = max((each for each in fits if _attached(each).effect.finer), key=lambda each: each.evidence, default=None)
+    if able is None or (first := _likelier(able, workspace)) is able:
+        return list(fits)
+    found = [first if each is able else _likelier(each, workspace) for each in fits]
+    return sorted(found, key=lambda each: -each.evidence)
 
 
 def is_finer(model: Model, workspace: Workspace) -> bool:
@@ -29,12 +43,12 @@ def is_finer(model: Model, workspace: Workspace) -> bool:
 
 def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
     finer = tried(partial(_finer, fitted, workspace))
-    return finer if finer and finer.fit.minimum.converged and finer.evidence > fitted.evidence else fitted
+    return finer if finer and finer.fit.minimum.converged and finer.evidence > fitted.evidence + WORTH else fitted
 
 
 def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:
     """`fitted` with the effect that was added last by its finer formula; None where it has none."""
-    attached = next(each for each in fitted.model.effects if each.name == fitted.name)
+    attached = _attached(fitted)
     if attached.effect.finer is None:
         return None
     model, values = fitted.model.remove(attached.name), fitted.fitted.values
@@ -43,3 +57,8 @@ def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:
     begun = with_effect(model, candidate, {**candidate.variants[0], **own})
     # The noise is begun afresh: beside the coarser formula another kind of it may have stood in for what this explains.
     return full(begun, workspace, candidate, longer=FURTHER_FITS)
+
+
+def _attached(fitted: FullFit) -> AttachedEffect:
+    """The effect that was added last."""
+    return next(each for each in fitted.model.effects if each.name == fitted.name)

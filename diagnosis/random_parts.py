@@ -72,8 +72,19 @@ def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
         return None
     peaks = tried(partial(too_strong, fitted.fit)) or []
     fits = [tried(partial(_with, fitted, joint, each, workspace)) for joint in joints for each in peaks]
-    settled = [each for each in fits if each is not None and each.fit.minimum.converged]
+    settled = [each for each in fits if each is not None and each.fit.minimum.converged and _narrow(each)]
     return max(settled, key=lambda each: each.evidence, default=None)
+
+
+def _narrow(fitted: FullFit) -> bool:
+    """Whether the forces of a narrow band are of one: what ends at the shortest time for which they may swing on, is no
+    swing."""
+    times = {fitted.model.base_states[place].correlation_time for _, place in narrow_at_joints(fitted.model)}
+    parameters, ended = fitted.fit.problem.parameters, fitted.fit.minimum
+    return not any(
+        each.name in times and at_bound and value <= each.lower
+        for each, value, at_bound in zip(parameters, ended.common, ended.at_bound, strict=False)
+    )
 
 
 def _with(fitted: FullFit, joint: Joint, frequency: float, workspace: Workspace) -> FullFit:

@@ -41,6 +41,8 @@ LEAST_TIMES = 10.0
 what only drifts is not."""
 PREFIX = "disturbance_"
 NARROW = "narrow_band_"
+PERIODS = 1.0
+"""For which a force of a narrow band swings on at least: what fades within one has no frequency of its own."""
 
 
 def state_of(joint: str) -> str:
@@ -138,10 +140,10 @@ def power_share(state: State) -> float:
 
 def with_narrow_band(model: Model, joint: Joint, frequency: float, longest: float) -> Model:
     """`model` with a random force of a narrow band at `joint`, for a record of `longest` s; its estimation starts at
-    `frequency`, Hz, and where it swings as long as a geometric mean of a radian and the longest that is sought."""
+    `frequency`, Hz, and where it swings as long as a geometric mean of a period and the longest that is sought."""
     name = f"{NARROW}{joint.name}"
     lead, about, time = f"{name}_lead", f"{name}_frequency", f"{name}_time"
-    shortest = 1.0 / (2.0 * math.pi * frequency)
+    shortest = PERIODS / frequency
     most = max(longest / LEAST_TIMES, 2.0 * shortest)
     lasting, std = math.sqrt(shortest * most), SMALL * joint.force_scale
     turn = f"{2.0 * math.pi!r} * {about}"
