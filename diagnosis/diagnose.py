@@ -24,7 +24,7 @@ from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
-from diagnosis.random_parts import RANDOM, Absorbed, absorbed
+from diagnosis.random_parts import RANDOM, absorbed
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
@@ -164,22 +164,10 @@ def _beside_random_parts(
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
             return found
-        again = [_searched(looked.base, workspace, most, masked, tell), *_kept(found, looked, workspace)]
-        best = max(again, key=lambda each: each.last.evidence)
-        if best.last.evidence <= found.last.evidence:
+        again = _searched(looked, workspace, most, masked, tell)
+        if again.last.evidence <= found.last.evidence:
             return found
-        found = best
-
-
-def _kept(found: Searched, looked: Absorbed, workspace: Workspace) -> list[Searched]:
-    """What was `found`, beside the random part that was found then; none where one of the effects has no name."""
-    base, last = looked.base, looked.last
-    if last is None or len(found.findings) != len(last.model.effects) - len(base.model.effects):
-        return []
-    fits = tried(partial(one_by_one, found.findings, last, workspace.unhurried))
-    findings = [tried(partial(retold, each, last)) or each for each in found.findings]
-    bare = _without_blows(base, workspace.unhurried)
-    return [] if fits is None else [Searched(base, bare, findings, fits, found.screens, last)]
+        found = again
 
 
 def _searched(base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress) -> Searched:

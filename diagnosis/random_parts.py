@@ -14,7 +14,7 @@ has a chi-squared distribution; the least likely block of all tells frequency an
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -41,27 +41,17 @@ RANDOM = "a random force of a narrow band"
 """What it is called where there was no time for it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Absorbed:
-    """`base`, the model alone with one random part more, and `last` the same with the effects that were found before;
-    None where there were none, or where these explain less than the random part alone."""
-
-    base: FullFit
-    last: FullFit | None
-
-
-def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> Absorbed | None:
-    """The random part that is likelier beside the effects of `last` than none is, or alone than these are; None where
-    there is none. `base` is the fit of the model without the effects."""
+def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
+    """The fit of `base`, the model alone, with the random part that is likelier beside the effects of `last` than none
+    is, or alone than these are; None where there is none."""
     beside = _likeliest(last, workspace)
     if beside is not None and beside.evidence > last.evidence:
         if base is last:
-            return Absorbed(beside, None)
+            return beside
         model = replace(beside.fitted, effects=base.model.effects)
-        without = tried(partial(full, model, workspace, longer=FURTHER_FITS))
-        return None if without is None else Absorbed(without, beside)
+        return tried(partial(full, model, workspace, longer=FURTHER_FITS))
     alone = _likeliest(base, workspace) if base is not last else None
-    return Absorbed(alone, None) if alone is not None and alone.evidence > last.evidence else None
+    return alone if alone is not None and alone.evidence > last.evidence else None
 
 
 def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
