@@ -26,7 +26,10 @@ from diagnosis.trial import FAILURES
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
 from estimators.contract import Status
+from estimators.disturbance import BOUND
+from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, eliminate
+from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
 from estimators.segments import segments
@@ -133,7 +136,7 @@ class UnseenCheck:
             few = Workspace.of(base, part.seen, workspace.support, others)
             self._few[part.pieces] = replace(few, budget=workspace.budget)
         few = self._few[part.pieces]
-        with_it = full(best.model, few, begin=best.fit.end).fit
+        with_it = _unsure(full(best.model, few, begin=best.fit.end).fit)
         told = result(with_it, 0.0).parameters
         sizes = [told[name] for each in further for name in each.amplitudes]
         if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
@@ -145,8 +148,29 @@ class UnseenCheck:
         if any(told[name].status in NOT_TOLD for name in instants):
             return None
         if part.pieces not in self._without:
-            self._without[part.pieces] = full(base, few, begin=self._base.fit.end).fit
+            self._without[part.pieces] = _unsure(full(base, few, begin=self._base.fit.end).fit)
         return self._without[part.pieces], with_it
+
+
+def _unsure(fitted: Fit) -> Fit:
+    """`fitted` with each noise that ended at its least as large as its data allow (BOUND).
+
+    Of none at all they are never sure. A predictor without noise corrects nothing: it is a simulation, in which what
+    parameters are off by, as all are, adds up to thousands of deviations.
+    """
+    noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
+    logarithms = fitted.minimum.common[size:]
+    least = fitted.minimum.at_bound[size:] & (logarithms < 0.0)
+    if not least.any():
+        return fitted
+    deviations = np.sqrt(np.diag(inverse(fitted.minimum.information)))[size:]
+    gain = noise.gain(fitted.values, np.where(least, np.minimum(logarithms + BOUND * deviations, 0.0), logarithms))
+    if gain is None:
+        return fitted
+    moved = replace(fitted, gain=gain)
+    errors = np.concatenate(moved.innovations())
+    known = errors[np.isfinite(errors).all(axis=1)]
+    return replace(moved, covariance=known.T @ known / len(known))
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
