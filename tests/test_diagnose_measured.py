@@ -44,7 +44,7 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
     assert found.repaired.values["inertia"] == pytest.approx(emps.PUBLISHED["inertia"], rel=0.01)
 
 
-@pytest.mark.timeout(900)  # three whole searches without a bound: of the model alone, beside a narrow band, without an event
+@pytest.mark.timeout(900)
 def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
     """100 s of it. Its friction is neither of the two forces alone, and nobody has published their sizes: those from
     prediction errors and from a simulation differ by a third (docs/explanation/measured-data.md)."""
