@@ -8,13 +8,18 @@ longer).
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+from diagnosis.diagnose import diagnose
+from estimators.identify import nominal_model, with_values
+from models.model import Disturbance
 from service.cli import app
+from service.vehicle_file import load
 from service.virtual_run import record
 
 SEED = 83
@@ -62,6 +67,16 @@ def test_what_is_hidden_is_found_with_its_size(hidden: str, tmp_path: Path) -> N
     assert found["findings"][0]["effect"] == name
     told = found["findings"][0]["parameters"][size]
     assert abs(told["value"] - true) < WITHIN * told["std"]
+
+
+def test_friction_is_found_beside_a_disturbance_that_has_grown_to_it() -> None:
+    """In the fit of a model alone that has one at its tilt the disturbance does what the friction of the gears does."""
+    file, model = load("twsbr"), nominal_model("twsbr")
+    model = with_values(model, file.parameters.values, file.parameters.deviations)
+    joints = (replace(each, disturbance=Disturbance()) if each.name == "tilt" else each for each in model.joints)
+    still = record("twsbr", "square", hide=["coulomb_friction"], seed=SEED, duration=EXCITED)
+    found = diagnose(replace(model, joints=tuple(joints)), [still], support=file.support, candidates=LOOKED_FOR, most=1)
+    assert [each.effect for each in found.findings] == ["coulomb_friction@wheels"]
 
 
 def test_where_nothing_is_hidden_nothing_is_found(tmp_path: Path) -> None:
