@@ -96,7 +96,8 @@ def diagnose(
         tell("leaving out what happened once", 0.5)
         scale = time_scale(model, found.steps[-1].fit.problem.segments)
         rest, _ = whole([hidden(model, each, pieces(happened, each.source, scale)) for each in recordings])
-        if rest.verdict is not Verdict.INSUFFICIENT_DATA:
+        # A search that the time cut short is no better than the one before.
+        if rest.verdict is not Verdict.INSUFFICIENT_DATA and (bound.left or rest.findings):
             found = replace(rest, reason=f"{rest.reason} {' '.join(map(str, happened))}", events=tuple(happened))
     return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
 

@@ -13,14 +13,18 @@ from functools import partial
 
 from diagnosis.effect_fit import candidate_of
 from diagnosis.refit import FURTHER_FITS, FullFit, full, with_effect
+from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import TIED
 from diagnosis.trial import tried
 from diagnosis.workspace import Workspace
+from estimators.budget import OutOfTime
 from models.effect import AttachedEffect
 from models.model import Model
 
 WORTH = -math.log(TIED)
 """Logarithm of the odds to the usual formula that a finer one has to have, as a name to none."""
+EACH = 0.25
+"""Share of the time that is left which one fit may take."""
 
 
 def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
@@ -32,7 +36,8 @@ def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
     able = max((each for each in fits if _attached(each).effect.finer), key=lambda each: each.evidence, default=None)
     if able is None or (first := _likelier(able, workspace)) is able:
         return list(fits)
-    found = [first if each is able else _likelier(each, workspace) for each in fits]
+    others = [each for each in fits if each is not able]
+    found = [first, *side_by_side(lambda each: _likelier(each, workspace), others)]
     return sorted(found, key=lambda each: -each.evidence)
 
 
@@ -42,7 +47,11 @@ def is_finer(model: Model, workspace: Workspace) -> bool:
 
 
 def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
-    finer = tried(partial(_finer, fitted, workspace))
+    try:
+        finer = tried(partial(_finer, fitted, workspace.within(EACH)))
+    except OutOfTime:
+        workspace.leave(f"the finer formula of {fitted.name}")
+        return fitted
     return finer if finer and finer.fit.minimum.converged and finer.evidence > fitted.evidence + WORTH else fitted
 
 
