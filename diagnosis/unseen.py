@@ -168,9 +168,9 @@ def _unsure(fitted: Fit) -> Fit:
     if gain is None:
         return fitted
     moved = replace(fitted, gain=gain)
-    errors = np.concatenate(moved.innovations())
-    known = errors[np.isfinite(errors).all(axis=1)]
-    return replace(moved, covariance=known.T @ known / len(known))
+    with_it, without = (np.nanvar(np.concatenate(each.innovations()), axis=0) for each in (moved, fitted))
+    grown = np.sqrt(with_it / np.maximum(without, 1e-300))
+    return replace(moved, covariance=fitted.covariance * np.outer(grown, grown))
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
