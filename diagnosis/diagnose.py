@@ -96,8 +96,9 @@ def diagnose(
         tell("leaving out what happened once", 0.5)
         scale = time_scale(model, found.steps[-1].fit.problem.segments)
         rest, _ = whole([hidden(model, each, pieces(happened, each.source, scale)) for each in recordings])
-        # A search that the time cut short is no better than the one before.
-        if rest.verdict is not Verdict.INSUFFICIENT_DATA and (bound.left or rest.findings):
+        # A search that the time cut short, and that found nothing, is no better than the one before.
+        cut_short = not bound.left and not rest.findings
+        if rest.verdict is not Verdict.INSUFFICIENT_DATA and not cut_short:
             found = replace(rest, reason=f"{rest.reason} {' '.join(map(str, happened))}", events=tuple(happened))
     return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
 

@@ -25,8 +25,8 @@ from diagnosis.findings import Finding, MadeOf
 from diagnosis.finer import is_finer
 from diagnosis.refit import FullFit, by_chance, full, with_effect
 from diagnosis.screen import Screen
-from diagnosis.step import WORTH, Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
-from diagnosis.ties import LEVEL, NEIGHBOUR, alike
+from diagnosis.step import Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
+from diagnosis.ties import LEVEL, NEIGHBOUR, WORTH, alike
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 

@@ -1,30 +1,24 @@
 """Effects by a finer formula where the record asks for it, before any further name is looked for.
 
 What the usual formula of an effect leaves looks like another effect beside it. Dry friction whose contact bends before
-it slides, drawn as the sign of the rate, left 800 nats where it gained 1,140. These were play, friction that falls with
-the rate, or something without a name; by the finer formula nothing was left.
+it slides, drawn as the sign of the rate, leaves what looks like play, like friction that falls with the rate, or like
+something without a name (tests/test_finer.py).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 
 from diagnosis.effect_fit import candidate_of
 from diagnosis.refit import FURTHER_FITS, FullFit, full, with_effect
 from diagnosis.side_by_side import side_by_side
-from diagnosis.ties import TIED
+from diagnosis.ties import WORTH
 from diagnosis.trial import tried
 from diagnosis.workspace import Workspace
 from estimators.budget import OutOfTime
 from models.effect import AttachedEffect
 from models.model import Model
-
-WORTH = -math.log(TIED)
-"""Logarithm of the odds to the usual formula that a finer one has to have, as a name to none."""
-EACH = 0.25
-"""Share of the time that is left which one fit may take."""
 
 
 def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
@@ -48,7 +42,7 @@ def is_finer(model: Model, workspace: Workspace) -> bool:
 
 def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
     try:
-        finer = tried(partial(_finer, fitted, workspace.within(EACH)))
+        finer = tried(partial(_finer, fitted, workspace.for_one))
     except OutOfTime:
         workspace.leave(f"the finer formula of {fitted.name}")
         return fitted

@@ -37,8 +37,6 @@ LAG = "speed_loop_lag"
 """Parameter of an actuator's model."""
 START = 2
 """Of the starts of an effect: between the smallest and the largest that are usual."""
-EACH = 0.25
-"""Share of the time that is left which one of them may take."""
 TRIED = 10
 """Steps of a fit from each shape of an effect whose parts strike each other, and"""
 FITTED = 2
@@ -62,7 +60,7 @@ def fits(model: Model, workspace: Workspace, names: Collection[str], known: Coll
             continue
         own = candidate.attached
         values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
-        hurried = workspace.within(EACH)
+        hurried = workspace.for_one
         try:
             one = full(_with(model, candidate, values), hurried, candidate, longer=FURTHER_FITS)
             found.append(_other_way_round(one, hurried))

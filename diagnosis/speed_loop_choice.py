@@ -19,7 +19,7 @@ from diagnosis.actuator_rows import middle
 from diagnosis.floor import sensor_noise
 from diagnosis.masked import LAG
 from diagnosis.refit import FullFit, full
-from diagnosis.step import WORTH
+from diagnosis.ties import WORTH
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 from models.effect import Effect

@@ -34,7 +34,7 @@ from diagnosis.refit import (
 )
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
-from diagnosis.ties import LEVEL, SIMPLER, TIED, alike, exact, needless, tied
+from diagnosis.ties import LEVEL, SIMPLER, alike, exact, needless, tied
 from diagnosis.trial import tried
 from diagnosis.unseen import SURE, Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
@@ -45,15 +45,13 @@ from estimators.disturbance import disturbances
 from estimators.fit_result import inverse
 from estimators.methods.prediction_error import MUCH, Begin, noise_of, result
 from estimators.problem import Problem
-from models.disturbance import at_rest
+from models.disturbance import undriven
 from models.effect import Effect, Place
 
 Tell = Callable[[str, float], None]
 
 WORTH_A_FIT = LEVEL
 """p-value, of one candidate alone, below which it gets a quick fit."""
-WORTH = -float(np.log(TIED))
-"""Logarithm of the odds to "none" that an effect has to have."""
 FAR = 4.0
 """Inflation of a score above which every candidate gets a quick fit, and twice as many a full one: the innovations are
 so far from white that what is missing counts against the very effect that it is."""
@@ -61,11 +59,8 @@ CONTENDERS = 6
 """Full fits a step, at most."""
 CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
-EACH = 0.25
-"""Share of the time that is left which one fit may take: one effect whose equations are stiff must not keep the others
-from being tried."""
 QUICKLY = 0.5
-"""The same for all quick fits of a step together."""
+"""Share of the time that is left which all quick fits of a step together may take."""
 CHECKED = 3
 """Effects, the likeliest first, that are tried on unseen data before none is named."""
 
@@ -201,15 +196,20 @@ def _contenders(
 
 
 def _share(tell: Tell, begin: float, text: str, share: float) -> None:
+    """`share` of one of the two rounds of quick fits, which make three tenths of a step each."""
     tell(text, begin + 0.3 * share)
 
 
 def _undisturbed(base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
-    """Those quick fits of the model of `base` without a disturbance that explain most; each is to go on with little of
-    one, and all other noise as stated."""
-    still = full(at_rest(base.model), workspace)
+    """Quick fits of the model of `base` without a disturbance; each is to go on with little of one, and all other noise
+    as stated. None where that model has no fit, or no time for it is left."""
     noise = noise_of(base.fit.problem, shaken=-MUCH)
-    found = _quick_fits(still, look(still, workspace), workspace, tell)
+    try:
+        still = full(undriven(base.model), workspace.for_one)
+        found = _quick_fits(still, look(still, workspace), workspace, tell)
+    except OutOfTime:
+        workspace.leave("effects in place of the disturbance")
+        return []
     return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
 
@@ -239,7 +239,7 @@ def _quick_fits(base: FullFit, screened: Screen, workspace: Workspace, tell: Tel
 
     def quickly_fitted(score: Score) -> QuickFit | None:
         try:
-            ended = partial(_ended, base, score, quickly.within(EACH))
+            ended = partial(_ended, base, score, quickly.for_one)
             return tried(ended, score.candidate.name, workspace.failed)
         except OutOfTime:
             workspace.leave(score.candidate.name)
@@ -311,7 +311,7 @@ def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) ->
     """The full fit of the model with the effect of `quick` from `end` on; None where it fails or the time is over."""
     candidate = quick.candidate
     model = with_effect(base.model, candidate, quick.values)
-    fit = partial(full, model, workspace.within(EACH), candidate, end, longer=FURTHER_FITS)
+    fit = partial(full, model, workspace.for_one, candidate, end, longer=FURTHER_FITS)
     try:
         return tried(fit, candidate.name, workspace.failed)
     except OutOfTime:

@@ -14,6 +14,8 @@ from models.effect import Effect, Family
 
 TIED = 1.0 / 20.0
 """Posterior odds to the best above which an effect is tied with it."""
+WORTH = -float(np.log(TIED))
+"""Logarithm of the odds that an effect has to have to "none", and a finer formula of it to the usual one."""
 SIMPLER = 0.95
 """Share of the best gain in log likelihood with which an effect of fewer parameters is named instead.
 

@@ -153,10 +153,11 @@ class UnseenCheck:
 
 
 def _unsure(fitted: Fit) -> Fit:
-    """`fitted` with each noise that ended at its least as large as its data allow (BOUND).
+    """`fitted` with each noise that ended at its least bound as large as its own uncertainty allows, by BOUND standard
+    deviations of its logarithm, but no larger than it is stated.
 
-    Of none at all they are never sure. A predictor without noise corrects nothing: it is a simulation, in which what
-    parameters are off by, as all are, adds up to thousands of deviations.
+    Data never say that there is no noise at all. A predictor without noise corrects nothing: it is a simulation, in
+    which the errors of the parameters add up to thousands of standard deviations.
     """
     noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
     logarithms = fitted.minimum.common[size:]

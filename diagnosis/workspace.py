@@ -27,6 +27,9 @@ from telemetry.recording import Recording
 SETTLING = 0.5
 """Time scales (estimators.time_scale; 0.2 s of the MONOCAB) after which an actuator has forgotten what it was told
 before the first row."""
+EACH = 0.25
+"""Share of the time that is left which one fit may take: one effect whose equations are stiff must not keep the others
+from being tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +71,11 @@ class Workspace:
     def within(self, share: float) -> Workspace:
         """The same for work that may take a share of the time that is left."""
         return replace(self, budget=self.budget.part(share))
+
+    @property
+    def for_one(self) -> Workspace:
+        """The same for one fit of many."""
+        return self.within(EACH)
 
     def leave(self, what: str) -> None:
         """Note what is left untried."""

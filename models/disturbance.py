@@ -83,8 +83,8 @@ def undisturbed(model: Model, fitted: Model) -> Model:
     )
 
 
-def at_rest(model: Model) -> Model:
-    """`model` with the disturbances that it has held at nothing."""
+def undriven(model: Model) -> Model:
+    """`model` with each of its disturbances held at zero, as states that nothing drives."""
     states = tuple(
         replace(each, process_noise=0.0, noise_known=True, initial_std=0.0) if each.correlation_time else each
         for each in model.base_states

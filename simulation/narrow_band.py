@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-NOISE_BLOCK = 2048
+from simulation.disturbance import NOISE_BLOCK
+
 STREAM = 25
 """Spawn key of the torque's random numbers, which nothing else of the same seed shares."""
 
