@@ -5,6 +5,9 @@ each effect, and asks `upright diagnose TABLE --vehicle monocab`. Sizes are thos
 record would just show. Roll is an encoder's with white noise, the gyro as noisy as cheap ones are, the controller a
 plain PD whose setpoint acts at once, the gimbals one first-order lag: so the drives answer to a row's noise before the
 next row. Written apart from `simulation` and `models`; steps of a tenth of a millisecond, by the midpoint rule.
+
+`--disturbance 8,0.3` shakes it by a random torque of 8 N m RMS with a correlation time of 0.3 s. `--sensor` gives its
+sensors one error that real ones have beside white noise (SENSORS); the controller reads it, too.
 """
 
 from __future__ import annotations
@@ -61,6 +64,90 @@ class Moment:
 Torque = Callable[[Moment], float]
 
 
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """Errors beside white noise. `step` (rad) of an encoder for roll; `jitter` (s) RMS of the time stamps; `vibration`
+    of the gyro: RMS (rad/s), frequency (Hz), damping ratio; `wander` of the gyro: RMS (rad/s), correlation time (s);
+    a camera for roll: `frames` a second, each held until the next one comes, RMS error `blur` (rad) a frame."""
+
+    step: float = 0.0
+    jitter: float = 0.0
+    vibration: tuple[float, float, float] = (0.0, 1.0, 1.0)
+    wander: tuple[float, float] = (0.0, 1.0)
+    frames: float = 0.0
+    blur: float = 0.0
+
+
+SENSORS: dict[str, Sensors] = {
+    "white": Sensors(),
+    "encoder": Sensors(step=5e-4),
+    "jitter": Sensors(jitter=5e-4),
+    "much_jitter": Sensors(jitter=1.5e-3),
+    "vibration": Sensors(vibration=(5e-3, 25.0, 0.05)),
+    "slow_vibration": Sensors(vibration=(5e-3, 8.0, 0.1)),
+    "wander": Sensors(wander=(3e-3, 0.05)),
+    "camera": Sensors(frames=60.0, blur=1e-4),
+}
+"""What `--sensor` may be."""
+
+
+@dataclass
+class Coloured:
+    """A random signal of `rms` and the correlation time `time` (s), which swings about `frequency` (Hz); stepped
+    exactly, by `step` s."""
+
+    rms: float
+    time: float
+    step: float
+    random: np.random.Generator
+    frequency: float = 0.0
+    _value: complex = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._value = self.rms * self._draw()
+
+    def next(self) -> float:
+        """Its value now, and on by a step."""
+        now = self._value.real
+        turn = 2.0 * math.pi * self.frequency * self.step
+        fading = math.exp(-self.step / self.time)
+        self._value *= fading * complex(math.cos(turn), math.sin(turn))
+        self._value += self.rms * math.sqrt(1.0 - fading**2) * self._draw()
+        return now
+
+    def _draw(self) -> complex:
+        return complex(self.random.standard_normal(), self.random.standard_normal())
+
+
+@dataclass
+class Readings:
+    """What `sensors` make of roll and its rate, a row every `row` s; `random` is theirs."""
+
+    sensors: Sensors
+    row: float
+    random: np.random.Generator
+    _errors: list[Coloured] = field(init=False)
+    _frame: tuple[int, float] = (-1, 0.0)
+
+    def __post_init__(self) -> None:
+        rms, frequency, damping = self.sensors.vibration
+        swinging = Coloured(rms, 1.0 / (2.0 * math.pi * frequency * damping), self.row, self.random, frequency)
+        self._errors = [swinging, Coloured(*self.sensors.wander, self.row, self.random)]
+
+    def __call__(self, time: float, roll: float, roll_rate: float) -> tuple[float, float, float]:
+        """The time stamp, and both as they are read, from what they are with white noise."""
+        sensors = self.sensors
+        if sensors.step:
+            roll = sensors.step * round(roll / sensors.step)
+        if sensors.frames:
+            frame = math.floor(time * sensors.frames)
+            if frame != self._frame[0]:
+                self._frame = frame, roll + sensors.blur * self.random.standard_normal()
+            roll = self._frame[1]
+        stamp = time + sensors.jitter * float(np.clip(self.random.standard_normal(), -3.0, 3.0))
+        return stamp, roll, roll_rate + sum(each.next() for each in self._errors)
+
+
 @dataclass
 class OthersVehicle:
     """`torque` (N m) is what a model lacks, with `own` states that begin at zero and have `slopes`. `command` is what
@@ -79,11 +166,16 @@ class OthersVehicle:
     noise: float = 5.0
     sweep: bool = False
     seed: int = 0
+    sensors: Sensors = SENSORS["white"]
+    disturbance: tuple[float, float] = (0.0, 1.0)
+    """N m RMS, and s."""
     state: list[float] = field(init=False)
     """Roll, its rate, precession, its rate, the setpoint behind the further lag, and `own` ones."""
+    _shake: float = 0.0
 
     def __post_init__(self) -> None:
         self.state = [0.002, 0.0, 0.0, 0.0, 0.0, *[0.0] * self.own]
+        self._shaking = Coloured(*self.disturbance, STEP, np.random.default_rng((self.seed, 1)))
 
     def write(self, path: Path, seconds: float = 40.0) -> Path:
         """A table of the channels that the manual asks for."""
@@ -91,19 +183,22 @@ class OthersVehicle:
         phases = random.uniform(0.0, 2.0 * np.pi, FREQUENCIES.size)
         rows: list[list[float]] = []
         shown: list[tuple[float, float]] = []
+        read = Readings(self.sensors, 1.0 / self.rate, np.random.default_rng((self.seed, 2)))
         for row in range(round(seconds * self.rate)):
             time = row / self.rate
             roll, roll_rate = self.sensed(self.state[0], self.state[1])
-            shown.append((
+            stamp, *readings = read(
+                time,
                 roll + self.noise * ROLL_NOISE * random.standard_normal(),
                 roll_rate + self.noise * RATE_NOISE * random.standard_normal(),
-            ))  # fmt: skip
+            )
+            shown.append((readings[0], readings[1]))
             roll, roll_rate = shown[max(0, row - self.late)]
             gimbal_rate = self.state[3] + self.noise * GIMBAL_NOISE * random.standard_normal()
             lean = 0.012 * self.state[2]
             excitation = self._excitation(time, seconds, phases)
             setpoint = float(np.clip(-18.0 * (roll + lean) - 5.2 * roll_rate + excitation, -1.0, 1.0))
-            rows.append([time, roll, roll_rate, self.state[2], gimbal_rate, setpoint, 0.0, 0.0, 0.0])
+            rows.append([stamp, roll, roll_rate, self.state[2], gimbal_rate, setpoint, 0.0, 0.0, 0.0])
             self._advance(time, self.command(rows[max(0, row - self.delay)][5]))
         np.savetxt(path, np.array(rows), delimiter=",", header=",".join(CHANNELS), comments="", fmt="%.8g")
         return path
@@ -116,6 +211,7 @@ class OthersVehicle:
     def _advance(self, time: float, setpoint: float) -> None:
         for step in range(round(1.0 / self.rate / STEP)):
             now = time + step * STEP
+            self._shake = self._shaking.next()
             half = self._moved(0.5 * STEP, self._slopes(now, setpoint, self.state))
             self.state = self._moved(STEP, self._slopes(now + 0.5 * STEP, setpoint, half))
 
@@ -125,7 +221,7 @@ class OthersVehicle:
     def _slopes(self, time: float, setpoint: float, state: Sequence[float]) -> list[float]:
         roll, roll_rate, precession, precession_rate, late, *own = state
         now = Moment(time, roll, roll_rate, precession, precession_rate, own)
-        torque = STIFFNESS * math.sin(roll) + MOMENTUM * precession_rate + self.torque(now)
+        torque = STIFFNESS * math.sin(roll) + MOMENTUM * precession_rate + self.torque(now) + self._shake
         acting = late if self.further_lag else setpoint
         return [
             roll_rate,
@@ -247,11 +343,14 @@ def main() -> None:
     parser.add_argument("--rate", type=int, default=200, help="rows a second")
     parser.add_argument("--sweep", action="store_true", help="a sine sweep; eight sines at once otherwise")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sensor", choices=SENSORS, default="white", help="error of its sensors beside white noise")
+    parser.add_argument("--disturbance", default="0,1", help="random torque: N m RMS, and its correlation time in s")
     parser.add_argument("--effect", action="append", help="may be given several times; all of them otherwise")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     everything = {CLEAN: {}, **EFFECTS, **UNLISTED}
     names = arguments.effect or list(everything)
+    rms, correlation_time = map(float, arguments.disturbance.split(","))
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.processes) as pool:
 
@@ -261,11 +360,13 @@ def main() -> None:
                 noise=arguments.noise,
                 sweep=arguments.sweep,
                 seed=arguments.seed + number,
+                sensors=SENSORS[arguments.sensor],
+                disturbance=(rms, correlation_time),
                 **everything[names[number]],
             )
             return asked(vehicle.write(Path(folder) / f"{number}.csv"))
 
-        groups = {"in the catalogue": EFFECTS, "outside it": UNLISTED, "clean": {CLEAN: {}}}
+        groups: dict[str, dict[str, Any]] = {"in the catalogue": EFFECTS, "outside it": UNLISTED, "clean": {CLEAN: {}}}
         verdicts(names, pool.map(tried, range(len(names))), groups)
 
 
