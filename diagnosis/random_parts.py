@@ -33,7 +33,7 @@ from estimators.methods.prediction_error import Begin, Fit
 from estimators.problem import Problem
 from estimators.time_scale import time_scale
 from models.disturbance import at_joints, narrow_at_joints, with_narrow_band
-from models.model import Joint
+from models.model import Joint, NarrowBand
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def _narrow(fitted: FullFit) -> bool:
 
 def _with(fitted: FullFit, joint: Joint, frequency: float, workspace: Workspace) -> FullFit:
     longest = max(each.duration for each in workspace.segments)
-    model = with_narrow_band(fitted.model, joint, frequency, longest)
+    model = with_narrow_band(fitted.model, joint.name, NarrowBand(frequency), longest)
     begin = _begin(fitted.fit, workspace.problem(model))
     return full(model, workspace, fitted.candidate, begin, longer=FURTHER_FITS)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,8 +100,7 @@ class Whitened:
         )
         values = full.kernel.vector({**neutral, **known, **shape})
         active = [full.kernel.index(name) for name in amplitudes]
-        gain = np.zeros((len(full.kernel.states), len(full.kernel.outputs)))
-        gain[: len(self.fit.gain)] = self.fit.gain
+        gain, slopes = self._followed(full, values, active)
         weights = whitening(self.fit)
         parts = []
         for segment, start, further, basis in zip(
@@ -109,14 +109,30 @@ class Whitened:
             initial = np.concatenate((start, further[len(start) :]))
             # A state that is fast only where the vehicle moves fast does not show in the poles at rest.
             substeps = max(full.substeps, task.substeps)
-            run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
+            passed = partial(full.kernel.run, segment, values, initial, gain=gain, gain_slopes=slopes, active=active)
+            run = passed(substeps=substeps)
             while not np.all(np.isfinite(run.sensitivity)) and substeps < FINEST:
                 substeps *= 2
-                run = full.kernel.run(segment, values, initial, gain=gain, active=active, substeps=substeps)
+                run = passed(substeps=substeps)
             moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
             rows = (weights @ moved).reshape(-1, len(active))
             parts.append(np.concatenate((rows, np.zeros((len(basis) - len(rows), len(active))))))
         return parts
+
+    def _followed(self, full: Problem, values: Array, active: Sequence[int]) -> tuple[Array, Array | None]:
+        """The gain of the model of `full` at `values` (np,) with the noise of the fit, and its derivatives by the
+        amplitudes that are `active`: what comes late also comes with other noise. Where there is no such filter, that
+        of the fit, and none."""
+        noise = NoiseModel.of(full)
+        logarithms = self.fit.minimum.common[len(self.fit.problem.free) :]
+        if noise.size == len(logarithms):
+            typical = np.array([full.model.parameters[place].typical for place in active])
+            found = noise.gain_and_slopes(values, logarithms, active, typical)
+            if found is not None and np.all(np.isfinite(found[1])):
+                return found[0], np.ascontiguousarray(found[1][:, : len(active)])
+        gain = np.zeros((len(full.kernel.states), len(full.kernel.outputs)))
+        gain[: len(self.fit.gain)] = self.fit.gain
+        return gain, None
 
 
 PEAKS = 3

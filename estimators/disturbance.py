@@ -33,8 +33,10 @@ SHOWN = 0.5
 """Standard deviation of the logarithm of the RMS above which a record shows no disturbance, but bounds it."""
 STEP = 1e-3
 """Share of a correlation time, or logarithm of a noise, by which it is moved for a derivative of a unit."""
-BOUND = 2.0
-"""Standard deviations of the logarithm above the estimate, of that bound."""
+BOUND = 1.645
+"""Standard deviations of that bound: more than it is denied by 95 % of records without any."""
+HALVINGS = 20
+"""In which it is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +151,15 @@ class DisturbanceEstimate:
 class LongRun:
     """How far off initial states may be, `spread` (k,), where that is what a disturbance is in the long run.
 
-    `logarithm`: sum of the logarithms of these spreads. `entries`: (which of the k, which unknown, derivative of the
-    logarithm of its spread by that).
+    `cost`: minus the logarithm of the likelihood that is left once all initial states are integrated over, beside that
+    of the likeliest ones, and `slopes` (p + q,) its derivatives. Without it, that a disturbance begins at zero would
+    grow ever likelier with its RMS at zero. `entries`: (which of the k, which unknown, derivative of the logarithm of
+    its spread by that).
     """
 
     spread: Array
-    logarithm: float
+    cost: float
+    slopes: Array
     entries: tuple[tuple[int, int, float], ...]
 
 
@@ -181,12 +186,10 @@ def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint that has one, in the model's order."""
     noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
     logarithms, covariance = fitted.minimum.common[size:], inverse(fitted.minimum.information)
-    narrow = narrow_bands(noise, fitted.values, logarithms, covariance, fitted.covariance)
-    found = told(noise, fitted.values, logarithms, covariance, fitted.covariance)
-    return tuple(replace(each, narrow_band=narrow.get(each.joint)) for each in found)
+    return told(noise, fitted.values, logarithms, covariance, fitted.covariance, fitted.problem.rows)
 
 
-def narrow_bands(
+def _narrow_bands(
     noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array
 ) -> Mapping[str, NarrowBandEstimate]:
     """By joint, of those that have one; the arguments are those of `told`."""
@@ -217,12 +220,13 @@ def narrow_bands(
 
 
 def told(
-    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array
+    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array, rows: int
 ) -> tuple[DisturbanceEstimate, ...]:
     """Of each joint, at parameter values (np,) and logarithms (q,) of the noise; `covariance` (p + q, p + q) is that of
-    the estimated parameters and the logarithms, `innovation` (ny, ny) that of the innovations."""
+    the estimated parameters and the logarithms, `innovation` (ny, ny) that of the innovations of so many `rows`."""
     task = noise.problem
     size, found = len(task.free), []
+    narrow = _narrow_bands(noise, values, logarithms, covariance, innovation)
     for joint, place in at_joints(task.model):
         state = task.model.base_states[place]
         time_place = task.kernel.index(state.correlation_time)
@@ -240,22 +244,57 @@ def told(
             by_std[column] += 0.5 / time
             by_time[column] = 1.0 / time
         error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
+        bound = std
         if number is not None:
             error = min(error, float(noise.spread[number]))
         shown = number is None or error < SHOWN
+        if number is not None and not shown:
+            bound = unit * _bound(noise, values, logarithms, place, rows)
         found.append(
             DisturbanceEstimate(
                 joint=joint.name,
                 unit=joint.force_unit,
-                std=std if shown else std * math.exp(BOUND * error),
+                std=std if shown else bound,
                 std_error=std * error if shown and number is not None else None,
                 correlation_time=time if shown else None,
                 correlation_time_error=time * time_error if shown and time_place in task.free else None,
                 shown=shown,
                 known=number is None,
+                narrow_band=narrow.get(joint.name),
             )
         )
     return tuple(found)
+
+
+def _bound(noise: NoiseModel, values: Array, logarithms: Array, place: int, rows: int) -> float:
+    """What the RMS of the disturbance at state `place` is less than in 95 % of records of so many `rows`, in units of
+    its own: with the correlation time from which the estimation starts.
+
+    Where there is none, more of it in the predictor makes the innovations larger than a record shows them. The estimate
+    comes on top, as one of that correlation time with the same power at low frequencies.
+    """
+    model, kernel = noise.problem.model, noise.problem.kernel
+    state = model.states[place]
+    time = model.parameter(state.correlation_time).value
+    number = noise.logarithm_of(state.name)
+    assert number is not None
+    faded = values[kernel.index(state.correlation_time)] / time
+    values, none = values.copy(), logarithms.copy()
+    values[kernel.index(state.correlation_time)] = time
+    none[number] = low = -noise.widest[number]
+
+    def size(logarithm: float) -> float:
+        some = none.copy()
+        some[number] = logarithm
+        covariance = noise.innovation(values, none, noise.gain(values, some))
+        return math.inf if covariance is None else rows * float(np.linalg.slogdet(covariance)[1])
+
+    least, high = size(low), float(noise.widest[number])
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if size(middle) < least + BOUND**2 else (low, middle)
+    ended = faded * math.exp(logarithms[number] - high)
+    return state.process_noise * math.exp(high) * math.sqrt(0.5 * time) * math.hypot(1.0, ended)
 
 
 def _unit(
@@ -295,8 +334,17 @@ def stated(model: Model, fitted: Fit) -> Model:
 
 def long_run(noise: NoiseModel, values: Array, logarithms: Array) -> LongRun:
     """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
+    spread, entries = _spreads(noise, values, logarithms)
+    if not entries:
+        return LongRun(spread, 0.0, np.zeros(len(noise.problem.free) + noise.size), ())
+    cost, slopes = _integrated(noise, values, logarithms)
+    return LongRun(spread, cost, slopes, entries)
+
+
+def _spreads(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[Array, tuple[tuple[int, int, float], ...]]:
+    """`spread` and `entries` of LongRun."""
     task = noise.problem
-    spread, logarithm, entries = task.spread.copy(), 0.0, []
+    spread, entries = task.spread.copy(), []
     for number, place in enumerate(task.own):
         state = task.model.states[place]
         if not state.correlation_time:
@@ -306,12 +354,35 @@ def long_run(noise: NoiseModel, values: Array, logarithms: Array) -> LongRun:
         which = noise.logarithm_of(driving.name)
         grown = 0.0 if which is None else float(logarithms[which])
         spread[number] = driving.process_noise * np.exp(grown) * np.sqrt(power_share(state) * values[time])
-        logarithm += float(np.log(spread[number] / task.spread[number]))
         if time in task.free:
             entries.append((number, task.free.index(time), 0.5 / float(values[time])))
         if which is not None:
             entries.append((number, len(task.free) + which, 1.0))
-    return LongRun(spread, logarithm, tuple(entries))
+    return spread, tuple(entries)
+
+
+def _integrated(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[float, Array]:
+    """`cost` and `slopes` of LongRun: half the logarithm of det(1 + D P), with P the covariance of the initial states
+    before the record and D what it tells of them (Laplace's method, exact where the model is linear)."""
+    task = noise.problem
+    its = parameters_of(task.model.base_states)
+    times = [place for place, number in enumerate(task.free) if task.kernel.parameters[number] in its]
+    unknowns = [*times, *range(len(task.free), len(task.free) + noise.size)]
+    sizes = STEP * np.array([values[task.free[place]] for place in times] + [1.0] * noise.size)
+    many_values = np.repeat(values[None], 1 + 2 * len(unknowns), axis=0)
+    many_logarithms = np.repeat(logarithms[None], len(many_values), axis=0)
+    for place, unknown in enumerate(unknowns):
+        target = many_values if place < len(times) else many_logarithms
+        column = task.free[unknown] if place < len(times) else unknown - len(task.free)
+        target[1 + 2 * place, column] += sizes[place]
+        target[2 + 2 * place, column] -= sizes[place]
+    told = noise.of_start(many_values, many_logarithms)[:, list(task.own)][:, :, list(task.own)]
+    spreads = np.stack([_spreads(noise, *each)[0] for each in zip(many_values, many_logarithms, strict=True)])
+    inside = np.eye(len(task.own)) + spreads[:, :, None] * told * spreads[:, None, :]
+    costs = 0.5 * np.linalg.slogdet(inside)[1]
+    slopes = np.zeros(len(task.free) + noise.size)
+    slopes[unknowns] = (costs[1::2] - costs[2::2]) / (2.0 * sizes)
+    return float(costs[0]), slopes
 
 
 def densities(fitted: Fit) -> Mapping[str, float]:

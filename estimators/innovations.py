@@ -32,6 +32,10 @@ SPREADS = 3.0
 """Times its spread by which a noise that is hardly known may differ."""
 STEP = 1e-4
 """Share of its typical size by which an argument of the gain is moved for a derivative."""
+DOUBLINGS = 60
+"""After these a state has had more time than any record."""
+SETTLED = 1e-12
+"""Share of what all rows tell that twice as many may add."""
 FLOOR = 1e-6
 """Process noise that every state has, in units of the process noise the model states: keeps every mode observable."""
 
@@ -136,6 +140,34 @@ class NoiseModel:
             found[place, told] = np.sqrt(moved[told] / expected[told])
         return found
 
+    def innovation(self, values: Array, logarithms: Array, gain: Array | None) -> Array | None:
+        """Covariance (ny, ny) of the innovations of a predictor with that `gain` (nx, ny), at parameter values (np,)
+        and logarithms (q,) of the noise; None where it has none."""
+        if gain is None:
+            return None
+        A, C, process, sensor, across = self.covariances(values, logarithms)
+        ahead = A @ gain
+        total, power = process + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T, A - ahead @ C
+        for _ in range(DOUBLINGS):
+            more = power @ total @ power.T
+            total, power = total + more, power @ power
+            if not np.isfinite(total).all():
+                return None
+            if np.max(np.abs(more)) <= SETTLED * np.max(np.abs(total)):
+                return np.asarray(C @ total @ C.T + sensor)
+        return None
+
+    def of_start(self, values: Array, logarithms: Array) -> Array:
+        """What all rows tell of the state that they begin with, an inverse covariance (n, nx, nx), for parameter values
+        (n, np) and logarithms (n, q): the sum over the rows of F'^k C' S^-1 C F^k with the predictor F = A - A K C.
+        Zero where no filter is stable."""
+        found = np.zeros((len(logarithms), len(self.process), len(self.process)))
+        for place, system in enumerate(zip(*self._systems(values, logarithms), strict=True)):
+            steady = _steady(*system)
+            if steady is not None:
+                found[place] = steady.of_start
+        return found
+
     def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
         """The linear system that the gain is for: A (nx, nx), C (ny, nx) and the covariances of a row's process noise
         (nx, nx), sensor noise (ny, ny) and of both together (nx, ny)."""
@@ -222,6 +254,18 @@ class _Steady:
     innovation: Array
     ahead: Array
     gain: Array
+
+    @property
+    def of_start(self) -> Array:
+        """As of NoiseModel, (nx, nx), by doubling: twice as many rows each time."""
+        total = self.output.T @ np.linalg.solve(self.innovation, self.output)
+        power = self.transition - self.ahead @ self.output
+        for _ in range(DOUBLINGS):
+            more = power.T @ total @ power
+            total, power = total + more, power @ power
+            if np.max(np.abs(more)) <= SETTLED * np.max(np.abs(total)):
+                break
+        return total
 
     def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
         """The filter gain's derivatives (m, nx, ny) where m derivatives of the system are given.

@@ -114,7 +114,7 @@ class Likelihood:
         if self._counted.any():
             # Where S is held above the mean of e e', the errors are fewer standard deviations than it has outputs.
             cost += 0.5 * (float(np.sum(weights * squares)) - task.rows * len(covariance))
-        return Seen(cost + len(ends) * long_run.logarithm, normals, gain, covariance)
+        return Seen(cost + len(ends) * long_run.cost, normals, gain, covariance)
 
     def long_run(self, values: Array, logarithms: Array) -> LongRun:
         """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
@@ -178,5 +178,5 @@ def _weighted(products: Array, pull: Array, weights: Array, end: Array, long_run
     off[np.arange(len(end)), list(own)] = 1.0 / long_run.spread
     for number, unknown, slope in long_run.entries:
         off[number, unknown] = -end[number] * slope
-        vector[unknown] += slope
+    vector[: len(long_run.slopes)] += long_run.slopes
     return Normal(matrix + off.T @ off, vector + off.T @ end)

@@ -254,7 +254,8 @@ class RecursivePredictor:
             return ()
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
         values, logarithms = self._values, self._regression.z[self._free :]
-        return told(self._noise, values, logarithms, covariance * np.outer(sizes, sizes), self._covariance())
+        told_by = covariance * np.outer(sizes, sizes)
+        return told(self._noise, values, logarithms, told_by, self._covariance(), self.rows)
 
     @property
     def _values(self) -> Array:

@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.expressions import names_in
-from models.model import Disturbance, Joint, Model, Parameter, State
+from models.model import Disturbance, Joint, Model, NarrowBand, Parameter, State
 from telemetry.recording import Recording
 
 SMALL = 0.02
@@ -43,6 +43,8 @@ PREFIX = "disturbance_"
 NARROW = "narrow_band_"
 PERIODS = 1.0
 """For which a force of a narrow band swings on at least: what fades within one has no frequency of its own."""
+MOST_DAMPED = 1.0 / (2.0 * math.pi * PERIODS)
+"""Its damping ratio then."""
 
 
 def state_of(joint: str) -> str:
@@ -67,6 +69,8 @@ def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
     for joint in model.joints:
         if joint.disturbance is not None and not _has_own(model, joint):
             model = _with(model, joint, joint.disturbance, max(steps, default=0.0), longest)
+            if joint.disturbance.narrow_band:
+                model = with_narrow_band(model, joint.name, joint.disturbance.narrow_band, longest)
     return model
 
 
@@ -138,14 +142,16 @@ def power_share(state: State) -> float:
     return 0.25 if state.frequency else 0.5
 
 
-def with_narrow_band(model: Model, joint: Joint, frequency: float, longest: float) -> Model:
-    """`model` with a random force of a narrow band at `joint`, for a record of `longest` s; its estimation starts at
-    `frequency`, Hz, and where it swings as long as a geometric mean of a period and the longest that is sought."""
-    name = f"{NARROW}{joint.name}"
+def with_narrow_band(model: Model, at: str, known: NarrowBand, longest: float) -> Model:
+    """`model` with a random force of a narrow band at the joint `at`, for a record of `longest` s, or, where that is 0,
+    for one that goes on."""
+    joint = next(each for each in model.joints if each.name == at)
+    name, frequency = f"{NARROW}{at}", known.frequency
     lead, about, time = f"{name}_lead", f"{name}_frequency", f"{name}_time"
     shortest = PERIODS / frequency
-    most = max(longest / LEAST_TIMES, 2.0 * shortest)
-    lasting, std = math.sqrt(shortest * most), SMALL * joint.force_scale
+    stated = MOST_DAMPED * shortest / known.damping_ratio if known.damping_ratio else 0.0
+    most = max(longest / LEAST_TIMES if longest else stated * LEAST_TIMES, 2.0 * shortest)
+    lasting, std = min(stated, most) or math.sqrt(shortest * most), known.std or SMALL * joint.force_scale
     turn = f"{2.0 * math.pi!r} * {about}"
     swinging = State(
         name=name,

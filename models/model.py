@@ -141,12 +141,25 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True)
+class NarrowBand:
+    """What is known before of a random force about `frequency` (Hz): where its estimation starts.
+
+    `damping_ratio` 0: between the largest and the least that a record may show; `std` (RMS, in the joint's unit of
+    force) 0: by the joint's scale.
+    """
+
+    frequency: float
+    damping_ratio: float = 0.0
+    std: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Disturbance:
     """What is known before of the random force at a joint, first order (models.disturbance).
 
     `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are where their estimation starts, or, where it
     is `known`, what they are; 0: by the joint's scales. The correlation time is sought between `shortest` and `longest`
-    (s), by default from two rows to a tenth of the record.
+    (s), by default from two rows to a tenth of the record. `narrow_band`: what acts beside it.
     """
 
     std: float = 0.0
@@ -154,6 +167,7 @@ class Disturbance:
     known: bool = False
     shortest: float = 0.0
     longest: float = math.inf
+    narrow_band: NarrowBand | None = None
 
 
 @dataclass(frozen=True, slots=True)

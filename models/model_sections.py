@@ -82,6 +82,14 @@ class ParameterSection(Section):
     meaning: str | None = None
 
 
+class NarrowBandSection(Section):
+    """As models.model.NarrowBand."""
+
+    frequency: Positive
+    damping_ratio: NotNegative = 0.0
+    std: NotNegative = 0.0
+
+
 class DisturbanceSection(Section):
     """As models.model.Disturbance."""
 
@@ -90,6 +98,7 @@ class DisturbanceSection(Section):
     known: bool = False
     shortest: NotNegative = 0.0
     longest: Annotated[float, Field(gt=0, allow_inf_nan=True)] = math.inf
+    narrow_band: NarrowBandSection | None = None
 
 
 class JointSection(Section):

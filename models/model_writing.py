@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from models import library
 from models.effect import AttachedEffect, attach
-from models.model import Disturbance, Filter, Model, Parameter
+from models.model import Disturbance, Filter, Model, NarrowBand, Parameter
 
 if TYPE_CHECKING:
     from models.model_file import ModelFile
@@ -198,7 +198,7 @@ def _toml(value: Any) -> str:
             return "[" + ", ".join(map(_toml, value)) + "]"
         case Filter():
             return _toml(asdict(value))
-        case Disturbance():
+        case Disturbance() | NarrowBand():
             return _toml(_fields(value))
         case None:  # a joint without a disturbance
             return "false"

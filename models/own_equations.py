@@ -11,6 +11,7 @@ from dataclasses import MISSING, fields, replace
 from typing import Any, TypeVar
 
 from models import library
+from models.disturbance import MOST_DAMPED
 from models.expressions import check, length, name_problem, names_in
 from models.model import (
     Actuator,
@@ -21,6 +22,7 @@ from models.model import (
     Joint,
     Model,
     ModelError,
+    NarrowBand,
     Output,
     Parameter,
     Sensor,
@@ -88,7 +90,13 @@ def _disturbance(entry: JointSection, where: str) -> Disturbance | None:
         return Disturbance()
     if entry.disturbance is False:
         return None
-    found, where = Disturbance(**entry.disturbance.model_dump()), f"{where}.disturbance"
+    stated, where = entry.disturbance, f"{where}.disturbance"
+    narrow = None if stated.narrow_band is None else NarrowBand(**stated.narrow_band.model_dump())
+    found = Disturbance(**{**stated.model_dump(), "narrow_band": narrow})
+    if narrow and narrow.damping_ratio > MOST_DAMPED:
+        what = f"{narrow.damping_ratio:.3g} is too much: what fades within a period has no frequency of its own"
+        remedy = f"give {MOST_DAMPED:.2g} at most, or leave out `narrow_band`."
+        raise ModelError(f"{where}.narrow_band.damping_ratio", what, remedy=remedy)
     if not found.shortest < found.longest:
         what = f"its bounds cross: shortest is {found.shortest:.6g} s, longest is {found.longest:.6g} s"
         raise ModelError(where, what, remedy="make shortest the smaller one.")

@@ -19,6 +19,7 @@ from estimators.methods.prediction_error import fit
 from estimators.problem import problem
 from models.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
 from models.model import Model
+from models.model import NarrowBand as KnownBand
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.hidden import MONOCAB, UnknownEffectError, parse_narrow_band
@@ -100,7 +101,7 @@ def shaken(band: NarrowBand, seed: int, seconds: float = 30.0) -> Recording:
 def with_one(record: Recording, frequency: float, seconds: float) -> Model:
     model = disturbed(NOMINAL, [record])
     ((joint, _),) = at_joints(model)
-    return with_narrow_band(model, joint, frequency, seconds)
+    return with_narrow_band(model, joint.name, KnownBand(frequency), seconds)
 
 
 def test_its_rms_its_frequency_and_its_damping_ratio_are_estimated() -> None:
