@@ -16,11 +16,12 @@ from typer.testing import CliRunner
 from estimators.identify import nominal_model
 from service import virtual_vehicle
 from service.cli import app
+from service.hidden_effects.answers import ADEQUATE, Answer
 from service.hidden_effects.by_disturbance import thirds
 from service.hidden_effects.cases import Case
 from service.hidden_effects.disturbances import Drawn, Multiple, parse_disturbances, sensor_floor
 from service.hidden_effects.summary import summarise
-from service.hidden_effects.trial import Bench, virtual
+from service.hidden_effects.trial import SUBJECT, Bench, virtual
 from service.hidden_effects.trial import run as run_case
 from service.hidden_effects.vehicles import drawn
 from service.vehicle_file import load
@@ -343,11 +344,28 @@ def test_the_line_of_a_case_says_what_shook_it() -> None:
     assert reference["disturbance"]["rms"] == pytest.approx(math.sqrt(40.0), rel=1e-5)
 
 
+def test_sizes_are_multiples_of_what_shows_beside_the_record_s_own_disturbance() -> None:
+    hidden_in: list[dict[str, float]] = []
+
+    def keep(*case: Any) -> Recording:
+        hidden_in.append(dict(case[1]))
+        return stand_in.labelled(*case)
+
+    def sees_little(*_: Any, **__: Any) -> Answer:
+        return Answer(ADEQUATE, detectable={"coulomb_friction": 0.5}, disturbance={"rms": (1e6, 1.0)})
+
+    bench = Bench(methods={SUBJECT: sees_little}, record=keep, disturbances=Drawn())
+    line = run_case(CASES[0], bench, {"coulomb_friction": 1e3})
+    assert hidden_in[0] == {}
+    assert abs(line["sizes"]["coulomb_friction"]) == pytest.approx(2.0 * 0.5)
+    assert line["methods"][SUBJECT]["disturbance_covered"] == {"rms": False}
+
+
 def test_with_none_the_conditions_and_records_are_those_of_before() -> None:
     still = Bench(methods={}, record=stand_in.labelled)
     assert still.conditions == "monocab_roll, 30 s, vehicles as far off as their file says"
-    assert replace(still, disturbances=Drawn()).conditions.endswith("2 to 20 N m RMS and 0.05 to 3 s")
-    assert replace(still, disturbances=Multiple(10.0, 0.3)).conditions.endswith("of 10 sensor floors and 0.3 s")
+    assert "2 to 20 N m RMS and 0.05 to 3 s" in replace(still, disturbances=Drawn()).conditions
+    assert "of 10 sensor floors and 0.3 s" in replace(still, disturbances=Multiple(10.0, 0.3)).conditions
     line = run_case(CASES[0], still, {"coulomb_friction": 1.0})
     assert line["disturbance"] is None
     one, other = (

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from estimators.disturbance import DisturbanceEstimate
 from models.effects import CATALOGUE
 from models.effects.validation import validate
 from models.library import get
@@ -496,8 +497,14 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
         tied_with=("hysteresis",),
         parameters={"torque": parameter(61.0), "other": parameter(None)},
     )
-    found = SimpleNamespace(verdict=MISSING, findings=(finding,), repaired=None, minimum_detectable={"x": 1.0})
+    shaken = DisturbanceEstimate("roll", "N m", 8.0, 0.4, 0.3, 0.03)
+    found = SimpleNamespace(
+        verdict=MISSING, findings=(finding,), repaired=None, minimum_detectable={"x": 1.0}, disturbance=(shaken,)
+    )
     answer = of_diagnosis(found)
+    assert answer.disturbance == {"rms": (8.0, 0.4), "correlation_time": (0.3, 0.03)}
+    bounded = replace(shaken, shown=False, std_error=None)
+    assert of_diagnosis(SimpleNamespace(**{**vars(found), "disturbance": (bounded,)})).disturbance == {}
     assert answer.found[0].names == {"coulomb_friction", "hysteresis"}
     assert answer.found[0].parameters == {"torque": (61.0, 2.0)}
     assert answer.detectable == {"x": 1.0}

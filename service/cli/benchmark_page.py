@@ -59,6 +59,7 @@ def _rows(summary: Summary) -> Iterator[Row]:
         yield f"  with {name}", "", lambda merit, name=name: merit.false_alarms.get(name), True  # type: ignore[misc]
     for name in keys(lambda merit: merit.false_alarms_by_disturbance):
         yield f"  shaken by {name}", "", lambda merit, name=name: merit.false_alarms_by_disturbance.get(name), True  # type: ignore[misc]
+    yield "a name of what is not there", "<= 1 %", lambda merit: merit.false_names, True
     yield "not in the catalogue: called unknown", ">= 90 %", lambda merit: merit.unlisted_unknown, True
     yield "  given a name", "<= 5 %", lambda merit: merit.unlisted_misnamed, True
     yield "two effects: both found, seen", ">= 80 %", lambda merit: merit.both_seen, True
@@ -69,6 +70,9 @@ def _rows(summary: Summary) -> Iterator[Row]:
     yield "held-out error closed, median", ">= 0.99", lambda merit: merit.held_out_closed, False
     yield "energy over floor after, median", "<= 1.01", lambda merit: merit.energy_over_floor, False
     yield "95 % intervals cover", "93 to 97 %", lambda merit: merit.covered, True
+    for name in keys(lambda merit: merit.disturbance_covered):
+        title = f"  of the disturbance's {name.replace('_', ' ')}"
+        yield title, "93 to 97 %", lambda merit, name=name: merit.disturbance_covered.get(name), True  # type: ignore[misc]
     yield "seconds a diagnosis, median", "", lambda merit: merit.seconds, False
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
+from estimators.disturbance import DisturbanceEstimate
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording
@@ -35,13 +36,15 @@ class Answer:
     """`found`: the best first. With the verdict `unknown` something is missing beside or instead of them.
 
     `repaired` is the model with the found effects and fitted values, None where the method fits none. `detectable`:
-    effect to the smallest size that can be seen, in the unit of its first amplitude.
+    effect to the smallest size that can be seen, in the unit of its first amplitude. `disturbance`: its
+    numbers, rms and correlation_time, where the method gives some, with their standard deviations.
     """
 
     verdict: str
     found: tuple[Found, ...] = ()
     repaired: Model | None = None
     detectable: Mapping[str, float] = field(default_factory=dict)
+    disturbance: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def naming(cls, *effects: str) -> Answer:
@@ -95,4 +98,14 @@ def of_diagnosis(found: Any) -> Answer:
         )
         for each in found.findings
     ]
-    return Answer(str(found.verdict), tuple(findings), found.repaired, dict(found.minimum_detectable or {}))
+    detectable = dict(found.minimum_detectable or {})
+    return Answer(str(found.verdict), tuple(findings), found.repaired, detectable, _disturbance(found.disturbance))
+
+
+def _disturbance(found: Sequence[DisturbanceEstimate]) -> dict[str, tuple[float, float]]:
+    """The two numbers of the first joint's, where they are told."""
+    if not found or not found[0].shown or found[0].known:
+        return {}
+    told = asdict(found[0])
+    numbers = {"rms": "std", "correlation_time": "correlation_time"}
+    return {name: (told[key], told[f"{key}_error"]) for name, key in numbers.items() if told[f"{key}_error"]}

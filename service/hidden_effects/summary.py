@@ -84,6 +84,8 @@ class Merit:
     seen_unknown_by_disturbance: Mapping[str, Figure]
     false_alarms: Mapping[str, Figure]
     false_alarms_by_disturbance: Mapping[str, Figure]
+    false_names: Figure
+    """Of all records of nothing, one effect or two, of whatever size: how many have a name of what is not there."""
     unlisted_unknown: Figure
     unlisted_misnamed: Figure
     both_seen: Figure
@@ -92,6 +94,8 @@ class Merit:
     held_out_closed: Figure
     energy_over_floor: Figure
     covered: Figure
+    disturbance_covered: Mapping[str, Figure]
+    """Of each of its two numbers, empty where nothing was shaken."""
     seconds: Figure
     failed: int
     confusion: Mapping[str, Mapping[str, int]]
@@ -161,6 +165,10 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
     def alarm(line: Line) -> bool:
         return told(line).get("verdict") in (MISSING, UNKNOWN)
 
+    def false_name(line: Line) -> bool:
+        found = told(line).get("found", [])
+        return any(not {each["effect"], *each["tied_with"]}.intersection(line["effects"]) for each in found)
+
     def unknown(line: Line) -> bool:
         return told(line).get("verdict") == UNKNOWN
 
@@ -171,6 +179,10 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         asked = {part: [true(line) for line in of if id(line) in among] for part, of in parts.items()}
         return {part: share(answers) for part, answers in asked.items() if answers}
 
+    numbers: dict[str, list[bool]] = {}
+    for line in asked:
+        for name, holds in told(line).get("disturbance_covered", {}).items():
+            numbers.setdefault(name, []).append(holds)
     confusion: dict[str, Counter[str]] = {}
     for line in (*seen, *strange):
         confusion.setdefault(line["effects"][0], Counter())[_named(told(line), line["kind"])] += 1
@@ -184,6 +196,7 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         false_alarms_all=share([alarm(line) for line in nothing]),
         false_alarms=_by(nothing, _excitation, alarm),
         false_alarms_by_disturbance=shaken(nothing, alarm),
+        false_names=share([false_name(line) for line in (*nothing, *one, *two)]),
         unlisted_unknown=share([unknown(line) for line in strange]),
         unlisted_misnamed=share([told(line).get("verdict") == MISSING for line in strange]),
         both_seen=share([both(line) for line in both_seen]),
@@ -192,6 +205,7 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         held_out_closed=middle(told(line).get("held_out_closed") for line in (*seen, *both_seen)),
         energy_over_floor=middle(told(line).get("energy_over_floor") for line in (*nothing, *one, *two)),
         covered=share([each for line in (*one, *two) for each in told(line).get("covered", {}).values()]),
+        disturbance_covered={name: share(each) for name, each in numbers.items()},
         seconds=middle(told(line)["seconds"] for line in asked),
         failed=sum(bool(told(line)["error"]) for line in asked),
         confusion=confusion,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from models.effect import Effect
 from models.effects import CATALOGUE
 from models.library import get
 from models.model import Model
@@ -86,7 +88,9 @@ class Bench:
     def conditions(self) -> str:
         """What must be the same for all lines of a file."""
         alike = f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
-        return alike if self.disturbances is None else f"{alike}, {self.disturbances.conditions}"
+        if self.disturbances is None:
+            return alike
+        return f"{alike}, {self.disturbances.conditions}, sizes of what each shows beside its own"
 
     @property
     def nominal(self) -> Model:
@@ -118,28 +122,37 @@ def beginning(case: Case, bench: Bench) -> Line:
 
 
 def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
-    """The line of `case`. `detectable`: effect to the smallest size that can be seen, from the reference case.
+    """The line of `case`. `detectable`: effect to the smallest size that can be seen, from the reference case; beside a
+    disturbance it is from the same record with nothing hidden, since more is seen beside a small one.
 
     What goes wrong in the case is told in the line; nothing is raised but what is a mistake in the program.
     """
     line = beginning(case, bench)
     try:
-        hidden = levels(case, detectable)
-    except NotDetectableError as error:
-        return {**line, "status": "not_detectable", "reason": str(error), "methods": {}}
-    line |= {"levels": hidden, "sizes": plant_sizes(hidden)}
-    try:
         vehicle = drawn(case.seed("vehicle"))
         disturbance, line["disturbance"] = disturbance_of(case, bench, vehicle)
+        if disturbance is not None and case.effects and SUBJECT in bench.methods:
+            clean = bench.record(case.excitation, {}, case.noise, bench.duration, case.seed(), vehicle, disturbance)
+            detectable = _detectable(bench, clean)
+        hidden = levels(case, detectable)
+        line |= {"levels": hidden, "sizes": plant_sizes(hidden)}
         recording = bench.record(case.excitation, hidden, case.noise, bench.duration, case.seed(), vehicle, disturbance)
         other = None
         if case.kind is not Kind.NOTHING:
             seed = case.seed("held out")
             excitation = held_out(case.excitation)
             other = bench.record(excitation, hidden, case.noise, bench.duration, seed, vehicle, disturbance)
+    except NotDetectableError as error:
+        return {**line, "status": "not_detectable", "reason": str(error), "methods": {}}
     except UprightError as error:
         return {**line, "status": "not_recorded", "reason": str(error), "methods": {}}
-    return {**line, "status": "ok", "reason": "", **_asked(case, bench, hidden, recording, other)}
+    return {**line, "status": "ok", "reason": "", **_asked(case, bench, hidden, recording, other, disturbance)}
+
+
+def _detectable(bench: Bench, clean: Recording) -> Mapping[str, float]:
+    """Effect to the smallest size that can be seen on the record `clean`, of the catalogue and beyond it."""
+    candidates: list[str | Effect] = [*CATALOGUE, *UNLISTED_EFFECTS.values()]
+    return bench.methods[SUBJECT](bench.nominal, [clean], load("monocab").support, candidates=candidates).detectable
 
 
 def disturbance_of(case: Case, bench: Bench, vehicle: Vehicle) -> tuple[Disturbance | None, Line | None]:
@@ -157,10 +170,15 @@ def disturbance_of(case: Case, bench: Bench, vehicle: Vehicle) -> tuple[Disturba
 
 
 def _asked(
-    case: Case, bench: Bench, hidden: Mapping[str, float], recording: Recording, other: Recording | None
+    case: Case,
+    bench: Bench,
+    hidden: Mapping[str, float],
+    recording: Recording,
+    other: Recording | None,
+    disturbance: Disturbance | None,
 ) -> Line:
     model, support = bench.nominal, load("monocab").support
-    judge = _Judge(model, recording, other, support, hidden)
+    judge = _Judge(model, recording, other, support, hidden, disturbance)
     methods: dict[str, Line] = {}
     extra: Line = {}
     for name, method in bench.methods.items():
@@ -173,7 +191,7 @@ def _asked(
             methods[name] = {"seconds": time.perf_counter() - began, "error": f"{type(error).__name__}: {error}"}
             continue
         if name == SUBJECT and case == case.reference:
-            whole = method(model, [recording], support, candidates=[*CATALOGUE, *UNLISTED_EFFECTS.values()]).detectable
+            whole = _detectable(bench, recording)
             unlisted = {name: size for name, size in whole.items() if name in UNLISTED_EFFECTS}
             extra[DETECTABLE] = {**answer.detectable, **unlisted}
     return {"methods": methods, **extra}
@@ -189,12 +207,14 @@ class _Judge:
         other: Recording | None,
         support: float,
         hidden: Mapping[str, float],
+        disturbance: Disturbance | None,
     ) -> None:
         self._model = model
         self._data = [recording]
         self._other = other
         self._support = support
         self._hidden = hidden
+        self._disturbance = disturbance
         self._fits: dict[tuple[str, ...], Model] = {}
         self._yardstick: Yardstick | None = None
 
@@ -204,7 +224,7 @@ class _Judge:
             for each in answer.found
         ]
         line: Line = {"verdict": answer.verdict, "found": found, "covered": self._covered(answer)}
-        return line | self._repair(answer)
+        return line | {"disturbance_covered": self._disturbance_covered(answer)} | self._repair(answer)
 
     def _covered(self, answer: Answer) -> dict[str, bool]:
         """By effect that was found, whether the 95 % interval of its size holds the plant's."""
@@ -217,6 +237,16 @@ class _Judge:
                 value, deviation = told
                 covered[each.effect] = abs(value - sizes[each.effect]) <= WITHIN_95 * deviation
         return covered
+
+    def _disturbance_covered(self, answer: Answer) -> dict[str, bool]:
+        """Whether the 95 % intervals of the disturbance's numbers hold the plant's; they are of their logarithms."""
+        if self._disturbance is None:
+            return {}
+        truth = {"rms": self._disturbance.rms, "correlation_time": self._disturbance.correlation_time}
+        return {
+            name: abs(math.log(value / truth[name])) <= WITHIN_95 * deviation / value
+            for name, (value, deviation) in answer.disturbance.items()
+        }
 
     def _repair(self, answer: Answer) -> Line:
         """What the repair does to the error; what cannot be worked out is None, with the reason."""
