@@ -21,11 +21,14 @@ from service.vehicle_file import VehicleFile
 from telemetry import recording as recordings
 from telemetry.candump import CandumpReader
 from telemetry.channels import ChannelTable
+from telemetry.clock import by_the_clock
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
 AGE = "drive_age"
 """The channels after this one, reference, excitation and phase, were never on the bus."""
+SETPOINT = "_setpoint"
+"""How the name of a channel ends that is a command."""
 BATCH = 1000
 """Rows between two looks at the time."""
 
@@ -40,7 +43,9 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
     """
     if Path(path).suffix == ".log":
         return from_raw_log(path, vehicle)
-    return with_age(recordings.load(path), vehicle)
+    recording = recordings.load(path)
+    commands = {name for name in recording.values if name.endswith(SETPOINT)}
+    return with_age(by_the_clock(recording, commands.union(not_on_the_bus(assembly.channels(vehicle)))), vehicle)
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:

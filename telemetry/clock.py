@@ -1,0 +1,119 @@
+"""Time stamps that jitter about a regular clock: were the samples taken then, or by the clock?
+
+A table that a computer's own clock has stamped says when a row was written. The channels tell which it is. Fourth
+differences leave next to nothing of a motion below a tenth of the sampling rate, but of a sample that was taken `off`
+the clock they leave those of its slope times that:
+
+    D4 y = r D4 (y' off) + D4 noise
+
+r is 1 where the samples were taken as stamped, and 0 where they were taken by the clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_filter
+
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+LEAST = 1e-3
+"""Share of a period, RMS, below which time stamps are on their clock."""
+FOLLOWS = 0.05
+"""Share of a stamp's error by which the clock that tells missing rows is set after it."""
+WINDOW = 51
+"""Rows over which a clock goes evenly: what is slower is no jitter."""
+SMOOTH = 9
+"""Rows of the cubic that a slope is taken from."""
+BLOCK = 16
+"""Rows whose errors are taken as one."""
+SURE = 5.0
+"""Standard deviations with which channels have to say it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jitter:
+    """How far each time stamp is `off` its clock, s (n,), and the `share` of that which no sample was taken at, 0 to 1,
+    with the standard deviation of its error."""
+
+    off: Array
+    share: float
+    share_error: float
+
+    @property
+    def rms(self) -> float:
+        """s."""
+        return float(np.sqrt(np.mean(self.off**2)))
+
+
+def by_the_clock(recording: Recording, held: Collection[str] = ()) -> Recording:
+    """`recording` with the instants at which its samples were taken, as far as its channels surely say so; `held` are
+    channels that are no measurement, such as commands."""
+    found = jitter(recording, held)
+    if found is None or found.share < SURE * found.share_error:
+        return recording
+    moved = np.round(1e9 * min(1.0, found.share) * found.off).astype(np.int64)
+    share = f"{100.0 * min(1.0, found.share):.0f} ± {100.0 * found.share_error:.1g} %"
+    note = (
+        f"the time stamps jitter by {1e3 * found.rms:.2g} ms RMS about a regular clock, and the samples do not"
+        f" ({share} of it): they are taken as sampled by the clock"
+    )
+    return replace(
+        recording,
+        timestamp_ns=recording.timestamp_ns - moved,
+        truncated="; ".join(filter(None, (recording.truncated, note))),
+    )
+
+
+def jitter(recording: Recording, held: Collection[str] = ()) -> Jitter | None:
+    """What the channels but those that are `held` say; None where time stamps are on their clock, or have none."""
+    if len(recording) < 2 * WINDOW:
+        return None
+    found = _off(recording.time)
+    if found is None:
+        return None
+    off, period = found
+    weights = shares = 0.0
+    for name, values in recording.values.items():
+        told = None if name in held else _as_stamped(values, off, period)
+        if told is not None:
+            share, variance = told
+            shares, weights = shares + (1.0 - share) / variance, weights + 1.0 / variance
+    return Jitter(off, shares / weights, weights**-0.5) if weights else None
+
+
+def _off(time: Array) -> tuple[Array, float] | None:
+    """How far each of `time` (n,) is off its clock, (n,), and the period; rows may be missing. None where it is not."""
+    period = float(np.median(np.diff(time)))
+    number, clock = np.zeros(len(time)), float(time[0])
+    for row, stamp in enumerate(time.tolist()[1:], start=1):
+        steps = max(1.0, float(np.round((stamp - clock) / period)))
+        clock += steps * period
+        clock += FOLLOWS * (stamp - clock)
+        number[row] = number[row - 1] + steps
+    period, begin = np.polyfit(number, time, 1)
+    off = time - (begin + period * number)
+    off = off - uniform_filter1d(off, WINDOW, mode="nearest")
+    return (off, float(period)) if np.sqrt(np.mean(off**2)) > LEAST * period else None
+
+
+def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float] | None:
+    """The share of `off` at which a channel's samples were taken, and the variance of its error."""
+    if not np.isfinite(values).all() or np.ptp(values) == 0.0:
+        return None
+    slope = savgol_filter(values, SMOOTH, 3, deriv=1, delta=period)
+    moved, rest = (np.diff(each, 4)[SMOOTH:-SMOOTH] for each in (slope * off, values))
+    square = float(moved @ moved)
+    if square == 0.0:
+        return None
+    share = float(moved @ rest) / square
+    errors = moved * (rest - share * moved)
+    blocks = np.add.reduceat(errors, np.arange(0, len(errors), BLOCK))
+    variance = float(blocks @ blocks) / square**2
+    return (share, variance) if variance > 0.0 else None

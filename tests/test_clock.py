@@ -1,0 +1,94 @@
+"""Time stamps that jitter: the channels tell whether the samples were taken by a clock, or as they are stamped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.others_recordings import SENSORS, OthersVehicle
+from service.replay import load
+from service.vehicle_file import load as vehicle_file
+from telemetry.channels import Channel, ChannelTable
+from telemetry.clock import by_the_clock, jitter
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+
+PERIOD, ROWS, JITTER, NOISE = 5e-3, 6000, 5e-4, 2e-5
+
+
+def motion(time: Array) -> Array:
+    return 0.02 * np.sin(2.0 * np.pi * 1.3 * time) + 0.01 * np.sin(2.0 * np.pi * 3.9 * time)
+
+
+def record(stamps: Array, *, taken: Array, seed: int = 1) -> Recording:
+    """An angle that was sampled at the instants `taken`, s, and its rows were given `stamps`, s."""
+    noise = NOISE * np.random.default_rng(seed).standard_normal(len(taken))
+    return Recording(
+        channels=ChannelTable((Channel("angle", "rad", "of a pendulum"),)),
+        timestamp_ns=np.round(1e9 * (stamps - stamps[0])).astype(np.int64),
+        values={"angle": motion(taken) + noise},
+    )
+
+
+@pytest.fixture
+def clock() -> Array:
+    return PERIOD * np.arange(ROWS)
+
+
+@pytest.fixture
+def jittering(clock: Array) -> Array:
+    return clock + JITTER * np.random.default_rng(2).standard_normal(ROWS)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.02])
+def test_stamps_of_samples_that_a_clock_took_are_set_to_it(clock: Array, jittering: Array, missing: float) -> None:
+    kept = np.random.default_rng(3).uniform(size=ROWS) >= missing
+    found = by_the_clock(record(jittering[kept], taken=clock[kept]))
+    off = found.time - clock[kept]
+    # What is slower than the window is left: the clock's own beginning, and the mean jitter of a window.
+    assert np.std(off - np.mean(off)) < 0.2 * JITTER
+    assert "0.49 ms RMS" in found.truncated or "0.5 ms RMS" in found.truncated
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.02])
+def test_stamps_of_samples_that_were_taken_then_stay(clock: Array, jittering: Array, missing: float) -> None:
+    kept = np.random.default_rng(3).uniform(size=ROWS) >= missing
+    whole = record(jittering[kept], taken=jittering[kept])
+    found = jitter(whole)
+    assert found is not None
+    assert abs(found.share) < 4.0 * found.share_error + 0.02
+    assert by_the_clock(whole) is whole
+
+
+def test_of_samples_that_half_follow_their_stamps_half_is_set(clock: Array, jittering: Array) -> None:
+    found = jitter(record(jittering, taken=0.5 * (clock + jittering)))
+    assert found is not None
+    assert found.share == pytest.approx(0.5, abs=4.0 * found.share_error + 0.01)
+
+
+def test_a_clock_that_drifts_is_no_jitter(clock: Array) -> None:
+    drifting = clock * (1.0 + 1e-4) + 1e-3 * np.sin(2.0 * np.pi * clock / 10.0)
+    assert jitter(record(drifting, taken=drifting)) is None
+
+
+def test_noise_alone_says_nothing(clock: Array, jittering: Array) -> None:
+    whole = record(jittering, taken=clock)
+    still = replace(whole, values={"angle": np.random.default_rng(4).standard_normal(ROWS)})
+    assert by_the_clock(still) is still
+
+
+def test_what_is_held_does_not_count(clock: Array, jittering: Array) -> None:
+    assert jitter(record(jittering, taken=clock), held={"angle"}) is None
+
+
+def test_a_table_with_jittering_stamps_is_loaded_by_its_clock(tmp_path: Path) -> None:
+    vehicle = OthersVehicle(sensors=SENSORS["jitter"], seed=5)
+    found = load(vehicle.write(tmp_path / "logged.csv", 10.0), vehicle_file("monocab"))
+    apart = np.diff(found.time)
+    assert np.std(apart) < 0.1 * 5e-4
+    assert "taken as sampled by the clock" in found.truncated
