@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 from scipy.stats import binomtest
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class Sensors:
 
     step: float = 0.0
     jitter: float = 0.0
-    vibration: tuple[float, float, float] = (0.0, 1.0, 1.0)
+    vibration: tuple[float, float, float] = (0.0, 1.0, 0.5)
     wander: tuple[float, float] = (0.0, 1.0)
     frames: float = 0.0
     blur: float = 0.0
@@ -93,30 +94,47 @@ SENSORS: dict[str, Sensors] = {
 
 @dataclass
 class Coloured:
-    """A random signal of `rms` and the correlation time `time` (s), which swings about `frequency` (Hz); stepped
-    exactly, by `step` s."""
+    """A random signal of `rms` and the correlation time `time` (s), stepped exactly by `step` s."""
 
     rms: float
     time: float
     step: float
     random: np.random.Generator
-    frequency: float = 0.0
-    _value: complex = field(init=False)
+    _value: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self._value = self.rms * self._draw()
+        self._value = self.rms * self.random.standard_normal()
 
     def next(self) -> float:
         """Its value now, and on by a step."""
-        now = self._value.real
-        turn = 2.0 * math.pi * self.frequency * self.step
-        fading = math.exp(-self.step / self.time)
-        self._value *= fading * complex(math.cos(turn), math.sin(turn))
-        self._value += self.rms * math.sqrt(1.0 - fading**2) * self._draw()
+        now, fading = self._value, math.exp(-self.step / self.time)
+        self._value = now * fading + self.rms * math.sqrt(1.0 - fading**2) * self.random.standard_normal()
         return now
 
-    def _draw(self) -> complex:
-        return complex(self.random.standard_normal(), self.random.standard_normal())
+
+@dataclass
+class Mode:
+    """How fast a mode moves that white noise drives: of `rms`, about `frequency` (Hz), stepped exactly by `step` s."""
+
+    rms: float
+    frequency: float
+    damping: float
+    step: float
+    random: np.random.Generator
+    _state: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        turn = 2.0 * math.pi * self.frequency
+        self._moved = expm(self.step * turn * np.array([[0.0, 1.0], [-1.0, -2.0 * self.damping]]))
+        # In the long run both are as large, and have nothing to do with each other.
+        self._root = np.linalg.cholesky(np.eye(2) - self._moved @ self._moved.T)
+        self._state = self.random.standard_normal(2)
+
+    def next(self) -> float:
+        """Its value now, and on by a step."""
+        now = self.rms * float(self._state[1])
+        self._state = self._moved @ self._state + self._root @ self.random.standard_normal(2)
+        return now
 
 
 @dataclass
@@ -126,13 +144,14 @@ class Readings:
     sensors: Sensors
     row: float
     random: np.random.Generator
-    _errors: list[Coloured] = field(init=False)
+    _errors: list[Coloured | Mode] = field(init=False)
     _frame: tuple[int, float] = (-1, 0.0)
 
     def __post_init__(self) -> None:
-        rms, frequency, damping = self.sensors.vibration
-        swinging = Coloured(rms, 1.0 / (2.0 * math.pi * frequency * damping), self.row, self.random, frequency)
-        self._errors = [swinging, Coloured(*self.sensors.wander, self.row, self.random)]
+        self._errors = [
+            Mode(*self.sensors.vibration, self.row, self.random),
+            Coloured(*self.sensors.wander, self.row, self.random),
+        ]
 
     def __call__(self, time: float, roll: float, roll_rate: float) -> tuple[float, float, float]:
         """The time stamp, and both as they are read, from what they are with white noise."""

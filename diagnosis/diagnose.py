@@ -38,6 +38,7 @@ from estimators.contract import ParameterEstimate, Status
 from estimators.disturbance import disturbances, in_words
 from estimators.methods.prediction_error import result
 from estimators.segments import DataError, after_settling
+from estimators.sensor_errors import sensor_errors
 from estimators.time_scale import time_scale
 from models.effect import Effect
 from models.model import Model
@@ -45,6 +46,9 @@ from telemetry.recording import Recording
 
 SEARCH = 0.75
 """Share of the time of a diagnosis that the search may take: the rest is for what has no name, and for telling it."""
+
+HALF = 0.5
+"""Of that time, for a search without a random part that the innovations ask for."""
 
 Progress = Callable[[str, float], None]
 Answer = TypeVar("Answer")
@@ -138,6 +142,7 @@ def _whole(
     found = replace(
         found,
         disturbance=disturbances(shown),
+        sensor_errors=sensor_errors(shown),
         prediction_limit=prediction_limit(shown),
         untried=tuple(each for each in workspace.untried if each not in {one.effect for one in findings}),
     )
@@ -161,7 +166,13 @@ def _beside_random_parts(
 ) -> Searched:
     """The effects that are found beside the random parts that the record asks for; these are looked for beside the
     effects, and the effects again beside each, as long as all of them together gain evidence."""
-    found = _searched(base, workspace, most, masked, tell)
+    alone = _in_time(partial(absorbed, base, base, workspace), RANDOM, workspace)
+    if alone is None:
+        found = _searched(base, workspace, most, masked, tell)
+    else:
+        # What may explain as much as the random part does, which has the other half of the time.
+        gained = alone.log_likelihood - base.log_likelihood
+        found = _searched(base, replace(workspace.within(HALF), otherwise=gained), most, masked, tell)
     while True:
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
@@ -238,7 +249,8 @@ def _search(
         if seen or (masked and not findings):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
-            searched = partial(find, whole, screens[-1], workspace, {*masked, *more}, part)
+            within = workspace if step == 0 else replace(workspace, otherwise=0.0)
+            searched = partial(find, whole, screens[-1], within, {*masked, *more}, part)
             found = _in_time(searched, what, workspace)
         before = findings
         if found is not None:

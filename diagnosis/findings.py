@@ -15,6 +15,7 @@ from diagnosis.screen import Screen
 from diagnosis.unseen import Unseen
 from estimators.contract import ParameterEstimate
 from estimators.disturbance import DisturbanceEstimate
+from estimators.sensor_errors import SensorError
 from models.effect import Effect
 from models.model import Model
 
@@ -131,8 +132,9 @@ class Diagnosis:
 
     `steps`: the fit of the model alone, then that after each of `findings`. `disturbance`: the random force that the
     last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `events`: where
-    it changes, which is left out of all else. `untried`: what was left for want of time. `parts`: those of a vehicle
-    and of its actuators that this one is made of (diagnosis.parts), none where it is of one model.
+    it changes, which is left out of all else. `sensor_errors`: what sensors err by beside white noise. `untried`: what
+    was left for want of time. `parts`: those of a vehicle and of its actuators that this one is made of
+    (diagnosis.parts), none where it is of one model.
     """
 
     verdict: Verdict
@@ -148,6 +150,7 @@ class Diagnosis:
     steps: tuple[FullFit, ...] = ()
     unexplained: Adequacy | None = None
     disturbance: tuple[DisturbanceEstimate, ...] = ()
+    sensor_errors: tuple[SensorError, ...] = ()
     prediction_limit: PredictionLimit | None = None
     untried: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
@@ -169,6 +172,7 @@ class Diagnosis:
             "innovation_ratio_before": self.innovation_ratio_before,
             "innovation_ratio_after": self.innovation_ratio_after,
             "disturbance": {each.joint: each.to_json() for each in self.disturbance},
+            "sensor_errors": {each.channel: each.to_json() for each in self.sensor_errors},
             "untried": list(self.untried),
             "events": [each.to_json() for each in self.events],
             "prediction_limit": self.prediction_limit.to_json() if self.prediction_limit else None,

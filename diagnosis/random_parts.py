@@ -1,4 +1,4 @@
-"""Random parts: does a record ask for a second random force at a joint, one of a narrow band (models.disturbance)?
+"""Random parts: does a record ask for a random force of a narrow band at a joint, or a random error of a sensor?
 
 A random part is a hypothesis as an effect is: model states, here driven by white noise, that have to gain more in log
 likelihood than their parameters cost (diagnosis.refit). One that wins is absorbed: it joins the disturbance of the
@@ -6,44 +6,42 @@ model alone, beside which effects are then looked for anew, and is no finding ab
 more without it there is none: what is periodic, and goes on as it began, takes fewer numbers as an effect.
 
 The likelihood's derivative by the RMS is zero where that is zero, so that no score test sees it. It takes full fits of
-its own, which begin where the innovations of the model alone, or with the effects found, have too much power. Where
-these are white nothing is fitted. The test: in blocks of 1, 2, 4, ... lines of the periodogram, a white signal's power
-has a chi-squared distribution; the least likely block of all tells frequency and width.
+its own, of the signals that the spectrum of the innovations says (diagnosis.colour), from their numbers on; where these
+are white nothing is fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import chi2
 
-from diagnosis.floor import sensor_noise
-from diagnosis.reach import reach
+from diagnosis.colour import Signal, signals
 from diagnosis.refit import FURTHER_FITS, FullFit, full
 from diagnosis.trial import tried
-from diagnosis.where_it_fails import LEVEL
-from diagnosis.whitened import PEAKS, SLOWEST, Whitened, of_longest
 from diagnosis.workspace import Workspace
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Begin, Fit
 from estimators.problem import Problem
-from estimators.time_scale import time_scale
-from models.disturbance import at_joints, narrow_at_joints, with_narrow_band
-from models.model import Joint, NarrowBand
+from models.disturbance import narrow_at_joints, power_share, with_narrow_band
+from models.model import Model, NarrowBand
+from models.sensor_error import at_outputs, with_error
 
-Array = NDArray[np.float64]
-
-RANDOM = "a random force of a narrow band"
-"""What it is called where there was no time for it."""
+RANDOM = "random parts beside the disturbance"
+"""What they are called where there was no time for them."""
+MOST = 2
+"""Signals that get a full fit, of those with most evidence."""
+APART = 1.2
+"""Factor between the frequencies of two signals at one place, of which both are tried."""
+NEAR = 1.5
+"""By which one may be off what the spectrum says: another signal beyond that is another one."""
 
 
 def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
     """The fit of `base`, the model alone, with the random part that is likelier beside the effects of `last` than none
-    is, or alone than these are; None where there is none."""
+    is, or alone than these are; None where there is none. `last` is `base` where there is no effect."""
     beside = _likeliest(last, workspace)
     if beside is not None and beside.evidence > last.evidence:
         if base is last:
@@ -55,21 +53,34 @@ def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | No
 
 
 def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
-    """The fit with one random part more than `fitted` has that has most evidence, from all peaks of its innovations."""
-    shaken = {joint.name for joint, _ in narrow_at_joints(fitted.model)}
-    joints = [joint for joint, _ in at_joints(fitted.model) if joint.name not in shaken]
-    if not joints:
-        return None
-    peaks = tried(partial(too_strong, fitted.fit)) or []
-    fits = [tried(partial(_with, fitted, joint, each, workspace)) for joint in joints for each in peaks]
-    settled = [each for each in fits if each is not None and each.fit.minimum.converged and _narrow(each)]
+    """The fit with one random part more than `fitted` has that has most evidence."""
+    asked = _distinct(tried(partial(signals, fitted.fit)) or [])
+    fits = [tried(partial(_with, fitted, each, workspace)) for each in asked]
+    settled = [each for each in fits if each is not None and each.fit.minimum.converged and _lasts(each)]
     return max(settled, key=lambda each: each.evidence, default=None)
 
 
-def _narrow(fitted: FullFit) -> bool:
-    """Whether the forces of a narrow band are of one: what ends at the shortest time for which they may swing on, is no
-    swing."""
-    times = {fitted.model.base_states[place].correlation_time for _, place in narrow_at_joints(fitted.model)}
+def _distinct(asked: list[Signal]) -> list[Signal]:
+    """The first of `asked`, none of which is about the same frequency at the same place as another."""
+    found: list[Signal] = []
+    for each in asked:
+        if len(found) < MOST and not any(_same(each, other) for other in found):
+            found.append(each)
+    return found
+
+
+def _same(one: Signal, other: Signal) -> bool:
+    if (one.at, one.of_sensor) != (other.at, other.of_sensor) or one.frequency is None or other.frequency is None:
+        return False
+    return max(one.frequency, other.frequency) < APART * min(one.frequency, other.frequency)
+
+
+def _lasts(fitted: FullFit) -> bool:
+    """Whether each random part lasts: what ends at the shortest time for which it may swing on, is no swing, and what
+    fades within two rows is white."""
+    model = fitted.model
+    places = [place for _, place in (*narrow_at_joints(model), *at_outputs(model))]
+    times = {model.base_states[place].correlation_time for place in places}
     parameters, ended = fitted.fit.problem.parameters, fitted.fit.minimum
     return not any(
         each.name in times and at_bound and value <= each.lower
@@ -77,11 +88,36 @@ def _narrow(fitted: FullFit) -> bool:
     )
 
 
-def _with(fitted: FullFit, joint: Joint, frequency: float, workspace: Workspace) -> FullFit:
+def _with(fitted: FullFit, signal: Signal, workspace: Workspace) -> FullFit:
+    model = with_signal(fitted.model, signal, workspace)
+    return full(model, workspace, fitted.candidate, _begin(fitted.fit, workspace.problem(model)), longer=FURTHER_FITS)
+
+
+def with_signal(model: Model, signal: Signal, workspace: Workspace) -> Model:
+    """`model` with what `signal` says, for the record of `workspace`; its estimation starts there."""
     longest = max(each.duration for each in workspace.segments)
-    model = with_narrow_band(fitted.model, joint.name, NarrowBand(frequency), longest)
-    begin = _begin(fitted.fit, workspace.problem(model))
-    return full(model, workspace, fitted.candidate, begin, longer=FURTHER_FITS)
+    if signal.of_sensor:
+        step = float(np.median(np.diff(workspace.segments[0].time)))
+        wider = with_error(model, signal.at, signal.frequency, step, longest)
+    else:
+        assert signal.frequency is not None
+        wider = with_narrow_band(model, signal.at, NarrowBand(signal.frequency), longest)
+    new = wider.base_states[len(model.base_states) :]
+    name = new[0].correlation_time
+    bounds = wider.parameter(name)
+    time = float(np.clip(signal.time, bounds.lower, bounds.upper))
+    driven = {new[-1].name: signal.rms / math.sqrt(power_share(new[-1]) * time)}
+    return replace(
+        wider,
+        base_states=tuple(
+            replace(each, process_noise=driven[each.name]) if each.name in driven else each
+            for each in wider.base_states
+        ),
+        base_parameters=tuple(
+            replace(each, lower=each.value / NEAR, upper=each.value * NEAR) if each.name == new[0].frequency else each
+            for each in wider.base_parameters
+        ),
+    ).change({name: time})
 
 
 def _begin(fitted: Fit, wider: Problem) -> Begin:
@@ -94,42 +130,3 @@ def _begin(fitted: Fit, wider: Problem) -> Begin:
             logarithms[number] = ended.noise[known]
     logarithms[list(noise.sensor_place)] = ended.noise[list(before.sensor_place)]
     return Begin(ended.values, logarithms)
-
-
-def too_strong(fitted: Fit) -> list[float]:
-    """Frequencies, Hz, about which the innovations have most power, as far as a force shows there; none where so much
-    as the least likely of them has is what chance gives white ones.
-
-    Blocks of a dyadic scale are not independent, so that LEVEL is the most that chance finds (Bonferroni).
-    """
-    task = fitted.problem
-    segment, rows = of_longest(Whitened.of(fitted))
-    # A noise that is stated is stated too large: what is left of it has no power.
-    told = [place for place, each in enumerate(task.model.outputs) if not each.noise_known]
-    chosen = told or list(range(rows.shape[1]))
-    lines = np.fft.rfft(rows[:, chosen], axis=0)[1:-1]
-    power: Array = np.sum(np.square(lines.real) + np.square(lines.imag), axis=1) / len(rows)
-    spacing = float(np.median(np.diff(segment.time)))
-    frequency = np.arange(1, len(lines) + 1) / (len(rows) * spacing)
-    fastest = float(np.max(reach(task, fitted.values, sensor_noise(task)[0])[chosen]))
-    kept = (frequency >= SLOWEST / time_scale(task.model, task.segments)) & (frequency <= fastest)
-    blocks = sorted(_blocks(frequency[kept], power[kept], len(chosen)))
-    if not blocks or blocks[0][0] >= LEVEL / len(blocks):
-        return []
-    found: list[tuple[float, float]] = []
-    for _, low, high in blocks:
-        if all(high < other_low or low > other_high for other_low, other_high in found):
-            found.append((low, high))
-    return [0.5 * (low + high) for low, high in found[:PEAKS]]
-
-
-def _blocks(frequency: Array, power: Array, outputs: int) -> Iterator[tuple[float, float, float]]:
-    """Probability of so much power, and the first and last frequency, of each block; `power` (n,) of all outputs."""
-    lines = 1
-    while 2 * lines <= len(power):
-        sums = power[: len(power) // lines * lines].reshape(-1, lines).sum(axis=1)
-        # A line's power in one output is half that of two independent parts.
-        chances = chi2.sf(2.0 * sums, 2 * lines * outputs)
-        for place, chance in enumerate(chances.tolist()):
-            yield chance, float(frequency[place * lines]), float(frequency[(place + 1) * lines - 1])
-        lines *= 2

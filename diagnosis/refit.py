@@ -25,10 +25,10 @@ from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Begin, Fit, fit
-from models.disturbance import narrow_count
 from models.effect import Place
 from models.model import Model
 from models.sensing import delayed
+from models.sensor_error import random_count
 
 Array = NDArray[np.float64]
 
@@ -219,7 +219,7 @@ def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate 
     # What is looked at later is looked at whatever time the fit had.
     fitted = replace(fitted, problem=replace(fitted.problem, budget=UNLIMITED))
     own = {p.name for each in model.effects for p in each.parameters}
-    count = sum(p.estimated for p in model.parameters if p.name in own) + narrow_count(model)
+    count = sum(p.estimated for p in model.parameters if p.name in own) + random_count(model)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
     return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
 

@@ -37,7 +37,22 @@ def disturbance_text(found: Sequence[DisturbanceEstimate]) -> str:
 
 
 def disturbance_sentences(diagnosis: Diagnosis) -> str:
-    """What shakes the vehicle, and what that costs a prediction; empty where nothing is known."""
+    """What shakes the vehicle, what that costs a prediction, and what its sensors err by; empty where nothing is
+    known."""
+    return " ".join(filter(None, (_shaking(diagnosis), _erring(diagnosis))))
+
+
+def _erring(diagnosis: Diagnosis) -> str:
+    """The random errors of the sensors, of all parts."""
+    errors = {each.channel: each for part in (*diagnosis.parts, diagnosis) for each in part.sensor_errors}
+    if not errors:
+        return ""
+    told = "; ".join(f"{channel}: {each}" for channel, each in errors.items())
+    return f"Errors of sensors beside white noise, which say nothing of the vehicle: {told}."
+
+
+def _shaking(diagnosis: Diagnosis) -> str:
+    """What shakes the vehicle, and what that costs a prediction."""
     words = in_words(diagnosis.disturbance)
     if not words:
         return ""

@@ -294,7 +294,8 @@ def _full_fits(
     stated, found = np.zeros(len(base.fit.end.noise)), dict[str, FullFit | None]()
     while True:
         chosen: dict[str, list[QuickFit]] = {}
-        for each in (*_with_alike(left[0], far), *(each for one in left[1:] for each in _most(one))):
+        most = [_with_alike(left[0], far, workspace.otherwise), *(_most(one, workspace.otherwise) for one in left[1:])]
+        for each in (each for one in most for each in one):
             if each.candidate.name not in {*hidden, *found}:
                 chosen.setdefault(each.candidate.name, []).append(each)
         if not chosen:
@@ -319,16 +320,16 @@ def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) ->
         return None
 
 
-def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:
-    """Those of `fits`, the most gaining first, that explain most."""
-    return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * fits[0].gain]
+def _most(fits: Sequence[QuickFit], otherwise: float) -> list[QuickFit]:
+    """Those of `fits`, the most gaining first, that explain most, also beside what gains `otherwise`."""
+    return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * max(fits[0].gain, otherwise)]
 
 
-def _with_alike(fits: Sequence[QuickFit], far: bool) -> list[QuickFit]:
+def _with_alike(fits: Sequence[QuickFit], far: bool, otherwise: float) -> list[QuickFit]:
     """Those that explain most, and what does the same as one of these: at the noise of the model alone, in which the
     disturbance stands in for the effect, it may gain a fifth, as a sensor that is mounted askew of what a constant
     torque does."""
-    most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * fits[0].gain]
+    most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * max(fits[0].gain, otherwise)]
     near = [each for each in fits if each.candidate.effect in most or _like_any(each, most)]
     return near[: CONTENDERS * (2 if far else 1)]
 

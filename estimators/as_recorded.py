@@ -30,7 +30,7 @@ ALONE = 2.0
 def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
     """`model` with the noise of known sensors freed where `recordings` have more, and starts as uncertain as these;
     what counts in steps there is counted."""
-    return _freed(_counted(model, recordings), recordings)
+    return _counted(_freed(model, recordings), recordings)
 
 
 def _counted(model: Model, recordings: Sequence[Recording]) -> Model:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from estimators.fit_result import inverse
 from estimators.innovations import NoiseModel
 from models.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
-from models.model import Model
+from models.model import Joint, Model
 
 if TYPE_CHECKING:
     from estimators.methods.prediction_error import Fit
@@ -182,99 +182,119 @@ def with_error(value: float, std: float) -> str:
     return f"{value:.{places}f} ± {std:.{places}f}"
 
 
-def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
-    """Of each joint that has one, in the model's order."""
-    noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
-    logarithms, covariance = fitted.minimum.common[size:], inverse(fitted.minimum.information)
-    return told(noise, fitted.values, logarithms, covariance, fitted.covariance, fitted.problem.rows)
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What is known of the unknowns: parameter `values` (np,) and `logarithms` (q,) of the noise, `covariance`
+    (p + q, p + q) of the estimated parameters and the logarithms, `innovation` (ny, ny) of the innovations of so many
+    `rows`."""
 
+    noise: NoiseModel
+    values: Array
+    logarithms: Array
+    covariance: Array
+    innovation: Array
+    rows: int
 
-def _narrow_bands(
-    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array
-) -> Mapping[str, NarrowBandEstimate]:
-    """By joint, of those that have one; the arguments are those of `told`."""
-    task = noise.problem
-    size, found = len(task.free), {}
-    for joint, place in narrow_at_joints(task.model):
-        state = task.model.base_states[place]
+    @classmethod
+    def of(cls, fitted: Fit) -> Found:
+        noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
+        logarithms, covariance = fitted.minimum.common[size:], inverse(fitted.minimum.information)
+        return cls(noise, fitted.values, logarithms, covariance, fitted.covariance, fitted.problem.rows)
+
+    @property
+    def model(self) -> Model:
+        return self.noise.problem.model
+
+    def first_order(self, place: int) -> tuple[float, float, float, float]:
+        """RMS and correlation time of the random part at state `place`, each with the standard deviation of its
+        logarithm; 0 of what was stated."""
+        task = self.noise.problem
+        state, size = task.model.base_states[place], len(task.free)
+        time_place = task.kernel.index(state.correlation_time)
+        time, number = float(self.values[time_place]), self.noise.logarithm_of(state.name)
+        # Derivatives of the logarithms of both by the unknowns. What was stated is absolute.
+        unit, by_std, by_time = 1.0, np.zeros(len(self.covariance)), np.zeros(len(self.covariance))
+        std = state.process_noise * math.sqrt(0.5 * time)
+        if number is not None:
+            unit, by_std = _unit(self, place, time_place)
+            by_std[size + number] += 1.0
+            std *= unit * math.exp(float(self.logarithms[number]))
+        if time_place in task.free:
+            column = task.free.index(time_place)
+            by_std[column] += 0.5 / time
+            by_time[column] = 1.0 / time
+        error, time_error = (math.sqrt(float(each @ self.covariance @ each)) for each in (by_std, by_time))
+        if number is not None:
+            error = min(error, float(self.noise.spread[number]))
+        return std, error, time, time_error
+
+    def narrow_band(self, place: int, unit: str) -> NarrowBandEstimate | None:
+        """Of the random part at state `place`, in `unit`; None of one that was stated, which is told by who did."""
+        task = self.noise.problem
+        state, size = task.model.base_states[place], len(task.free)
         time_place, frequency_place = (task.kernel.index(name) for name in (state.correlation_time, state.frequency))
-        time, frequency = values[time_place], values[frequency_place]
-        driving_place = next(n for n, each in enumerate(task.model.base_states) if each.name == state.driven_by)
+        time, frequency = self.values[time_place], self.values[frequency_place]
+        driving_place = next(
+            n for n, each in enumerate(task.model.base_states) if each.name == (state.driven_by or state.name)
+        )
         driving = task.model.base_states[driving_place]
-        number = noise.logarithm_of(driving.name)
-        if number is None:  # what was stated is told by who stated it
-            continue
+        number = self.noise.logarithm_of(driving.name)
+        if number is None:
+            return None
         # Derivatives of the logarithms of RMS, frequency and damping ratio by the unknowns.
-        slopes = np.zeros((3, len(covariance)))
-        unit, slopes[0] = _unit(noise, values, logarithms, innovation, driving_place, time_place)
-        std = unit * driving.process_noise * math.exp(logarithms[number]) * math.sqrt(power_share(driving) * time)
+        slopes = np.zeros((3, len(self.covariance)))
+        grown, slopes[0] = _unit(self, driving_place, time_place)
+        grown *= math.exp(float(self.logarithms[number]))
+        std = grown * driving.process_noise * math.sqrt(power_share(driving) * time)
         by_frequency, by_time = (task.free.index(each) for each in (frequency_place, time_place))
         slopes[0, size + number] += 1.0
         slopes[0, by_time] += 0.5 / time
         slopes[1:, by_frequency] = (1.0 / frequency, -1.0 / frequency)
         slopes[2, by_time] = -1.0 / time
         told = np.array([std, frequency, 1.0 / (2.0 * math.pi * frequency * time)])
-        errors = told * np.sqrt(np.diag(slopes @ covariance @ slopes.T))
-        found[joint.name] = NarrowBandEstimate(joint.force_unit, *np.stack((told, errors), axis=1).ravel().tolist())
-    return found
+        errors = told * np.sqrt(np.diag(slopes @ self.covariance @ slopes.T))
+        return NarrowBandEstimate(unit, *np.stack((told, errors), axis=1).ravel().tolist())
 
 
-def told(
-    noise: NoiseModel, values: Array, logarithms: Array, covariance: Array, innovation: Array, rows: int
-) -> tuple[DisturbanceEstimate, ...]:
-    """Of each joint, at parameter values (np,) and logarithms (q,) of the noise; `covariance` (p + q, p + q) is that of
-    the estimated parameters and the logarithms, `innovation` (ny, ny) that of the innovations of so many `rows`."""
-    task = noise.problem
-    size, found = len(task.free), []
-    narrow = _narrow_bands(noise, values, logarithms, covariance, innovation)
-    for joint, place in at_joints(task.model):
-        state = task.model.base_states[place]
-        time_place = task.kernel.index(state.correlation_time)
-        time = float(values[time_place])
-        number = noise.logarithm_of(state.name)
-        grown = 0.0 if number is None else float(logarithms[number])
-        # Derivatives of the logarithms of both by the unknowns. What was stated is absolute.
-        unit, by_std, by_time = 1.0, np.zeros(len(covariance)), np.zeros(len(covariance))
-        if number is not None:
-            unit, by_std = _unit(noise, values, logarithms, innovation, place, time_place)
-            by_std[size + number] += 1.0
-        std = state.process_noise * math.exp(grown) * math.sqrt(0.5 * time) * unit
-        if time_place in task.free:
-            column = task.free.index(time_place)
-            by_std[column] += 0.5 / time
-            by_time[column] = 1.0 / time
-        error, time_error = (math.sqrt(float(each @ covariance @ each)) for each in (by_std, by_time))
-        bound = std
-        if number is not None:
-            error = min(error, float(noise.spread[number]))
-        shown = number is None or error < SHOWN
-        if number is not None and not shown:
-            bound = unit * _bound(noise, values, logarithms, place, rows)
-        found.append(
-            DisturbanceEstimate(
-                joint=joint.name,
-                unit=joint.force_unit,
-                std=std if shown else bound,
-                std_error=std * error if shown and number is not None else None,
-                correlation_time=time if shown else None,
-                correlation_time_error=time * time_error if shown and time_place in task.free else None,
-                shown=shown,
-                known=number is None,
-                narrow_band=narrow.get(joint.name),
-            )
-        )
-    return tuple(found)
+def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
+    """Of each joint that has one, in the model's order."""
+    return told(Found.of(fitted))
 
 
-def _bound(noise: NoiseModel, values: Array, logarithms: Array, place: int, rows: int) -> float:
-    """What the RMS of the disturbance at state `place` is less than in 95 % of records of so many `rows`, in units of
-    its own: with the correlation time from which the estimation starts.
+def told(found: Found) -> tuple[DisturbanceEstimate, ...]:
+    """Of each joint that has one, in the model's order."""
+    narrow = {joint.name: found.narrow_band(place, joint.force_unit) for joint, place in narrow_at_joints(found.model)}
+    return tuple(_told(found, joint, place, narrow.get(joint.name)) for joint, place in at_joints(found.model))
+
+
+def _told(found: Found, joint: Joint, place: int, narrow: NarrowBandEstimate | None) -> DisturbanceEstimate:
+    std, error, time, time_error = found.first_order(place)
+    known = found.noise.logarithm_of(found.model.base_states[place].name) is None
+    shown = known or error < SHOWN
+    return DisturbanceEstimate(
+        joint=joint.name,
+        unit=joint.force_unit,
+        std=std if shown else _bound(found, place),
+        std_error=std * error if shown and not known else None,
+        correlation_time=time if shown else None,
+        correlation_time_error=time * time_error if shown and time_error > 0.0 else None,
+        shown=shown,
+        known=known,
+        narrow_band=narrow,
+    )
+
+
+def _bound(found: Found, place: int) -> float:
+    """What the RMS of the disturbance at state `place` is less than in 95 % of records as long as this, with the
+    correlation time from which the estimation starts.
 
     Where there is none, more of it in the predictor makes the innovations larger than a record shows them. The estimate
     comes on top, as one of that correlation time with the same power at low frequencies.
     """
+    noise, values, logarithms = found.noise, found.values, found.logarithms
     model, kernel = noise.problem.model, noise.problem.kernel
     state = model.states[place]
+    unit = _unit(found, place, kernel.index(state.correlation_time))[0]
     time = model.parameter(state.correlation_time).value
     number = noise.logarithm_of(state.name)
     assert number is not None
@@ -287,30 +307,28 @@ def _bound(noise: NoiseModel, values: Array, logarithms: Array, place: int, rows
         some = none.copy()
         some[number] = logarithm
         covariance = noise.innovation(values, none, noise.gain(values, some))
-        return math.inf if covariance is None else rows * float(np.linalg.slogdet(covariance)[1])
+        return math.inf if covariance is None else found.rows * float(np.linalg.slogdet(covariance)[1])
 
     least, high = size(low), float(noise.widest[number])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if size(middle) < least + BOUND**2 else (low, middle)
     ended = faded * math.exp(logarithms[number] - high)
-    return state.process_noise * math.exp(high) * math.sqrt(0.5 * time) * math.hypot(1.0, ended)
+    return unit * state.process_noise * math.exp(high) * math.sqrt(0.5 * time) * math.hypot(1.0, ended)
 
 
-def _unit(
-    noise: NoiseModel, values: Array, logarithms: Array, innovation: Array, place: int, time: int
-) -> tuple[float, Array]:
+def _unit(found: Found, place: int, time: int) -> tuple[float, Array]:
     """Unit of the noise that drives the state at `place`, and the derivatives of its logarithm by the estimated
     parameters, of which that at `time` alone has one, and by the logarithms, (p + q,)."""
-    free, size = noise.problem.free, len(noise.problem.free)
+    noise, values, free = found.noise, found.values, found.noise.problem.free
     moves = np.zeros((1 + 2 * (noise.size + 1), noise.size + 1))
     moves[1:] = np.repeat(STEP * np.eye(noise.size + 1), 2, axis=0)
     moves[2::2] *= -1.0
     many = np.repeat(values[None], len(moves), axis=0)
     many[:, time] *= 1.0 + moves[:, 0]
-    units = noise.units(many, logarithms + moves[:, 1:], innovation)[:, place]
+    units = noise.units(many, found.logarithms + moves[:, 1:], found.innovation)[:, place]
     rises = (np.log(units[1::2]) - np.log(units[2::2])) / (2.0 * STEP)
-    slopes = np.concatenate((np.zeros(size), rises[1:]))
+    slopes = np.concatenate((np.zeros(len(free)), rises[1:]))
     if time in free:
         slopes[free.index(time)] = rises[0] / values[time]
     return float(units[0]), slopes

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
-from estimators.disturbance import DisturbanceEstimate, is_of_disturbance, long_run, told
+from estimators.disturbance import DisturbanceEstimate, Found, is_of_disturbance, long_run, told
 from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
@@ -254,8 +254,8 @@ class RecursivePredictor:
             return ()
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
         values, logarithms = self._values, self._regression.z[self._free :]
-        told_by = covariance * np.outer(sizes, sizes)
-        return told(self._noise, values, logarithms, told_by, self._covariance(), self.rows)
+        found = covariance * np.outer(sizes, sizes)
+        return told(Found(self._noise, values, logarithms, found, self._covariance(), self.rows))
 
     @property
     def _values(self) -> Array:

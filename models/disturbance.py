@@ -1,50 +1,29 @@
 """The random disturbance at the joints of a machine: wind, rail, cables and people push every real one.
 
-    d' = -d / correlation_time + w,    std^2 = q^2 correlation_time / 2
+A first-order random force (models.random_part) beside a joint's load; white process noise is its limit for short
+correlation times, a drift that for long ones. Its RMS and correlation time are estimated with the parameters, by
+maximum likelihood. `disturbed` puts it into a model that is about to meet a record.
 
-is a first-order (Ornstein-Uhlenbeck) random force d beside a joint's load; w is white, of density q^2. It fades within
-`correlation_time` s and has the RMS `std` in the long run. White process noise is its limit for short correlation
-times, a drift that for long ones. Both numbers are estimated with the parameters, by maximum likelihood.
-`disturbed` puts it into a model that is about to meet a record.
-
-    x' = W v,    v' = -W x - 2 v / correlation_time + w,    W = 2 pi frequency,    std^2 = q^2 correlation_time / 4
-
-is a second one, x, where evidence asks for it (diagnosis.random_parts): of a narrow band, as a mode of the body or rail
-joints at constant speed make it. It swings about its frequency, within `correlation_time` s no longer in phase; its
-damping ratio is 1 / (W correlation_time), and v has its RMS, too. Source: Gelb, "Applied optimal estimation" (1974),
-section 3.8 (Gauss-Markov processes).
+A second one, where evidence asks for it (diagnosis.random_parts) or a model states it, is of a narrow band, as a mode
+of the body or rail joints at constant speed make it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from models.expressions import names_in
-from models.model import Disturbance, Joint, Model, NarrowBand, Parameter, State
+from models.model import Disturbance, Joint, Model, NarrowBand, State
+from models.random_part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
 from telemetry.recording import Recording
 
 SMALL = 0.02
 """Share of a joint's typical force from which the estimation of its disturbance's RMS starts."""
-SPREAD = 3.0
-"""Standard deviation of the natural logarithm of that RMS: of a disturbance no more than the order of magnitude is
-known before, and that to a factor of twenty."""
-ROUGHLY = 10.0
-"""Standard deviation of the correlation time before a record is seen, in multiples of where its estimation starts."""
-LEAST_ROWS = 2.0
-"""Rows of the shortest correlation time: what fades faster is white."""
-LEAST_TIMES = 10.0
-"""Correlation times that a record holds at least: of what fades more slowly it does not show that it is random, and
-what only drifts is not."""
 PREFIX = "disturbance_"
 NARROW = "narrow_band_"
-PERIODS = 1.0
-"""For which a force of a narrow band swings on at least: what fades within one has no frequency of its own."""
-MOST_DAMPED = 1.0 / (2.0 * math.pi * PERIODS)
-"""Its damping ratio then."""
 
 
 def state_of(joint: str) -> str:
@@ -75,13 +54,21 @@ def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
 
 
 def undisturbed(model: Model, fitted: Model) -> Model:
-    """`fitted`, which came of what `disturbed` made of `model`, without the disturbances: they are of a record."""
-    own = {each.name for each in model.base_states}
+    """`fitted`, which came of what `disturbed` made of `model`, without the disturbances, and the random errors of
+    sensors: they are of a record."""
+    own = {each.name: each for each in model.base_states}
     its = parameters_of([each for each in fitted.base_states if each.name not in own])
     joints = {each.name: each for each in model.joints}
+    outputs = {each.name: each for each in model.outputs}
     return replace(
         fitted,
-        base_states=tuple(each for each in fitted.base_states if each.name in own),
+        # An error of a sensor is in the states that integrate its noise alone.
+        base_states=tuple(
+            replace(each, derivative=own[each.name].derivative) if each.noise_of else each
+            for each in fitted.base_states
+            if each.name in own
+        ),
+        outputs=tuple(replace(each, expression=outputs[each.name].expression) for each in fitted.outputs),
         base_parameters=tuple(each for each in fitted.base_parameters if each.name not in its),
         joints=tuple(replace(each, load=joints[each.name].load) for each in fitted.joints),
     )
@@ -89,11 +76,13 @@ def undisturbed(model: Model, fitted: Model) -> Model:
 
 def undriven(model: Model) -> Model:
     """`model` with each of its disturbances held at zero, as states that nothing drives."""
+    shaking = {place for _, place in (*at_joints(model), *narrow_at_joints(model))}
+    names = {name for place in shaking for name in (model.base_states[place].name, model.base_states[place].driven_by)}
     states = tuple(
-        replace(each, process_noise=0.0, noise_known=True, initial_std=0.0) if each.correlation_time else each
+        replace(each, process_noise=0.0, noise_known=True, initial_std=0.0) if each.name in names else each
         for each in model.base_states
     )
-    its = parameters_of(model.base_states)
+    its = parameters_of([each for each in model.base_states if each.name in names])
     parameters = tuple(replace(p, estimated=False) if p.name in its else p for p in model.base_parameters)
     return replace(model, base_states=states, base_parameters=parameters)
 
@@ -116,11 +105,6 @@ def at_joints(model: Model) -> list[tuple[Joint, int]]:
 def narrow_at_joints(model: Model) -> list[tuple[Joint, int]]:
     """The same of the disturbances of a narrow band."""
     return _at_joints(model, narrow=True)
-
-
-def narrow_count(model: Model) -> int:
-    """Numbers that tell those: RMS, frequency and correlation time of each."""
-    return 3 * len(narrow_at_joints(model))
 
 
 def _at_joints(model: Model, *, narrow: bool) -> list[tuple[Joint, int]]:
@@ -146,45 +130,9 @@ def with_narrow_band(model: Model, at: str, known: NarrowBand, longest: float) -
     """`model` with a random force of a narrow band at the joint `at`, for a record of `longest` s, or, where that is 0,
     for one that goes on."""
     joint = next(each for each in model.joints if each.name == at)
-    name, frequency = f"{NARROW}{at}", known.frequency
-    lead, about, time = f"{name}_lead", f"{name}_frequency", f"{name}_time"
-    shortest = PERIODS / frequency
-    stated = MOST_DAMPED * shortest / known.damping_ratio if known.damping_ratio else 0.0
-    most = max(longest / LEAST_TIMES if longest else stated * LEAST_TIMES, 2.0 * shortest)
-    lasting, std = min(stated, most) or math.sqrt(shortest * most), known.std or SMALL * joint.force_scale
-    turn = f"{2.0 * math.pi!r} * {about}"
-    swinging = State(
-        name=name,
-        unit=joint.force_unit,
-        derivative=f"{turn} * {lead}",
-        initial_std=std,
-        correlation_time=time,
-        frequency=about,
-        driven_by=lead,
-        meaning=f"random force of a narrow band at {joint.name}",
-    )
-    leading = replace(
-        swinging,
-        name=lead,
-        derivative=f"-{turn} * {name} - 2.0 * {lead} / {time}",
-        process_noise=2.0 * std / math.sqrt(lasting),
-        noise_spread=SPREAD,
-        driven_by="",
-        meaning="the same, a quarter of a period ahead",
-    )
-    parameters = (
-        Parameter(about, "Hz", frequency, std=frequency, lower=0.0, meaning=f"about which {name} swings"),
-        Parameter(
-            time, "s", lasting, std=ROUGHLY * lasting, lower=shortest, upper=most, meaning=f"for which {name} swings on"
-        ),
-    )
-    joints = tuple(replace(each, load=f"{each.load} + {name}") if each is joint else each for each in model.joints)
-    return replace(
-        model,
-        base_states=(*model.base_states, swinging, leading),
-        base_parameters=(*model.base_parameters, *parameters),
-        joints=joints,
-    )
+    known = known if known.std else replace(known, std=SMALL * joint.force_scale)
+    meaning = f"random force of a narrow band at {at}"
+    return _pushed(model, joint, narrow_band(f"{NARROW}{at}", joint.force_unit, meaning, known, longest))
 
 
 def _pushing(model: Model, joint: Joint) -> set[str]:
@@ -200,33 +148,18 @@ def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: 
     shortest = max(known.shortest, LEAST_ROWS * step if step else time / LEAST_TIMES)
     most = max(min(known.longest, longest / LEAST_TIMES if longest else time * LEAST_TIMES), 2.0 * shortest)
     time = time if known.known else float(np.clip(time, shortest, most))
+    bounds = None if known.known else (shortest, most)
+    name, meaning = state_of(joint.name), f"random force at {joint.name}"
     std = known.std or SMALL * joint.force_scale
-    state = State(
-        name=state_of(joint.name),
-        unit=joint.force_unit,
-        derivative=f"-{state_of(joint.name)} / {time_of(joint.name)}",
-        initial_std=std,
-        process_noise=std * math.sqrt(2.0 / time),
-        noise_known=known.known,
-        noise_spread=SPREAD,
-        correlation_time=time_of(joint.name),
-        meaning=f"random force at {joint.name}",
-    )
-    parameter = Parameter(
-        name=time_of(joint.name),
-        unit="s",
-        value=time,
-        std=0.0 if known.known else ROUGHLY * time,
-        lower=0.0 if known.known else shortest,
-        upper=math.inf if known.known else most,
-        estimated=not known.known,
-        meaning=f"correlation time of the disturbance at {joint.name}",
-    )
-    load = f"{joint.load} + {state.name}"
+    return _pushed(model, joint, first_order(name, joint.force_unit, meaning, std, time, bounds))
+
+
+def _pushed(model: Model, joint: Joint, part: RandomPart) -> Model:
+    load = f"{joint.load} + {part.shown}"
     joints = tuple(replace(each, load=load) if each is joint else each for each in model.joints)
     return replace(
         model,
-        base_states=(*model.base_states, state),
-        base_parameters=(*model.base_parameters, parameter),
+        base_states=(*model.base_states, *part.states),
+        base_parameters=(*model.base_parameters, *part.parameters),
         joints=joints,
     )

@@ -11,7 +11,6 @@ from dataclasses import MISSING, fields, replace
 from typing import Any, TypeVar
 
 from models import library
-from models.disturbance import MOST_DAMPED
 from models.expressions import check, length, name_problem, names_in
 from models.model import (
     Actuator,
@@ -29,6 +28,7 @@ from models.model import (
     State,
 )
 from models.model_sections import JointSection, ModelSection, ParameterSection, Section, one_of
+from models.random_part import MOST_DAMPED
 
 Build = TypeVar("Build")
 

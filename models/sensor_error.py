@@ -1,0 +1,74 @@
+"""The random errors that a sensor makes beside white noise: what wanders, and what vibrates.
+
+An error of first order or of a narrow band (models.random_part) adds to what an output shows, and goes into the states
+that integrate the output's noise, as those of a filter do. Where a record asks for one is for diagnosis.random_parts to
+say.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from models.disturbance import narrow_at_joints
+from models.expressions import names_in
+from models.model import Model, NarrowBand, Output
+from models.random_part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
+
+PREFIX = "error_of_"
+FIRST = 5.0
+"""Times the shortest correlation time at which the estimation of one of first order starts."""
+
+
+def with_error(model: Model, output: str, frequency: float | None, step: float, longest: float) -> Model:
+    """`model` with a random error of `output`, about `frequency` (Hz) or, where that is None, of first order, for a
+    record of `longest` s with a row every `step` s. It may be as large as the white noise, to begin with."""
+    shown = next(each for each in model.outputs if each.name == output)
+    name, meaning = f"{PREFIX}{output}", f"random error of {output}"
+    if frequency is None:
+        shortest = LEAST_ROWS * step
+        bounds = (shortest, max(longest / LEAST_TIMES, 2.0 * shortest))
+        part = first_order(name, shown.unit, meaning, shown.noise, min(FIRST * shortest, bounds[1]), bounds)
+    else:
+        part = narrow_band(name, shown.unit, meaning, NarrowBand(frequency, std=shown.noise), longest)
+        # Whether a sensor shows how far a mode is off, how fast it moves or both, is not known: as much of each.
+        one, other = (each.name for each in part.states)
+        part = replace(part, shown=f"{math.sqrt(0.5)!r} * ({one} + {other})")
+    return _with(model, shown, part)
+
+
+def at_outputs(model: Model) -> list[tuple[Output, int]]:
+    """Each output of `model` with the place of the state that is a random error of it, those that have one."""
+    # Of a narrow band, the state that the other one drives is the error.
+    states = [
+        (place, state.name)
+        for place, state in enumerate(model.base_states)
+        if state.correlation_time and bool(state.frequency) is bool(state.driven_by)
+    ]
+    return [
+        (output, place) for output in model.outputs for place, name in states if name in names_in(output.expression)
+    ]
+
+
+def random_count(model: Model) -> int:
+    """Numbers that tell the random parts of `model` beside the first-order disturbance: the RMS of each, and its
+    correlation time and frequency."""
+    parts = [*narrow_at_joints(model), *at_outputs(model)]
+    return sum(3 if model.base_states[place].frequency else 2 for _, place in parts)
+
+
+def _with(model: Model, shown: Output, part: RandomPart) -> Model:
+    states = tuple(
+        replace(each, derivative=f"{each.derivative} + {part.shown}") if each.noise_of == shown.name else each
+        for each in model.base_states
+    )
+    outputs = tuple(
+        replace(each, expression=f"{each.expression} + {part.shown}") if each is shown else each
+        for each in model.outputs
+    )
+    return replace(
+        model,
+        base_states=(*states, *part.states),
+        base_parameters=(*model.base_parameters, *part.parameters),
+        outputs=outputs,
+    )
