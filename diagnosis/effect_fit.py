@@ -198,7 +198,8 @@ def _fit_formula(
     base = [parameter.name for parameter in best.fit.problem.parameters]
     start = best.prior.change({name: value for name, value in best.values.items() if name in candidate.amplitudes})
     for _ in range(2):
-        if not free:
+        # Without any of the effect its shape means nothing.
+        if not free or best.bic >= without.bic:
             break
         ends = (None, best.fit.end) if strikes else (None,)
         try:
