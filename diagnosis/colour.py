@@ -123,8 +123,8 @@ def _places(fitted: Fit) -> Iterator[_Place]:
             yield place(joint.name, False, through @ pushed, fastest)
     wrong = {each.name for each, _ in at_outputs(model)}
     for number, each in enumerate(model.outputs):
-        # A noise that is stated is stated too large: what is left of it has no power.
-        if each.name not in wrong and not each.noise_known:
+        # A noise that is stated is stated too large, so that what is left of it has no power. What counts errs by that.
+        if each.name not in wrong and not (each.noise_known or each.counted):
             direct = np.eye(outputs)[number]
             entered = spacing * noise.integrated[:, number] - ahead @ direct
             yield place(each.name, True, whitener @ direct + through @ entered, 0.5 / spacing)

@@ -24,7 +24,7 @@ from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
-from diagnosis.random_parts import RANDOM, absorbed
+from diagnosis.random_parts import RANDOM, absorbed, coloured
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
@@ -166,13 +166,8 @@ def _beside_random_parts(
 ) -> Searched:
     """The effects that are found beside the random parts that the record asks for; these are looked for beside the
     effects, and the effects again beside each, as long as all of them together gain evidence."""
-    alone = _in_time(partial(absorbed, base, base, workspace), RANDOM, workspace)
-    if alone is None:
-        found = _searched(base, workspace, most, masked, tell)
-    else:
-        # What may explain as much as the random part does, which has the other half of the time.
-        gained = alone.log_likelihood - base.log_likelihood
-        found = _searched(base, replace(workspace.within(HALF), otherwise=gained), most, masked, tell)
+    # Effects that may take the place of what colours the innovations leave it half of the time.
+    found = _searched(base, workspace.within(HALF) if coloured(base) else workspace, most, masked, tell)
     while True:
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
@@ -249,8 +244,7 @@ def _search(
         if seen or (masked and not findings):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
-            within = workspace if step == 0 else replace(workspace, otherwise=0.0)
-            searched = partial(find, whole, screens[-1], within, {*masked, *more}, part)
+            searched = partial(find, whole, screens[-1], workspace, {*masked, *more}, part)
             found = _in_time(searched, what, workspace)
         before = findings
         if found is not None:

@@ -30,10 +30,11 @@ from diagnosis.side_by_side import side_by_side
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.fit_result import inverse
 from estimators.innovations import NoiseModel
-from estimators.methods.prediction_error import Begin, Fit, fit, result
+from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, result
 from estimators.problem import problem
 from estimators.stopwatch import stopwatch
 from estimators.time_scale import time_scale
+from models.disturbance import undriven
 from models.effect import AttachedEffect, starts
 from models.kernel import Progress
 from models.model import Model
@@ -193,7 +194,10 @@ def _fit_formula(
     problem(with_it, recordings, support=support)  # compiled before two threads ask for it
     strikes = candidate.effect.strikes
     ends = (None, without.fit.end) if strikes else (None,)
-    best = _best(_fits([with_it.change(shape) for shape in shapes], recordings, support, ends), without, strikes)
+    starts = [with_it.change(shape) for shape in shapes]
+    still = [(start, _undisturbed(start, recordings, support)) for start in starts]
+    found = _fits(starts, recordings, support, ends, [(start, end) for start, end in still if end is not None])
+    best = _best(found, without, strikes)
     free = [name for name in candidate.shapes if best.prior.parameter(name).scale > 0.0]
     base = [parameter.name for parameter in best.fit.problem.parameters]
     start = best.prior.change({name: value for name, value in best.values.items() if name in candidate.amplitudes})
@@ -215,11 +219,28 @@ def _fit_formula(
     return best
 
 
+def _undisturbed(start: Model, recordings: Sequence[Recording], support: float | None) -> Begin | None:
+    """Where a fit of `start` without its disturbances ends, with little of them: beside what is missing a disturbance
+    has grown to it, and leaves the effect nothing. None where there is none, or that fit runs away."""
+    still = undriven(start)
+    if still == start:
+        return None
+    try:
+        ended = _fitted(still, recordings, support).fit.end.values
+    except (EstimationError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+    return Begin(ended, noise_of(problem(start, recordings, support=support), shaken=-MUCH))
+
+
 def _fits(
-    starts: Sequence[Model], recordings: Sequence[Recording], support: float | None, ends: Sequence[Begin | None]
+    starts: Sequence[Model],
+    recordings: Sequence[Recording],
+    support: float | None,
+    ends: Sequence[Begin | None],
+    more: Sequence[tuple[Model, Begin]] = (),
 ) -> list[Fitted]:
     """Fits from each of `starts`: from its own values, where None is among `ends`, and with all but the parameters that
-    a fit did not have at where that ended. Raises EstimationError where none succeeds."""
+    a fit did not have at where that ended; and those of `more`. Raises EstimationError where none succeeds."""
     failed: list[Exception] = []
 
     def fitted(start: Model, end: Begin | None) -> Fitted | None:
@@ -231,7 +252,7 @@ def _fits(
             failed.append(error)
             return None
 
-    tries = [(start, end) for end in ends for start in starts]
+    tries = [*((start, end) for end in ends for start in starts), *more]
     found = [each for each in side_by_side(lambda each: fitted(*each), tries) if each is not None]
     if not found:
         first = failed[0]

@@ -1,6 +1,6 @@
 """Fits of the model with one more effect, first quickly for every candidate, then fully for those in question.
 
-The quick fit holds the noise and the innovations' covariance of the model alone and moves parameters, amplitudes
+The quick fit holds the filter gain and the innovations' covariance of the model alone and moves parameters, amplitudes
 and shapes together, from the screen's sizes at its best shapes. The full fit estimates the noise again, too: with the
 effect in the model less noise is needed, which is what makes the difference between neighbours.
 """
@@ -23,7 +23,6 @@ from diagnosis.workspace import Workspace
 from estimators.budget import UNLIMITED
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, Minimum, eliminate, minimise
-from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Begin, Fit, fit
 from models.effect import Place
 from models.model import Model
@@ -122,19 +121,16 @@ def _apart(one: float, other: float) -> bool:
 def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, float], workspace: Workspace) -> QuickFit:
     task = workspace.problem(with_effect(model, candidate, start)).like(base.problem)
     size = len(base.problem.free)
-    noise, logarithms, weights = NoiseModel.of(task), base.end.noise, whitening(base)
-    typical = np.array([p.typical for p in task.parameters])
+    gain = np.zeros((len(task.kernel.states), len(task.kernel.outputs)))
+    gain[: len(base.gain)] = base.gain
+    weights = whitening(base)
     further = task.parameters[size:]
     centre = np.concatenate((base.problem.start, task.start[size:]))
     vague = [0.0 if p.name in candidate.amplitudes else 0.1 / shape_spread(p.value, p.typical) for p in further]
     weight = np.concatenate((np.sqrt(base.prior[:size]), vague))
 
     def evaluate(common: Array, own: Sequence[Array]) -> list[Block] | None:
-        followed = noise.gain_and_slopes(task.values(common), logarithms, task.free, typical)
-        if followed is None:
-            return None
-        gain, slopes = followed
-        blocks = task.evaluate(common, own[:-1], weights=weights, gain=gain, slopes=slopes[:, : len(common)])
+        blocks = task.evaluate(common, own[:-1], weights=weights, gain=gain)
         if blocks is None:
             return None
         return [*blocks, Block((common - centre) * weight, np.diag(weight), np.zeros((len(weight), 0)))]

@@ -41,8 +41,9 @@ from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
-from estimators.disturbance import disturbances
+from estimators.disturbance import disturbances, is_of_disturbance
 from estimators.fit_result import inverse
+from estimators.innovations import WIDEST
 from estimators.methods.prediction_error import MUCH, Begin, noise_of, result
 from estimators.problem import Problem
 from models.disturbance import undriven
@@ -138,10 +139,23 @@ def find(
         if not unchecked and (held_out is None or held_out.stands):
             finding = tried(partial(_finding, base, best, fits, screened, p_value, held_out, workspace), best.name)
             if finding is not None:
-                return Named(finding, best)
+                return Named(finding, _from_elsewhere(best, workspace))
         fits = [each for each in fits if each is not best]
         refused.add(best.candidate.effect.name if best.candidate else "")
     return None
+
+
+def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
+    """`fitted`, or a likelier fit whose noise and disturbance begin as the model states them, or at next to nothing:
+    what stood in for the effect may have led them to another place. What is looked for next is held against it."""
+    task, end = fitted.fit.problem, fitted.fit.end
+    its = is_of_disturbance(task.model)
+    values = {name: value for name, value in end.values.items() if name not in its}
+    begins = [Begin(values, noise_of(task, shaken=each, white=each)) for each in (0.0, -WIDEST)]
+    fits = [tried(partial(full, fitted.model, workspace, fitted.candidate, begin), fitted.name) for begin in begins]
+    settled = [each for each in fits if each is not None and each.fit.minimum.converged]
+    best = max(settled, key=lambda each: each.log_likelihood, default=fitted)
+    return best if best.log_likelihood > fitted.log_likelihood + CREEPING else fitted
 
 
 def _by_likelihood(fitted: FullFit, base: FullFit, screened: Screen) -> float:
@@ -294,8 +308,7 @@ def _full_fits(
     stated, found = np.zeros(len(base.fit.end.noise)), dict[str, FullFit | None]()
     while True:
         chosen: dict[str, list[QuickFit]] = {}
-        most = [_with_alike(left[0], far, workspace.otherwise), *(_most(one, workspace.otherwise) for one in left[1:])]
-        for each in (each for one in most for each in one):
+        for each in (*_with_alike(left[0], far), *(each for one in left[1:] for each in _most(one))):
             if each.candidate.name not in {*hidden, *found}:
                 chosen.setdefault(each.candidate.name, []).append(each)
         if not chosen:
@@ -320,16 +333,16 @@ def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) ->
         return None
 
 
-def _most(fits: Sequence[QuickFit], otherwise: float) -> list[QuickFit]:
-    """Those of `fits`, the most gaining first, that explain most, also beside what gains `otherwise`."""
-    return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * max(fits[0].gain, otherwise)]
+def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:
+    """Those of `fits`, the most gaining first, that explain most."""
+    return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * fits[0].gain]
 
 
-def _with_alike(fits: Sequence[QuickFit], far: bool, otherwise: float) -> list[QuickFit]:
+def _with_alike(fits: Sequence[QuickFit], far: bool) -> list[QuickFit]:
     """Those that explain most, and what does the same as one of these: at the noise of the model alone, in which the
     disturbance stands in for the effect, it may gain a fifth, as a sensor that is mounted askew of what a constant
     torque does."""
-    most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * max(fits[0].gain, otherwise)]
+    most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * fits[0].gain]
     near = [each for each in fits if each.candidate.effect in most or _like_any(each, most)]
     return near[: CONTENDERS * (2 if far else 1)]
 

@@ -26,7 +26,7 @@ from diagnosis.trial import FAILURES
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
 from estimators.contract import Status
-from estimators.disturbance import BOUND
+from estimators.disturbance import SHOWN
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, eliminate
 from estimators.innovations import NoiseModel
@@ -54,6 +54,8 @@ BLOCK = 2.5
 SURE = 2.0
 """Standard deviations from zero of an amplitude that a part of the data tells: one that does not tell cannot judge, and
 in one where the effect would not be told it is not judged. And those by which an error ahead surely grows."""
+LARGER = 2.0
+"""Standard deviations of its logarithm by which a noise may be larger than a part of the data tells."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 TAILS = 1e-3
 """Share of the errors that parts which strike each other make, and"""
@@ -153,19 +155,19 @@ class UnseenCheck:
 
 
 def _unsure(fitted: Fit) -> Fit:
-    """`fitted` with each noise that ended at its least bound as large as its own uncertainty allows, by BOUND standard
-    deviations of its logarithm, but no larger than it is stated.
+    """`fitted` with each noise that does not show as large as its own uncertainty allows, by LARGER standard deviations
+    of its logarithm, but no larger than it is stated.
 
     Data never say that there is no noise at all. A predictor without noise corrects nothing: it is a simulation, in
     which the errors of the parameters add up to thousands of standard deviations.
     """
     noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
     logarithms = fitted.minimum.common[size:]
-    least = fitted.minimum.at_bound[size:] & (logarithms < 0.0)
+    deviations = np.sqrt(np.diag(inverse(fitted.minimum.information)))[size:]
+    least = (deviations > SHOWN) & (logarithms < 0.0)
     if not least.any():
         return fitted
-    deviations = np.sqrt(np.diag(inverse(fitted.minimum.information)))[size:]
-    gain = noise.gain(fitted.values, np.where(least, np.minimum(logarithms + BOUND * deviations, 0.0), logarithms))
+    gain = noise.gain(fitted.values, np.where(least, np.minimum(logarithms + LARGER * deviations, 0.0), logarithms))
     if gain is None:
         return fitted
     moved = replace(fitted, gain=gain)

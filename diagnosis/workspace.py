@@ -35,8 +35,7 @@ from being tried."""
 @dataclass(frozen=True, slots=True)
 class Workspace:
     """`left_out`: effects that are no candidate, and why; `failed`: candidates that no fit of ended, and why. All that
-    is fitted is within the `budget`; `untried` gathers in words what was left for want of time. `otherwise`: log
-    likelihood that is gained without an effect (diagnosis.random_parts): what explains much less needs no full fit."""
+    is fitted is within the `budget`; `untried` gathers in words what was left for want of time."""
 
     recordings: tuple[Recording, ...]
     support: float | None
@@ -46,7 +45,6 @@ class Workspace:
     failed: dict[str, str] = field(default_factory=dict)
     budget: Budget = UNLIMITED
     untried: list[str] = field(default_factory=list)
-    otherwise: float = 0.0
 
     @classmethod
     def of(

@@ -147,15 +147,9 @@ class NoiseModel:
             return None
         A, C, process, sensor, across = self.covariances(values, logarithms)
         ahead = A @ gain
-        total, power = process + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T, A - ahead @ C
-        for _ in range(DOUBLINGS):
-            more = power @ total @ power.T
-            total, power = total + more, power @ power
-            if not np.isfinite(total).all():
-                return None
-            if np.max(np.abs(more)) <= SETTLED * np.max(np.abs(total)):
-                return np.asarray(C @ total @ C.T + sensor)
-        return None
+        driven = process + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T
+        state = _summed(A - ahead @ C, driven)
+        return None if state is None else np.asarray(C @ state @ C.T + sensor)
 
     def of_start(self, values: Array, logarithms: Array) -> Array:
         """What all rows tell of the state that they begin with, an inverse covariance (n, nx, nx), for parameter values
@@ -257,15 +251,10 @@ class _Steady:
 
     @property
     def of_start(self) -> Array:
-        """As of NoiseModel, (nx, nx), by doubling: twice as many rows each time."""
-        total = self.output.T @ np.linalg.solve(self.innovation, self.output)
-        power = self.transition - self.ahead @ self.output
-        for _ in range(DOUBLINGS):
-            more = power.T @ total @ power
-            total, power = total + more, power @ power
-            if np.max(np.abs(more)) <= SETTLED * np.max(np.abs(total)):
-                break
-        return total
+        """As of NoiseModel, (nx, nx)."""
+        told = self.output.T @ np.linalg.solve(self.innovation, self.output)
+        found = _summed((self.transition - self.ahead @ self.output).T, told)
+        return np.zeros_like(told) if found is None else found
 
     def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
         """The filter gain's derivatives (m, nx, ny) where m derivatives of the system are given.
@@ -308,6 +297,20 @@ def _steady(transition: Array, output: Array, process: Array, sensor: Array, acr
     except np.linalg.LinAlgError:
         return None
     return _Steady(transition, output, covariance, innovation, ahead, gain) if np.all(np.isfinite(gain)) else None
+
+
+def _summed(transition: Array, each: Array) -> Array | None:
+    """The sum over k of A^k Q A'^k, (nx, nx), by doubling: twice as many terms each time; None where it has no end."""
+    total, power = each, transition
+    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers has no sum
+        for _ in range(DOUBLINGS):
+            more = power @ total @ power.T
+            total, power = total + more, power @ power
+            if not np.isfinite(total).all():
+                return None
+            if np.max(np.abs(more)) <= SETTLED * np.max(np.abs(total)):
+                return total
+    return None
 
 
 def _turned(matrices: Array) -> Array:

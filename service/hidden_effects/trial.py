@@ -224,7 +224,8 @@ class _Judge:
             for each in answer.found
         ]
         line: Line = {"verdict": answer.verdict, "found": found, "covered": self._covered(answer)}
-        return line | {"disturbance_covered": self._disturbance_covered(answer)} | self._repair(answer)
+        line |= {"disturbance": dict(answer.disturbance), "disturbance_covered": self._disturbance_covered(answer)}
+        return line | self._repair(answer)
 
     def _covered(self, answer: Answer) -> dict[str, bool]:
         """By effect that was found, whether the 95 % interval of its size holds the plant's."""
