@@ -67,8 +67,9 @@ def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
 
 
 def test_drone_from_thrust_and_gravity_alone(measured_data: Path) -> None:
-    """It is shaken about 19 Hz. Beside that, dry friction is found; before a narrow band was looked for there, the record
-    was `unknown`, and nearest came 95 % of the inertia on a spring. Added, friction helps on another experiment."""
+    """It is shaken about 19 Hz. Beside that, dry friction is found; before a narrow band was looked for there, the
+    record was `unknown`, and nearest came 95 % of the inertia on a spring. Added, friction helps on another
+    experiment."""
     model = load_model(Path(quarter_drone.__file__).with_suffix(".toml"))
     for effect in model.effects:
         model = model.remove(effect.name)
