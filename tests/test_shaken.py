@@ -18,8 +18,9 @@ from diagnosis.ready import ready, unready
 from estimators.budget import Budget, OutOfTime
 from estimators.disturbance import disturbances, with_error
 from estimators.identify import nominal_model, with_values
+from estimators.innovations import NoiseModel
 from estimators.likelihood import Likelihood
-from estimators.methods.prediction_error import Fit, fit, prediction_error
+from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, prediction_error
 from estimators.problem import Problem, problem
 from models.disturbance import disturbed, undisturbed
 from models.effect import Effect, EffectParameter, EffectState, Family, Place
@@ -96,6 +97,32 @@ class TestLikelihood:
             assert all(ends)
             rise = (ends[0].cost - ends[1].cost) / (2.0 * step[place])  # type: ignore[union-attr]
             assert slope[place] == pytest.approx(rise, rel=2e-3, abs=1e-3 / scale[place])
+
+    def test_what_all_rows_tell_of_their_beginning_is_what_one_tells_and_all_others(self, fitted: Fit) -> None:
+        noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
+        values, logarithms = fitted.values, fitted.minimum.common[size:]
+        transition, output = noise.covariances(values, logarithms)[:2]
+        gain = noise.gain(values, logarithms)
+        covariance = noise.innovation(values, logarithms, gain)
+        assert gain is not None
+        assert covariance is not None
+        follows = transition - transition @ gain @ output
+        found = noise.of_start(values[None], logarithms[None])[0]
+        total = output.T @ np.linalg.solve(covariance, output) + follows.T @ found @ follows
+        assert found == pytest.approx(total, rel=1e-6, abs=1e-9 * float(np.max(total)))
+
+    @pytest.mark.parametrize("seed", [3, 4])
+    def test_a_weak_one_that_fades_fast_ends_in_one_place_from_wherever_it_begins(self, seed: int) -> None:
+        """Maximised together with where it begins, it ended at nothing from one of them."""
+        task = _task(Shaken(rms=3.0, correlation_time=0.06).record(seed))
+        ends = [
+            fit(task, begin=Begin({}, noise_of(task, shaken=shaken, white=white)))
+            for shaken, white in ((0.0, 0.0), (MUCH, -MUCH), (-MUCH, MUCH))
+        ]
+        assert all(end.minimum.cost == pytest.approx(ends[0].minimum.cost, abs=0.1) for end in ends)
+        (found,) = disturbances(ends[0])
+        assert found.shown
+        assert abs(math.log(found.std / 3.0)) < 3.0 * (found.std_error or 0.0) / found.std
 
     def test_both_numbers_and_the_vehicle_are_within_their_intervals(self) -> None:
         """40 records: of each number as many 95 % intervals hold the truth as chance has it, at one in a thousand."""
