@@ -24,7 +24,7 @@ from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
-from diagnosis.random_parts import RANDOM, absorbed, coloured
+from diagnosis.random_parts import RANDOM, absorbed
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
@@ -166,8 +166,8 @@ def _beside_random_parts(
 ) -> Searched:
     """The effects that are found beside the random parts that the record asks for; these are looked for beside the
     effects, and the effects again beside each, as long as all of them together gain evidence."""
-    # Effects that may take the place of what colours the innovations leave it half of the time.
-    found = _searched(base, workspace.within(HALF) if coloured(base) else workspace, most, masked, tell)
+    # Where a random part explains more than any effect seems to, the search without it leaves it half of the time.
+    found = _searched(base, workspace.within(HALF) if _outdone(base, workspace) else workspace, most, masked, tell)
     while True:
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
@@ -176,6 +176,16 @@ def _beside_random_parts(
         if again.last.evidence <= found.last.evidence:
             return found
         found = again
+
+
+def _outdone(base: FullFit, workspace: Workspace) -> bool:
+    """Whether a random part alone explains more than any effect seems to."""
+    alone = _in_time(partial(absorbed, base, base, workspace.for_one), RANDOM, workspace)
+    if alone is None:
+        return False
+    looked = _in_time(partial(look, base, workspace.for_one), "the search for effects", workspace)
+    seen = max((score.gain for score in looked.scores), default=0.0) if looked else 0.0
+    return alone.log_likelihood - base.log_likelihood > seen
 
 
 def _searched(base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress) -> Searched:

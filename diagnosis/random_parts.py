@@ -39,11 +39,6 @@ NEAR = 1.5
 """By which one may be off what the spectrum says: another signal beyond that is another one."""
 
 
-def coloured(fitted: FullFit) -> bool:
-    """Whether the innovations ask for one."""
-    return bool(tried(partial(signals, fitted.fit)))
-
-
 def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
     """The fit of `base`, the model alone, with the random part that is likelier beside the effects of `last` than none
     is, or alone than these are; None where there is none. `last` is `base` where there is no effect."""
