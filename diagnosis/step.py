@@ -146,21 +146,21 @@ def find(
 
 
 def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
-    """`fitted`, or a likelier fit whose noise and disturbance begin as the model states them, or at next to nothing:
-    what stood in for the effect may have led them to another place. What is looked for next is held against it."""
+    """`fitted`, or a likelier fit whose noise and disturbance begin at next to nothing: what stood in for the effect may
+    have led them to another place. What is looked for next is held against it."""
     task, end = fitted.fit.problem, fitted.fit.end
     if any(each.effect.strikes for each in task.model.effects):
         return fitted  # its minima are as many as its blows, and not of the noise
     its = is_of_disturbance(task.model)
     values = {name: value for name, value in end.values.items() if name not in its}
-    begins = [Begin(values, noise_of(task, shaken=each, white=each)) for each in (0.0, -WIDEST)]
+    begin = Begin(values, noise_of(task, shaken=-WIDEST, white=-WIDEST))
     try:
-        fits = [tried(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin)) for begin in begins]
+        again = tried(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
     except OutOfTime:
         return fitted
-    settled = [each for each in fits if each is not None and each.fit.minimum.converged]
-    best = max(settled, key=lambda each: each.log_likelihood, default=fitted)
-    return best if best.log_likelihood > fitted.log_likelihood + CREEPING else fitted
+    if again is None or not again.fit.minimum.converged:
+        return fitted
+    return again if again.log_likelihood > fitted.log_likelihood + CREEPING else fitted
 
 
 def _by_likelihood(fitted: FullFit, base: FullFit, screened: Screen) -> float:

@@ -28,8 +28,9 @@ DIGITS = 15
 def natural_time(model: Model) -> float | None:
     """T of `model`, s; None where it has neither joints nor time constants."""
     joints = [joint.coordinate_scale / joint.rate_scale for joint in model.joints]
-    shifts = {name for each in model.inputs for name in each.delays}
-    times = [each for each in model.base_parameters if each.unit == "s" and each.name not in shifts]
+    # How late a command comes, and how long a noise lasts, say nothing of the loop.
+    others = {name for each in model.inputs for name in each.delays} | {s.correlation_time for s in model.base_states}
+    times = [each for each in model.base_parameters if each.unit == "s" and each.name not in others]
     lags = [each.scale or abs(each.value) for each in times]
     longest = max(joints) if joints else OF_A_LOOP * max(lags, default=0.0)
     return rounded(longest) or None
