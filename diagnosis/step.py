@@ -146,8 +146,8 @@ def find(
 
 
 def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
-    """`fitted`, or a likelier fit whose noise and disturbance begin at next to nothing: what stood in for the effect may
-    have led them to another place. What is looked for next is held against it."""
+    """`fitted`, or a likelier fit whose noise and disturbance begin at next to nothing: what stood in for the effect
+    may have led them to another place. What is looked for next is held against it."""
     task, end = fitted.fit.problem, fitted.fit.end
     if any(each.effect.strikes for each in task.model.effects):
         return fitted  # its minima are as many as its blows, and not of the noise
