@@ -66,6 +66,7 @@ def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
     assert found.innovation_ratio_after - 1.0 < 0.05 * (found.innovation_ratio_before - 1.0)
 
 
+@pytest.mark.timeout(400)
 def test_drone_from_thrust_and_gravity_alone(measured_data: Path) -> None:
     """It is shaken about 19 Hz. Beside that, dry friction is found; before a narrow band was looked for there, the
     record was `unknown`, and nearest came 95 % of the inertia on a spring. Added, friction helps on another
