@@ -119,7 +119,6 @@ class TestRecords:
         names = {name for each in found.findings for name in (each.effect, *each.tied_with)}
         assert "backlash" not in names
 
-    @pytest.mark.xfail(reason="a slow mode stands in for the torque beside play, and is refused", strict=True)
     def test_a_torque_beside_it_has_a_name_however_much_more_the_play_explains(self) -> None:
         # 2.4 N m, twice what 30 s just show without play, gain a fortieth of what the play gains.
         hide = ("backlash=0.005", f"static_torque={2.4 / HIDDEN['static_torque'].size:.4g}")
