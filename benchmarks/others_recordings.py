@@ -83,7 +83,6 @@ SENSORS: dict[str, Sensors] = {
     "white": Sensors(),
     "encoder": Sensors(step=5e-4),
     "jitter": Sensors(jitter=5e-4),
-    "much_jitter": Sensors(jitter=1.5e-3),
     "vibration": Sensors(vibration=(5e-3, 25.0, 0.05)),
     "slow_vibration": Sensors(vibration=(5e-3, 8.0, 0.1)),
     "wander": Sensors(wander=(3e-3, 0.05)),
@@ -341,6 +340,16 @@ def right(hidden: str, found: dict[str, Any]) -> bool:
     return hidden in (first["effect"], *first["tied_with"]) and len(first["tied_with"]) <= 1
 
 
+def random_parts(found: dict[str, Any]) -> Iterable[str]:
+    """What a diagnosis tells of the disturbance and of the sensors' errors, a line each, SI units."""
+    for kind in ("disturbance", "sensor_errors"):
+        for at, numbers in found.get(kind, {}).items():
+            told = (
+                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in numbers.items()
+            )
+            yield f"{kind} at {at}: {', '.join(told)}\n"
+
+
 def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: dict[str, dict[str, Any]]) -> None:
     """Prints what came out of each, and how many of each of `groups` are right, with their 95 % interval (Wilson)."""
     results: list[tuple[str, bool]] = []
@@ -348,6 +357,7 @@ def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: di
         results.append((name, right(name, found)))
         told = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
         print(f"{'right' if results[-1][1] else 'WRONG':6}{name:32}{found['verdict']:16}{told}", flush=True)
+        print(*(f"{'':6}{each}" for each in random_parts(found)), sep="\n", end="", flush=True)
     for title, group in groups.items():
         given = [correct for name, correct in results if name in group]
         if given:

@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.floor import floor, sensor_noise
-from diagnosis.stationary import stationary
 from estimators.disturbance import densities
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
+from estimators.stationary import stationary
 from estimators.time_scale import time_scale
 from models.kernel import Memory
 from models.segment import Segment

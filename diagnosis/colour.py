@@ -3,7 +3,7 @@
 A random signal of the power density phi(f) at a place adds phi h h* to the white innovations, h (ny,) what a unit there
 does to them. In the whitened periodogram z(f), with a = |h|^2 and b = |h* z|^2,
 
-    2 ln L = sum over f of  phi b / (1 + phi a) - ln(1 + phi a)    more than without it (Whittle)
+    ln L = sum over f of  phi b / (1 + phi a) - ln(1 + phi a)    more than without it (Whittle)
 
 and b / a has an exponential distribution of mean 1 where there is none. Blocks of 1, 2, 4, ... lines of it are the
 test, and tell the frequencies; the likeliest numbers of each signal follow from a and b alone, without a fit.
@@ -60,8 +60,8 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """What a place does to the innovations: `turn` rad a row (m,), and a and b there (m,); `unit` RMS that is as large
-    as the innovations, and the `shortest` and `longest` correlation time, s."""
+    """The joint or output called `at`, in rows every `spacing` s: at `turn` (m,), rad a row, a and b (m,) as above; s,
+    between which a correlation time is sought, the `shortest` and the `longest`."""
 
     at: str
     of_sensor: bool
@@ -71,6 +71,15 @@ class _Place:
     b: Array
     shortest: float
     longest: float
+
+
+def same(one: Signal, other: Signal) -> bool:
+    """Whether two signals are one: at one place, and no farther apart than each is wide (half its width at half its
+    power is 1 / (2 pi time))."""
+    if (one.at, one.of_sensor) != (other.at, other.of_sensor) or one.frequency is None or other.frequency is None:
+        return False
+    width = (1.0 / one.time + 1.0 / other.time) / (2.0 * math.pi)
+    return abs(one.frequency - other.frequency) < width
 
 
 def signals(fitted: Fit) -> list[Signal]:

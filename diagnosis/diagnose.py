@@ -24,7 +24,7 @@ from diagnosis.findings import Verdict as Verdict
 from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
-from diagnosis.random_parts import RANDOM, absorbed
+from diagnosis.random_parts import RANDOM, absorbed, promised
 from diagnosis.ready import ready, unready
 from diagnosis.refit import FullFit, settled
 from diagnosis.relevance import relevances
@@ -48,7 +48,7 @@ SEARCH = 0.75
 """Share of the time of a diagnosis that the search may take: the rest is for what has no name, and for telling it."""
 
 HALF = 0.5
-"""Of that time, for a search without a random part that the innovations ask for."""
+"""Of that time, for each of two searches: without a random part that seems to explain most, and beside it."""
 
 Progress = Callable[[str, float], None]
 Answer = TypeVar("Answer")
@@ -179,13 +179,10 @@ def _beside_random_parts(
 
 
 def _outdone(base: FullFit, workspace: Workspace) -> bool:
-    """Whether a random part alone explains more than any effect seems to."""
-    alone = _in_time(partial(absorbed, base, base, workspace.for_one), RANDOM, workspace)
-    if alone is None:
-        return False
-    looked = _in_time(partial(look, base, workspace.for_one), "the search for effects", workspace)
-    seen = max((score.gain for score in looked.scores), default=0.0) if looked else 0.0
-    return alone.log_likelihood - base.log_likelihood > seen
+    """Whether a random part seems to explain more than any effect does, neither of them fitted."""
+    gain = promised(base)
+    looked = _in_time(partial(look, base, workspace), "the search for effects", workspace) if gain else None
+    return looked is not None and gain > max((score.gain for score in looked.scores), default=0.0)
 
 
 def _searched(base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress) -> Searched:

@@ -21,13 +21,13 @@ from scipy.stats import chi2
 
 from diagnosis.process_noise import density, shown_shares
 from diagnosis.reach import power_beyond, reach
-from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
 from estimators.disturbance import stated
 from estimators.gauss_newton import Block, minimise
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem
+from estimators.stationary import stationary
 from estimators.white_noise import white_variance
 from models.disturbance import parameters_of
 from models.model import State

@@ -22,9 +22,9 @@ from scipy.stats import chi2
 
 from diagnosis.floor import Innovations
 from diagnosis.force_probe import Probe, Response, recurrence
-from diagnosis.stationary import stationary
 from estimators.contract import EstimationError
 from estimators.gauss_newton import Block, eliminate
+from estimators.stationary import stationary
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnosis.colour import Signal, signals
+from diagnosis.colour import Signal, same, signals
 from diagnosis.refit import FURTHER_FITS, FullFit, full
 from diagnosis.trial import tried
 from diagnosis.workspace import Workspace
@@ -33,10 +33,13 @@ RANDOM = "random parts beside the disturbance"
 """What they are called where there was no time for them."""
 MOST = 2
 """Signals that get a full fit, of those with most evidence."""
-APART = 1.2
-"""Factor between the frequencies of two signals at one place, of which both are tried."""
 NEAR = 1.5
 """By which one may be off what the spectrum says: another signal beyond that is another one."""
+
+
+def promised(fitted: FullFit) -> float:
+    """By how much the log likelihood would rise by the best one, by the spectrum alone; 0 where none is asked for."""
+    return max((each.gain for each in tried(partial(signals, fitted.fit)) or []), default=0.0)
 
 
 def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
@@ -61,18 +64,12 @@ def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
 
 
 def _distinct(asked: list[Signal]) -> list[Signal]:
-    """The first of `asked`, none of which is about the same frequency at the same place as another."""
+    """The first of `asked`, of which no two are one."""
     found: list[Signal] = []
     for each in asked:
-        if len(found) < MOST and not any(_same(each, other) for other in found):
+        if len(found) < MOST and not any(same(each, other) for other in found):
             found.append(each)
     return found
-
-
-def _same(one: Signal, other: Signal) -> bool:
-    if (one.at, one.of_sensor) != (other.at, other.of_sensor) or one.frequency is None or other.frequency is None:
-        return False
-    return max(one.frequency, other.frequency) < APART * min(one.frequency, other.frequency)
 
 
 def _lasts(fitted: FullFit) -> bool:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from diagnosis.closed_loop import causal
 from diagnosis.refit import FullFit, full, quick, with_effect
 from diagnosis.screen import screen
-from diagnosis.stationary import stationary
 from diagnosis.trial import FAILURES
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
@@ -19,6 +18,7 @@ from estimators.budget import UNLIMITED, Budget, OutOfTime
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
 from estimators.segments import after_settling
+from estimators.stationary import stationary
 from models.model import Model
 from telemetry.recording import Recording
 

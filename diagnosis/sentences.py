@@ -47,8 +47,8 @@ def _erring(diagnosis: Diagnosis) -> str:
     errors = {each.channel: each for part in (*diagnosis.parts, diagnosis) for each in part.sensor_errors}
     if not errors:
         return ""
-    told = "; ".join(f"{channel}: {each}" for channel, each in errors.items())
-    return f"Errors of sensors beside white noise, which say nothing of the vehicle: {told}."
+    told = "; ".join(f"{channel} by {each.scaled(*readable(each.unit))}" for channel, each in errors.items())
+    return f"Sensors err beside their white noise, which is no property of the vehicle: {told}."
 
 
 def _shaking(diagnosis: Diagnosis) -> str:

@@ -19,7 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.contract import EstimationError
 from estimators.problem import Problem, at_rest, linearise, typical_motion
+from estimators.stationary import stationary
 from models.segment import Segment
 
 Array = NDArray[np.float64]
@@ -32,10 +34,6 @@ SPREADS = 3.0
 """Times its spread by which a noise that is hardly known may differ."""
 STEP = 1e-4
 """Share of its typical size by which an argument of the gain is moved for a derivative."""
-DOUBLINGS = 60
-"""After these a state has had more time than any record."""
-SETTLED = 1e-12
-"""Share of what all rows tell that twice as many may add."""
 FLOOR = 1e-6
 """Process noise that every state has, in units of the process noise the model states: keeps every mode observable."""
 
@@ -148,8 +146,10 @@ class NoiseModel:
         A, C, process, sensor, across = self.covariances(values, logarithms)
         ahead = A @ gain
         driven = process + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T
-        state = _summed(A - ahead @ C, driven)
-        return None if state is None else np.asarray(C @ state @ C.T + sensor)
+        try:
+            return np.asarray(C @ stationary(A - ahead @ C, driven) @ C.T + sensor)
+        except EstimationError:
+            return None
 
     def of_start(self, values: Array, logarithms: Array) -> Array:
         """What all rows tell of the state that they begin with, an inverse covariance (n, nx, nx), for parameter values
@@ -253,8 +253,10 @@ class _Steady:
     def of_start(self) -> Array:
         """As of NoiseModel, (nx, nx)."""
         told = self.output.T @ np.linalg.solve(self.innovation, self.output)
-        found = _summed((self.transition - self.ahead @ self.output).T, told)
-        return np.zeros_like(told) if found is None else found
+        try:
+            return stationary((self.transition - self.ahead @ self.output).T, told)
+        except EstimationError:
+            return np.zeros_like(told)
 
     def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
         """The filter gain's derivatives (m, nx, ny) where m derivatives of the system are given.
@@ -297,20 +299,6 @@ def _steady(transition: Array, output: Array, process: Array, sensor: Array, acr
     except np.linalg.LinAlgError:
         return None
     return _Steady(transition, output, covariance, innovation, ahead, gain) if np.all(np.isfinite(gain)) else None
-
-
-def _summed(transition: Array, each: Array) -> Array | None:
-    """The sum over k of A^k Q A'^k, (nx, nx), by doubling: twice as many terms each time; None where it has no end."""
-    total, power = each, transition
-    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers has no sum
-        for _ in range(DOUBLINGS):
-            more = power @ total @ power.T
-            total, power = total + more, power @ power
-            if not np.isfinite(total).all():
-                return None
-            if np.max(np.abs(more)) <= SETTLED * np.max(np.abs(total)):
-                return total
-    return None
 
 
 def _turned(matrices: Array) -> Array:

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.disturbance import LongRun, long_run
 from estimators.gauss_newton import Expansion, Normal
 from estimators.innovations import NoiseModel
+from estimators.long_run import LongRun, long_run
 from estimators.problem import Problem
 from models.kernel import ELSEWHERE
 

@@ -29,12 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
-from estimators.disturbance import DisturbanceEstimate, Found, is_of_disturbance, long_run, told
+from estimators.disturbance import DisturbanceEstimate, Found, is_of_disturbance, told
 from estimators.fit_result import assemble
 from estimators.frame_chunks import Chunk, join
 from estimators.gauss_newton import Minimum
 from estimators.innovations import NoiseModel
 from estimators.logarithms import is_known_roughly
+from estimators.long_run import long_run
 from estimators.methods.prediction_error import FLOOR
 from estimators.problem import Problem
 from estimators.recursive_gauss_newton import SLIGHT, RecursiveGaussNewton

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from estimators.disturbance import Found, NarrowBandEstimate, with_error
@@ -36,6 +36,13 @@ class SensorError:
             "correlation_time": self.correlation_time,
             "correlation_time_std": self.correlation_time_error,
         }
+
+    def scaled(self, unit: str, factor: float) -> SensorError:
+        """The same in another `unit`, of which there are `factor` in one."""
+        narrow = self.narrow_band
+        if narrow is not None:
+            narrow = replace(narrow, unit=unit, std=factor * narrow.std, std_error=factor * narrow.std_error)
+        return replace(self, unit=unit, std=factor * self.std, std_error=factor * self.std_error, narrow_band=narrow)
 
     def __str__(self) -> str:
         """`0.0030 ± 0.0001 rad/s RMS, correlation time 0.050 ± 0.004 s`."""

@@ -27,8 +27,6 @@ from telemetry.recording import Recording
 
 AGE = "drive_age"
 """The channels after this one, reference, excitation and phase, were never on the bus."""
-SETPOINT = "_setpoint"
-"""How the name of a channel ends that is a command."""
 BATCH = 1000
 """Rows between two looks at the time."""
 
@@ -43,9 +41,7 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
     """
     if Path(path).suffix == ".log":
         return from_raw_log(path, vehicle)
-    recording = recordings.load(path)
-    commands = {name for name in recording.values if name.endswith(SETPOINT)}
-    return with_age(by_the_clock(recording, commands.union(not_on_the_bus(assembly.channels(vehicle)))), vehicle)
+    return with_age(by_the_clock(recordings.load(path)), vehicle)
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:

@@ -11,7 +11,6 @@ r is 1 where the samples were taken as stamped, and 0 where they were taken by t
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,10 +51,10 @@ class Jitter:
         return float(np.sqrt(np.mean(self.off**2)))
 
 
-def by_the_clock(recording: Recording, held: Collection[str] = ()) -> Recording:
-    """`recording` with the instants at which its samples were taken, as far as its channels surely say so; `held` are
-    channels that are no measurement, such as commands."""
-    found = jitter(recording, held)
+def by_the_clock(recording: Recording) -> Recording:
+    """`recording` with the instants at which its samples were taken, where its channels surely say that these were
+    not those of its time stamps; its `truncated` then says so, too."""
+    found = jitter(recording)
     if found is None or found.share < SURE * found.share_error:
         return recording
     moved = np.round(1e9 * min(1.0, found.share) * found.off).astype(np.int64)
@@ -71,8 +70,9 @@ def by_the_clock(recording: Recording, held: Collection[str] = ()) -> Recording:
     )
 
 
-def jitter(recording: Recording, held: Collection[str] = ()) -> Jitter | None:
-    """What the channels but those that are `held` say; None where time stamps are on their clock, or have none."""
+def jitter(recording: Recording) -> Jitter | None:
+    """What the channels of a recording say together, each as surely as it does; None where its time stamps are on
+    their clock, or no channel moves."""
     if len(recording) < 2 * WINDOW:
         return None
     found = _off(recording.time)
@@ -80,8 +80,8 @@ def jitter(recording: Recording, held: Collection[str] = ()) -> Jitter | None:
         return None
     off, period = found
     weights = shares = 0.0
-    for name, values in recording.values.items():
-        told = None if name in held else _as_stamped(values, off, period)
+    for values in recording.values.values():
+        told = _as_stamped(values, off, period)
         if told is not None:
             share, variance = told
             shares, weights = shares + (1.0 - share) / variance, weights + 1.0 / variance
@@ -89,8 +89,11 @@ def jitter(recording: Recording, held: Collection[str] = ()) -> Jitter | None:
 
 
 def _off(time: Array) -> tuple[Array, float] | None:
-    """How far each of `time` (n,) is off its clock, (n,), and the period; rows may be missing. None where it is not."""
+    """How far each of `time` (n,) is off its clock, (n,), and the period, s; rows may be missing. None where it is on
+    it to LEAST of a period."""
     period = float(np.median(np.diff(time)))
+    if np.max(np.abs(np.diff(time) - period)) < LEAST * period:
+        return None
     number, clock = np.zeros(len(time)), float(time[0])
     for row, stamp in enumerate(time.tolist()[1:], start=1):
         steps = max(1.0, float(np.round((stamp - clock) / period)))
@@ -104,7 +107,8 @@ def _off(time: Array) -> tuple[Array, float] | None:
 
 
 def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float] | None:
-    """The share of `off` at which a channel's samples were taken, and the variance of its error."""
+    """The share of `off` at which a channel's samples were taken, and the variance of its error; None where it does not
+    move, or in one block alone."""
     if not np.isfinite(values).all() or np.ptp(values) == 0.0:
         return None
     slope = savgol_filter(values, SMOOTH, 3, deriv=1, delta=period)
@@ -114,6 +118,11 @@ def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float]
         return None
     share = float(moved @ rest) / square
     errors = moved * (rest - share * moved)
-    blocks = np.add.reduceat(errors, np.arange(0, len(errors), BLOCK))
-    variance = float(blocks @ blocks) / square**2
+    begins = np.arange(0, len(errors), BLOCK)
+    blocks, weights = (np.add.reduceat(each, begins) for each in (errors, moved**2))
+    # As many independent blocks as these weights are worth (Kish): a channel that steps once fits its own share.
+    count = float(square**2 / (weights @ weights))
+    if count <= 1.0 + 1e-9:
+        return None
+    variance = float(blocks @ blocks) / square**2 * count / (count - 1.0)
     return (share, variance) if variance > 0.0 else None

@@ -82,8 +82,16 @@ def test_noise_alone_says_nothing(clock: Array, jittering: Array) -> None:
     assert by_the_clock(still) is still
 
 
-def test_what_is_held_does_not_count(clock: Array, jittering: Array) -> None:
-    assert jitter(record(jittering, taken=clock), held={"angle"}) is None
+@pytest.mark.parametrize("by_clock", [True, False])
+def test_what_is_held_decides_nothing(clock: Array, jittering: Array, by_clock: bool) -> None:
+    """A command that steps once, one that is a square wave, and one that rests, beside what is measured."""
+    whole = record(jittering, taken=clock if by_clock else jittering)
+    held = {"once": (clock > 9.0) * 1.0, "square": np.sign(np.sin(clock)), "rests": np.zeros(ROWS)}
+    channels = ChannelTable((*whole.channels, *(Channel(name, "V", "held") for name in held)))
+    alone, beside = jitter(whole), jitter(replace(whole, channels=channels, values={**whole.values, **held}))
+    assert alone is not None
+    assert beside is not None
+    assert beside.share == pytest.approx(alone.share, abs=alone.share_error)
 
 
 def test_a_table_with_jittering_stamps_is_loaded_by_its_clock(tmp_path: Path) -> None:

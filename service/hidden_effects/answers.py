@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from estimators.disturbance import DisturbanceEstimate
@@ -103,9 +103,12 @@ def of_diagnosis(found: Any) -> Answer:
 
 
 def _disturbance(found: Sequence[DisturbanceEstimate]) -> dict[str, tuple[float, float]]:
-    """The two numbers of the first joint's, where they are told."""
-    if not found or not found[0].shown or found[0].known:
+    """The two numbers of the first joint's, where they are estimated."""
+    if not found:
         return {}
-    told = asdict(found[0])
-    numbers = {"rms": "std", "correlation_time": "correlation_time"}
-    return {name: (told[key], told[f"{key}_error"]) for name, key in numbers.items() if told[f"{key}_error"]}
+    first = found[0]
+    numbers = {
+        "rms": (first.std, first.std_error),
+        "correlation_time": (first.correlation_time, first.correlation_time_error),
+    }
+    return {name: (value, std) for name, (value, std) in numbers.items() if value is not None and std is not None}

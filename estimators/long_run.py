@@ -1,0 +1,92 @@
+"""Where a stretch of a record begins: a disturbance as it is in the long run, integrated out of the likelihood.
+
+    p(y) = integral of p(y | x0) p(x0) dx0,    -ln p(y) = -ln p(y | x0*) p(x0*) + 1/2 ln det(D + P^-1) + a constant
+
+with x0* the likeliest initial state, P its covariance before the record and D what the record tells of it. P has the
+RMS of a disturbance, which is estimated: maximised together with x0, the likelihood would grow without end as that RMS
+goes to zero. Laplace's method, exact where the model is linear; D is that of a long record (estimators.innovations).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.innovations import NoiseModel
+from models.disturbance import parameters_of, power_share
+
+Array = NDArray[np.float64]
+
+STEP = 1e-3
+"""Share of a correlation time, or logarithm of a noise, by which it is moved for a derivative."""
+
+
+@dataclass(frozen=True, slots=True)
+class LongRun:
+    """How far off initial states may be, `spread` (k,), where that is what a disturbance is in the long run.
+
+    `cost`: minus the logarithm of the likelihood that is left once all initial states are integrated over, beside that
+    of the likeliest ones, and `slopes` (p + q,) its derivatives. Without it, that a disturbance begins at zero would
+    grow ever likelier with its RMS at zero. `entries`: (which of the k, which unknown, derivative of the logarithm of
+    its spread by that).
+    """
+
+    spread: Array
+    cost: float
+    slopes: Array
+    entries: tuple[tuple[int, int, float], ...]
+
+
+def long_run(noise: NoiseModel, values: Array, logarithms: Array) -> LongRun:
+    """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
+    spread, entries = _spreads(noise, values, logarithms)
+    if not entries:
+        return LongRun(spread, 0.0, np.zeros(len(noise.problem.free) + noise.size), ())
+    cost, slopes = _integrated(noise, values, logarithms)
+    return LongRun(spread, cost, slopes, entries)
+
+
+def _spreads(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[Array, tuple[tuple[int, int, float], ...]]:
+    """`spread` and `entries` of LongRun."""
+    task = noise.problem
+    spread, entries = task.spread.copy(), []
+    for number, place in enumerate(task.own):
+        state = task.model.states[place]
+        if not state.correlation_time:
+            continue
+        time = task.kernel.index(state.correlation_time)
+        driving = next(each for each in task.model.states if each.name == (state.driven_by or state.name))
+        which = noise.logarithm_of(driving.name)
+        grown = 0.0 if which is None else float(logarithms[which])
+        spread[number] = driving.process_noise * np.exp(grown) * np.sqrt(power_share(state) * values[time])
+        if time in task.free:
+            entries.append((number, task.free.index(time), 0.5 / float(values[time])))
+        if which is not None:
+            entries.append((number, len(task.free) + which, 1.0))
+    return spread, tuple(entries)
+
+
+def _integrated(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[float, Array]:
+    """`cost` and `slopes` of LongRun: half the logarithm of det(1 + D P), with P the covariance of the initial states
+    before the record and D what it tells of them (Laplace's method, exact where the model is linear)."""
+    task = noise.problem
+    its = parameters_of(task.model.base_states)
+    times = [place for place, number in enumerate(task.free) if task.kernel.parameters[number] in its]
+    unknowns = [*times, *range(len(task.free), len(task.free) + noise.size)]
+    sizes = STEP * np.array([values[task.free[place]] for place in times] + [1.0] * noise.size)
+    many_values = np.repeat(values[None], 1 + 2 * len(unknowns), axis=0)
+    many_logarithms = np.repeat(logarithms[None], len(many_values), axis=0)
+    for place, unknown in enumerate(unknowns):
+        target = many_values if place < len(times) else many_logarithms
+        column = task.free[unknown] if place < len(times) else unknown - len(task.free)
+        target[1 + 2 * place, column] += sizes[place]
+        target[2 + 2 * place, column] -= sizes[place]
+    told = noise.of_start(many_values, many_logarithms)[:, list(task.own)][:, :, list(task.own)]
+    spreads = np.stack([_spreads(noise, *each)[0] for each in zip(many_values, many_logarithms, strict=True)])
+    inside = np.eye(len(task.own)) + spreads[:, :, None] * told * spreads[:, None, :]
+    costs = 0.5 * np.linalg.slogdet(inside)[1]
+    slopes = np.zeros(len(task.free) + noise.size)
+    slopes[unknowns] = (costs[1::2] - costs[2::2]) / (2.0 * sizes)
+    return float(costs[0]), slopes
