@@ -344,10 +344,8 @@ def random_parts(found: dict[str, Any]) -> Iterable[str]:
     """What a diagnosis tells of the disturbance and of the sensors' errors, a line each, SI units."""
     for kind in ("disturbance", "sensor_errors"):
         for at, numbers in found.get(kind, {}).items():
-            told = (
-                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in numbers.items()
-            )
-            yield f"{kind} at {at}: {', '.join(told)}\n"
+            told = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in numbers.items()}
+            yield f"{kind} of {at}: {', '.join(f'{key} {value}' for key, value in told.items())}"
 
 
 def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: dict[str, dict[str, Any]]) -> None:
@@ -357,7 +355,8 @@ def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: di
         results.append((name, right(name, found)))
         told = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
         print(f"{'right' if results[-1][1] else 'WRONG':6}{name:32}{found['verdict']:16}{told}", flush=True)
-        print(*(f"{'':6}{each}" for each in random_parts(found)), sep="\n", end="", flush=True)
+        for each in random_parts(found):
+            print(f"{'':6}{each}", flush=True)
     for title, group in groups.items():
         given = [correct for name, correct in results if name in group]
         if given:
