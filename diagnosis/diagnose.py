@@ -21,21 +21,22 @@ from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
-from diagnosis.freed import freed
 from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
 from diagnosis.random_parts import RANDOM, absorbed, promised
 from diagnosis.ready import ready, unready
-from diagnosis.refit import FullFit, settled
+from diagnosis.refit import FURTHER_FITS, FullFit, by_chance, full, settled
 from diagnosis.relevance import relevances
 from diagnosis.screen import Screen
 from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
+from diagnosis.ties import LEVEL
 from diagnosis.trial import FAILURES, tried
 from diagnosis.unseen import hidden
 from diagnosis.workspace import Workspace
 from estimators.budget import Budget, OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.disturbance import disturbances, in_words
+from estimators.freed import freed
 from estimators.methods.prediction_error import result
 from estimators.segments import DataError, after_settling
 from estimators.sensor_errors import sensor_errors
@@ -49,6 +50,9 @@ SEARCH = 0.75
 
 HALF = 0.5
 """Of that time, for each of two searches: without a random part that seems to explain most, and beside it."""
+
+ONCE = 0.75
+"""Share of the progress bar that is over when work is done that may have to be done again; for the bar alone."""
 
 Progress = Callable[[str, float], None]
 Answer = TypeVar("Answer")
@@ -79,13 +83,15 @@ def diagnose(
     to 1.
     Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
     """
-    tell = progress or (lambda text, share: None)
+    tell = _forward(progress)
     bound = Budget.of(budget)
     tell("reading the data", 0.0)
     known, model = model, ready(model, recordings)
     chosen = None if candidates is None else tuple(candidates)
 
-    def whole(given: Sequence[Recording]) -> tuple[Diagnosis, list[Event]]:
+    def whole(
+        given: Sequence[Recording], tell: Progress, before: Diagnosis | None = None
+    ) -> tuple[Diagnosis, list[Event]]:
         try:
             recordings = after_settling(model, given, support)
             check(model, recordings, support)
@@ -93,13 +99,14 @@ def diagnose(
         except DataError as error:
             return Diagnosis(Verdict.INSUFFICIENT_DATA, str(error)), []
         begun = [_begun_at(loop, *both) for loop, *both in zip(loops, given, recordings, strict=False)]
-        return _whole(replace(workspace, budget=bound), model, most, masked, unasked, begun, tell)
+        return _whole(replace(workspace, budget=bound), model, most, masked, unasked, begun, tell, before)
 
-    found, happened = whole(recordings)
+    found, happened = whole(recordings, partial(_part, tell, 0.0, ONCE))
     if happened and bound.left:
-        tell("leaving out what happened once", 0.5)
+        tell("leaving out what happened once", ONCE)
         scale = time_scale(model, found.steps[-1].fit.problem.segments)
-        rest, _ = whole([hidden(model, each, pieces(happened, each.source, scale)) for each in recordings])
+        kept = [hidden(model, each, pieces(happened, each.source, scale)) for each in recordings]
+        rest, _ = whole(kept, partial(_part, tell, ONCE, 1.0 - ONCE), found)
         # A search that the time cut short, and that found nothing, is no better than the one before.
         cut_short = not bound.left and not rest.findings
         if rest.verdict is not Verdict.INSUFFICIENT_DATA and not cut_short:
@@ -115,8 +122,10 @@ def _whole(
     unasked: Collection[str],
     loops: Sequence[Loop | str],
     tell: Progress,
+    wider: Diagnosis | None = None,
 ) -> tuple[Diagnosis, list[Event]]:
-    """The diagnosis of `model` on the rows of `workspace`, and where on these the disturbance changes."""
+    """The diagnosis of `model` on the rows of `workspace`, and where on these the disturbance changes. `wider`: that
+    on these rows and others."""
     unhurried = workspace.unhurried
     tell("fitting the model as it is", 0.05)
     try:
@@ -128,7 +137,8 @@ def _whole(
     lacking = unidentified(base, unasked)
     if lacking:
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out), []
-    searched = _beside_random_parts(base, workspace.within(SEARCH), most, masked, partial(_part, tell, 0.1, 0.85))
+    part = partial(_part, tell, 0.1, 0.85)
+    searched = _beside_random_parts(base, workspace.within(SEARCH), most, masked, part, wider)
     base, bare, findings, fits, screens, last = searched
     tell("looking for what has no name", 0.95)
     rest = adequacy(bare.fit, last.fit, last.log_likelihood - bare.log_likelihood)
@@ -161,21 +171,59 @@ class Searched(NamedTuple):
     last: FullFit
 
 
+class Known(NamedTuple):
+    """Findings, and the fits with the first of them, with the first two, and so on."""
+
+    findings: Sequence[Finding] = ()
+    fits: Sequence[FullFit] = ()
+
+
+NOTHING = Known()
+
+
 def _beside_random_parts(
-    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress
+    base: FullFit,
+    workspace: Workspace,
+    most: int,
+    masked: Collection[str],
+    tell: Progress,
+    before: Diagnosis | None,
 ) -> Searched:
     """The effects that are found beside the random parts that the record asks for; these are looked for beside the
-    effects, and the effects again beside each, as long as all of them together gain evidence."""
+    effects, and the effects again beside these, as long as all of them together gain evidence. The search goes on from
+    the findings of the diagnosis `before`, where there is one and they stand on these rows."""
+    stands = None if before is None else _in_time(partial(_standing, base, before, workspace), RANDOM, workspace)
+    base, known = stands or (base, NOTHING)
+    begun = ONCE
     # Where a random part explains more than any effect seems to, the search without it leaves it half of the time.
-    found = _searched(base, workspace.within(HALF) if _outdone(base, workspace) else workspace, most, masked, tell)
+    limited = workspace.within(HALF) if not known.findings and _outdone(base, workspace) else workspace
+    found = _searched(base, limited, most, masked, partial(_part, tell, 0.0, begun), known)
     while True:
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
             return found
-        again = _searched(looked, workspace, most, masked, tell)
+        again = _searched(looked, workspace, most, masked, partial(_part, tell, begun, ONCE * (1.0 - begun)))
+        begun += ONCE * (1.0 - begun)
         if again.last.evidence <= found.last.evidence:
             return found
         found = again
+
+
+def _standing(base: FullFit, before: Diagnosis, workspace: Workspace) -> tuple[FullFit, Known]:
+    """The fit of `base` with the random parts that its rows ask for beside the findings of `before`, and these; none of
+    them where one is no more than chance on these rows."""
+    if not before.findings:
+        return absorbed(base, base, workspace) or base, NOTHING
+    effects = before.steps[-1].fitted.effects
+    whole = full(replace(base.model, effects=effects), workspace, longer=FURTHER_FITS)
+    looked = absorbed(base, whole, workspace)
+    if looked is not None:
+        base, whole = looked, full(replace(looked.model, effects=effects), workspace, longer=FURTHER_FITS)
+    for each in before.findings:
+        without = full(whole.model.remove(each.effect), workspace, longer=FURTHER_FITS)
+        if by_chance(whole, without) >= LEVEL / len(workspace.candidates):
+            return base, NOTHING
+    return base, Known(before.findings, one_by_one(before.findings, whole, workspace))
 
 
 def _outdone(base: FullFit, workspace: Workspace) -> bool:
@@ -185,10 +233,12 @@ def _outdone(base: FullFit, workspace: Workspace) -> bool:
     return looked is not None and gain > max((score.gain for score in looked.scores), default=0.0)
 
 
-def _searched(base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress) -> Searched:
+def _searched(
+    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], tell: Progress, known: Known = NOTHING
+) -> Searched:
     bare = _without_blows(base, workspace.unhurried)
     of_blows = max(0.0, base.log_likelihood - bare.log_likelihood)
-    return Searched(base, bare, *_search(base, workspace, most, masked, of_blows, tell))
+    return Searched(base, bare, *_search(base, workspace, most, masked, of_blows, tell, known))
 
 
 def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str:
@@ -227,18 +277,25 @@ def _without_blows(base: FullFit, workspace: Workspace) -> FullFit:
 
 
 def _search(
-    base: FullFit, workspace: Workspace, most: int, masked: Collection[str], of_blows: float, tell: Progress
+    base: FullFit,
+    workspace: Workspace,
+    most: int,
+    masked: Collection[str],
+    of_blows: float,
+    tell: Progress,
+    known: Known,
 ) -> tuple[list[Finding], list[FullFit], list[Screen], FullFit]:
-    """Effect after effect, at most `most`, and the fit with each; the screens before each and after the last.
+    """Effect after effect, at most `most`, and the fit with each; the screens before each and after the last. Those
+    that are `known` come first.
 
     Then the fit of all that was found, which may be one effect more: one that explains too little for a name, but no
     more is unknown than what it bends. `of_blows`: log likelihood that effects of the model gain whose parts strike.
     """
-    findings: list[Finding] = []
-    fits: list[FullFit] = []
-    screens: list[Screen] = []
-    whole = base
-    for step in range(most + 1):
+    findings, fits, screens, whole = list(known.findings), list(known.fits), list[Screen](), base
+    if fits:
+        whole = fits[-1]
+        screens.append(tried(partial(look, base, workspace.unhurried)) or Screen((), {}))
+    for step in range(len(findings), most + 1):
         part = partial(_part, tell, step / (most + 1.0), 1.0 / (most + 1.0))
         part("screening all effects" + (f", with {findings[-1].effect} in the model" if findings else ""), 0.0)
         what = "further effects" if findings else "the search for effects"
@@ -283,7 +340,7 @@ def _search(
     return [tried(partial(retold, each, fits[-1])) or each for each in findings], fits, screens, whole
 
 
-def _in_time(work: Callable[[], Answer], what: str, workspace: Workspace) -> Answer | None:
+def _in_time(work: Callable[[], Answer | None], what: str, workspace: Workspace) -> Answer | None:
     """What `work` gives; None where it fails or the time is over, and then `what` is noted as left untried."""
     try:
         return tried(work)
@@ -317,6 +374,19 @@ def _revised(
         except OutOfTime:
             workspace.leave(f"{what}, beside {' and '.join(each.effect for each in found)}")
     return found, whole
+
+
+def _forward(progress: Progress | None) -> Progress:
+    """`progress` of a bar that never goes back, though work may be done again."""
+    over = 0.0
+
+    def tell(text: str, share: float) -> None:
+        nonlocal over
+        over = max(over, share)
+        if progress is not None:
+            progress(text, over)
+
+    return tell
 
 
 def _part(tell: Progress, begin: float, width: float, text: str, share: float) -> None:

@@ -25,7 +25,6 @@ from diagnosis.drop_tests import DropTest as DropTest
 from diagnosis.drop_tests import drop_tests as drop_tests
 from diagnosis.effect_fit import Fitted, candidate_of, fit_effect, fit_model, horizons_of
 from diagnosis.floor import floor, innovation_ratio, shaken_as
-from diagnosis.freed import freed
 from diagnosis.held_out import split
 from diagnosis.ready import ready, unready
 from diagnosis.repair_result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
@@ -33,6 +32,7 @@ from diagnosis.screen import Score, Screen, screen
 from diagnosis.trial import FAILURES
 from diagnosis.whitened import Whitened
 from estimators.contract import EstimationError
+from estimators.freed import freed
 from estimators.methods.prediction_error import Fit
 from estimators.problem import Problem, problem
 from estimators.resting import without_rests

@@ -144,9 +144,8 @@ class UnseenCheck:
         if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
             return None
         # What happens once, at an instant outside the part, is nothing that the part could foretell.
-        instants = [
-            p.name for each in further for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes
-        ]
+        once = [each for each in further if each.effect.follows_time]
+        instants = [p.name for each in once for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes]
         if any(told[name].status in NOT_TOLD for name in instants):
             return None
         if part.pieces not in self._without:

@@ -166,6 +166,11 @@ class Effect:
         texts |= {f"{state.name}.derivative": state.derivative for state in self.states}
         return {key: text for key, text in texts.items() if text}
 
+    @property
+    def follows_time(self) -> bool:
+        """Whether what it does hangs on the time of the run, as something that sets in does."""
+        return any("time" in names_in(text) for text in self.expressions.values())
+
 
 @dataclass(frozen=True, slots=True)
 class AttachedEffect:

@@ -503,7 +503,7 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
     )
     answer = of_diagnosis(found)
     assert answer.disturbance == {"rms": (8.0, 0.4), "correlation_time": (0.3, 0.03)}
-    bounded = replace(shaken, shown=False, std_error=None)
+    bounded = replace(shaken, shown=False, std_error=None, correlation_time=None, correlation_time_error=None)
     assert of_diagnosis(SimpleNamespace(**{**vars(found), "disturbance": (bounded,)})).disturbance == {}
     assert answer.found[0].names == {"coulomb_friction", "hysteresis"}
     assert answer.found[0].parameters == {"torque": (61.0, 2.0)}

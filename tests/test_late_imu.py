@@ -11,9 +11,9 @@ import pytest
 
 from diagnosis.compare import compare
 from diagnosis.findings import Verdict
-from diagnosis.freed import freed
 from diagnosis.parts import diagnose_parts
 from diagnosis.ready import ready
+from estimators.freed import freed
 from estimators.identify import with_values
 from estimators.methods.drive_lag import drive_lag
 from estimators.methods.prediction_error import fit, prediction_error

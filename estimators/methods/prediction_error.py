@@ -18,6 +18,7 @@ from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate
 from estimators.disturbance import disturbances, is_of_disturbance
 from estimators.fit_result import assemble, inverse, refused, with_known
+from estimators.freed import freed
 from estimators.gauss_newton import Minimum, common_information, descend
 from estimators.innovations import NoiseModel
 from estimators.likelihood import FLOOR as FLOOR
@@ -162,7 +163,18 @@ def prediction_error(
         task = problem(model, recordings, support=support, progress=progress)
     except DataError as error:
         return refused(model, METHOD, error, stopwatch() - began)
-    return result(fit(task, prior=prior), began)
+    fitted = fit(task, prior=prior)
+    found = result(fitted, began)
+    if not (prior and found.disturbance):
+        return found
+    try:
+        if (more := freed(model, fitted)) is not model:
+            # What is held farther off than the record shows passes for a disturbance.
+            shaken = fit(problem(more, recordings, support=support, progress=progress))
+            found = replace(found, disturbance=disturbances(shaken), seconds=stopwatch() - began)
+    except ArithmeticError:
+        pass  # what was estimated stays as it is
+    return found
 
 
 def fit(

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.freed import freed
+from estimators.freed import freed
 from estimators.gauss_newton import minimise
 from estimators.methods.prediction_error import fit
 from estimators.problem import problem
