@@ -190,7 +190,7 @@ def _beside_random_parts(
     before: Diagnosis | None,
 ) -> Searched:
     """The effects that are found beside the random parts that the record asks for; these are looked for beside the
-    effects, and the effects again beside these, as long as all of them together gain evidence. The search goes on from
+    effects, and the effects again beside each, as long as all of them together gain evidence. The search goes on from
     the findings of the diagnosis `before`, where there is one and they stand on these rows."""
     stands = None if before is None else _in_time(partial(_standing, base, before, workspace), RANDOM, workspace)
     base, known = stands or (base, NOTHING)
@@ -215,10 +215,12 @@ def _standing(base: FullFit, before: Diagnosis, workspace: Workspace) -> tuple[F
     if not before.findings:
         return absorbed(base, base, workspace) or base, NOTHING
     effects = before.steps[-1].fitted.effects
-    whole = full(replace(base.model, effects=effects), workspace, longer=FURTHER_FITS)
-    looked = absorbed(base, whole, workspace)
-    if looked is not None:
-        base, whole = looked, full(replace(looked.model, effects=effects), workspace, longer=FURTHER_FITS)
+    while True:
+        whole = full(replace(base.model, effects=effects), workspace, longer=FURTHER_FITS)
+        looked = absorbed(base, whole, workspace)
+        if looked is None:
+            break
+        base = looked
     for each in before.findings:
         without = full(whole.model.remove(each.effect), workspace, longer=FURTHER_FITS)
         if by_chance(whole, without) >= LEVEL / len(workspace.candidates):

@@ -43,26 +43,16 @@ def promised(fitted: FullFit) -> float:
 
 
 def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
-    """The fit of `base`, the model alone, with all random parts that are likelier beside the effects of `last` than
-    none is, or with one alone that is likelier than these effects are; None where there is none. `last` is `base` where
-    there is no effect."""
-    found = None
-    while True:
-        beside = _likeliest(last, workspace)
-        if beside is None or beside.evidence <= last.evidence:
-            break
+    """The fit of `base`, the model alone, with the random part that is likelier beside the effects of `last` than none
+    is, or alone than these are; None where there is none. `last` is `base` where there is no effect."""
+    beside = _likeliest(last, workspace)
+    if beside is not None and beside.evidence > last.evidence:
         if base is last:
-            wider: FullFit | None = beside
-        else:
-            model = replace(beside.fitted, effects=base.model.effects)
-            wider = tried(partial(full, model, workspace, longer=FURTHER_FITS))
-        if wider is None:
-            break
-        base, last, found = wider, wider if base is last else beside, wider
-    if found is None and base is not last:
-        alone = _likeliest(base, workspace)
-        return alone if alone is not None and alone.evidence > last.evidence else None
-    return found
+            return beside
+        model = replace(beside.fitted, effects=base.model.effects)
+        return tried(partial(full, model, workspace, longer=FURTHER_FITS))
+    alone = _likeliest(base, workspace) if base is not last else None
+    return alone if alone is not None and alone.evidence > last.evidence else None
 
 
 def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:

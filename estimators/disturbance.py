@@ -7,6 +7,12 @@ covariance of all of them gives the standard deviations (delta method). A fit te
 all are is told by what the filter corrects of the disturbance (NoiseModel.units). Where a record shows none, its RMS is
 said to be less than a bound. Of one of a narrow band beside it, where the model has that, frequency and damping ratio
 are told.
+
+Of a record of few correlation times the likeliest one is too short: what moves slowly is taken for the mean, and for
+parameters. The rate 1 / correlation_time is too large by 4 / (the record's length) on average, which is taken off
+(Kendall, "Note on bias in the estimation of autocorrelation", 1954; Marriott, Pope, "Bias in the estimation of
+autocorrelations", 1954: the coefficient of first order a, estimated beside a mean from n rows, is too small by
+(1 + 3 a) / n).
 """
 
 from __future__ import annotations
@@ -23,6 +29,7 @@ from estimators.fit_result import inverse
 from estimators.innovations import NoiseModel
 from models.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
 from models.model import Joint, Model
+from models.random_part import LEAST_TIMES
 
 if TYPE_CHECKING:
     from estimators.methods.prediction_error import Fit
@@ -37,6 +44,9 @@ BOUND = 1.645
 """Standard deviations of that bound: more than it is denied by 95 % of records without any."""
 HALVINGS = 20
 """In which it is looked for."""
+TOO_FAST = 4.0
+"""By how much the likeliest rate of a random signal is too large, in records: (1 + 3 a) of the docstring where a is
+near one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +200,8 @@ class Found:
         return self.noise.problem.model
 
     def first_order(self, place: int) -> tuple[float, float, float, float]:
-        """RMS and correlation time of the random part at state `place`, each with the standard deviation of its
-        logarithm; 0 of what was stated."""
+        """RMS and correlation time of the random part at state `place`, less their bias, each with the standard
+        deviation of its logarithm; 0 of what was stated."""
         task = self.noise.problem
         state, size = task.model.base_states[place], len(task.free)
         time_place = task.kernel.index(state.correlation_time)
@@ -205,8 +215,13 @@ class Found:
             std *= unit * math.exp(float(self.logarithms[number]))
         if time_place in task.free:
             column = task.free.index(time_place)
-            by_std[column] += 0.5 / time
-            by_time[column] = 1.0 / time
+            # A record has LEAST_TIMES of it at least, or the model says itself that it has fewer.
+            share = min(time / (self.rows * self.noise.spacing), 1.0 / LEAST_TIMES)
+            longer = 1.0 / (1.0 - TOO_FAST * share)
+            by_std[column] += 0.5 * longer / time
+            by_time[column] = longer / time
+            time *= longer
+            std *= math.sqrt(longer)
         error, time_error = (math.sqrt(float(each @ self.covariance @ each)) for each in (by_std, by_time))
         if number is not None:
             error = min(error, float(self.noise.spread[number]))

@@ -214,7 +214,7 @@ def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Pat
 def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "late.arrow"
     record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0).save(path)
-    first = json.loads(upright(path, *UNHURRIED, "--json"))
+    first = json.loads(upright(path, *EFFECTS, *UNHURRIED, "--json"))
     assert first["verdict"] == "unknown"
     assert "viscous_friction shows in late.arrow since" in first["reason"]
     begin = first["reason"].rsplit("--from ", 1)[1].rstrip(".")
