@@ -21,7 +21,6 @@ from service.vehicle_file import VehicleFile
 from telemetry import recording as recordings
 from telemetry.candump import CandumpReader
 from telemetry.channels import ChannelTable
-from telemetry.clock import by_the_clock
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 
@@ -34,14 +33,14 @@ CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
 
 
 def load(path: Path, vehicle: VehicleFile) -> Recording:
-    """A recording from a file of any kind, raw logs included.
+    """A recording from a file of any kind, raw logs included, with the time stamps that it has.
 
     Raises:
         RecordingError: the file cannot be read, or holds no frames of this vehicle.
     """
     if Path(path).suffix == ".log":
         return from_raw_log(path, vehicle)
-    return with_age(by_the_clock(recordings.load(path)), vehicle)
+    return with_age(recordings.load(path), vehicle)
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:

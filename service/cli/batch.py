@@ -178,7 +178,7 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
     with working() as step:
         for path in recordings:
             step(f"replaying: {path.name}")
-            results[str(path)] = run(load_recording(path, vehicle), file)
+            results[str(path)] = run(load_recording(path, vehicle, as_stamped=True), file)
     if json:
         print_json({"recordings": results})
         return
@@ -196,19 +196,26 @@ def convert(
 
     with working() as step:
         step(f"writing {target.name}")
-        run(load_recording(source, vehicle), target)
+        run(load_recording(source, vehicle, as_stamped=True), target)
     page.print(f"{target}: {target.stat().st_size} bytes")
 
 
-def load_recording(path: Path, vehicle: str) -> Recording:
-    """A recording of any kind; a file that was cut off is read as far as it goes, and said; so is a fall."""
+def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
+    """A recording of any kind; a file that was cut off is read as far as it goes, and said; so is a fall.
+
+    Time stamps that jitter beside samples that do not are set to their clock, but for those who run a recording again
+    or pass it on, `as_stamped`.
+    """
     from estimators.identify import nominal_model
     from estimators.segments import falls_at
     from service.replay import load as load_any
     from service.vehicle_file import load
+    from telemetry.clock import by_the_clock
 
     file = load(vehicle)
     recording = load_any(path, file)
+    if not as_stamped:
+        recording = by_the_clock(recording)
     if recording.truncated:
         people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
     falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)
