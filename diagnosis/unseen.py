@@ -30,6 +30,7 @@ from estimators.disturbance import SHOWN
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, eliminate
 from estimators.innovations import NoiseModel
+from estimators.likelihood import Likelihood
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
 from estimators.segments import segments
@@ -138,7 +139,7 @@ class UnseenCheck:
             few = Workspace.of(base, part.seen, workspace.support, others)
             self._few[part.pieces] = replace(few, budget=workspace.budget)
         few = self._few[part.pieces]
-        with_it = _unsure(full(best.model, few, begin=best.fit.end).fit)
+        with_it = unsure(full(best.model, few, begin=best.fit.end).fit)
         told = result(with_it, 0.0).parameters
         sizes = [told[name] for each in further for name in each.amplitudes]
         if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
@@ -149,11 +150,11 @@ class UnseenCheck:
         if any(told[name].status in NOT_TOLD for name in instants):
             return None
         if part.pieces not in self._without:
-            self._without[part.pieces] = _unsure(full(base, few, begin=self._base.fit.end).fit)
+            self._without[part.pieces] = unsure(full(base, few, begin=self._base.fit.end).fit)
         return self._without[part.pieces], with_it
 
 
-def _unsure(fitted: Fit) -> Fit:
+def unsure(fitted: Fit) -> Fit:
     """`fitted` with each noise that does not show as large as its own uncertainty allows, by LARGER standard deviations
     of its logarithm, but no larger than it is stated.
 
@@ -166,13 +167,10 @@ def _unsure(fitted: Fit) -> Fit:
     least = (deviations > SHOWN) & (logarithms < 0.0)
     if not least.any():
         return fitted
-    gain = noise.gain(fitted.values, np.where(least, np.minimum(logarithms + LARGER * deviations, 0.0), logarithms))
-    if gain is None:
-        return fitted
-    moved = replace(fitted, gain=gain)
-    with_it, without = (np.nanvar(np.concatenate(each.innovations()), axis=0) for each in (moved, fitted))
-    grown = np.sqrt(with_it / np.maximum(without, 1e-300))
-    return replace(moved, covariance=fitted.covariance * np.outer(grown, grown))
+    common = fitted.minimum.common.copy()
+    common[size:] = np.where(least, np.minimum(logarithms + LARGER * deviations, 0.0), logarithms)
+    seen = Likelihood(fitted.problem, noise, common, fitted.prior).of_data(common, fitted.minimum.own)
+    return fitted if seen is None else replace(fitted, gain=seen.gain, covariance=seen.covariance)
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:

@@ -9,10 +9,15 @@ import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.parts import diagnose_actuators
-from diagnosis.unseen import TAILS, WIDER, Unseen, loss
+from diagnosis.ready import ready
+from diagnosis.unseen import TAILS, WIDER, Unseen, loss, unsure
 from estimators.identify import nominal_model, with_values
+from estimators.likelihood import FLOOR
+from estimators.methods.prediction_error import fit
+from estimators.problem import problem
+from estimators.segments import after_settling
 from models.effects import find
-from models.library import ACTUATORS
+from models.library import ACTUATORS, get
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.hidden import HIDDEN
@@ -104,3 +109,19 @@ def test_where_parts_strike_one_blow_out_of_time_does_not_outweigh_many_rows() -
     none, one, two, blow = loss(white, struck=True)
     assert (none, one, two) == pytest.approx((0.0, 0.5, 2.0), abs=2e-3)
     assert blow == pytest.approx(np.log(WIDER / TAILS) + 0.5 * (60.0 / WIDER) ** 2, abs=2e-3)
+
+
+def test_noise_that_may_be_larger_leaves_what_is_added_to_a_known_sensors() -> None:
+    """Innovations of a roll that is known to a hundred thousandth of a radian are taken for ten times that. Scaled with
+    what the larger noise makes of them, they were less, and the model without the effect was likelier by hundreds."""
+    quiet = record("monocab", "multisine", hide=["gimbal_imbalance"], seed=61, duration=20.0)
+    model = with_values(get("monocab_roll"), VEHICLE.parameters.values, VEHICLE.parameters.deviations)
+    recordings = after_settling(model, [quiet], VEHICLE.support)
+    model = ready(model, recordings)
+    fitted = fit(problem(model, recordings, support=VEHICLE.support))
+    moved = unsure(fitted)
+    assert moved is not fitted
+    errors = np.concatenate(moved.innovations())
+    for place, each in enumerate(model.outputs):
+        added = (FLOOR * each.noise) ** 2 if each.noise_known else 0.0
+        assert moved.covariance[place, place] == pytest.approx(np.mean(errors[:, place] ** 2) + added, rel=1e-6)
