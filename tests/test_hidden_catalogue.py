@@ -63,11 +63,12 @@ def test_the_virtual_vehicle_can_hide_the_whole_catalogue() -> None:
     assert {*CATALOGUE} - {*HIDDEN} == {"gravity_nonlinearity"}
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("effect", sorted(HIDDEN.keys() - {LEARNED}))
 def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path: Path) -> None:
     recording, model = recorded(effect, tmp_path), tmp_path / "repaired.toml"
-    found = upright("diagnose", recording, "--auto", model)
+    # On a busy machine a test of what is found is none of how soon.
+    found = upright("diagnose", recording, "--auto", model, "--budget", "inf")
     assert found["verdict"] == "missing_effect", found["reason"]
     named = next(each for each in found["findings"] if effect in {each["effect"], *each["tied_with"]})
     assert named is found["findings"][0]
