@@ -168,7 +168,7 @@ class Effect:
 
     @property
     def follows_time(self) -> bool:
-        """Whether what it does hangs on the time of the run, as something that sets in does."""
+        """Whether what it does depends on the time of the run, as a torque that sets in does."""
         return any("time" in names_in(text) for text in self.expressions.values())
 
 

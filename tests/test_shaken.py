@@ -79,6 +79,16 @@ class TestModel:
         assert {each.name for each in unready(NOMINAL, made).parameters} == {each.name for each in NOMINAL.parameters}
 
 
+class TestBias:
+    def test_the_likeliest_correlation_time_is_told_longer(self, fitted: Fit) -> None:
+        """By 4 / duration in the rate, and the RMS by the root of that, as the torque's density stays."""
+        (told,) = disturbances(fitted)
+        likeliest = fitted.values[fitted.problem.kernel.index("disturbance_roll_time")]
+        assert told.correlation_time is not None
+        assert told.correlation_time == pytest.approx(1.0 / (1.0 / likeliest - 4.0 / fitted.problem.span), rel=1e-3)
+        assert told.correlation_time > 1.01 * likeliest
+
+
 class TestLikelihood:
     def test_its_slope_is_that_of_differences(self, shaken: Recording) -> None:
         """Also by the RMS and the correlation time, which say how far off the disturbance may begin."""

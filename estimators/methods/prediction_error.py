@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.as_recorded import as_recorded
-from estimators.contract import Estimate
+from estimators.contract import Estimate, EstimationError
 from estimators.disturbance import disturbances, is_of_disturbance
 from estimators.fit_result import assemble, inverse, refused, with_known
 from estimators.freed import freed
@@ -172,8 +172,8 @@ def prediction_error(
             # What is held farther off than the record shows passes for a disturbance.
             shaken = fit(problem(more, recordings, support=support, progress=progress))
             found = replace(found, disturbance=disturbances(shaken), seconds=stopwatch() - began)
-    except ArithmeticError:
-        pass  # what was estimated stays as it is
+    except (ArithmeticError, EstimationError, np.linalg.LinAlgError):
+        pass  # the estimate beside what is held stays
     return found
 
 
