@@ -61,7 +61,8 @@ def upright(*arguments: Any) -> Any:
 
 def diagnosed(recording: Path, vehicle: Path) -> Any:
     names = [word for name in LOOKED_FOR for word in ("--effect", name)]
-    return upright("diagnose", recording, "--vehicle", vehicle, *names)
+    # On a busy machine a test of what is found is none of how soon.
+    return upright("diagnose", recording, "--vehicle", vehicle, "--budget", "inf", *names)
 
 
 @pytest.mark.parametrize("seed", [SEED, RATTLES])
@@ -108,7 +109,7 @@ def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -
     """A blow that comes a row early or late is left to be explained, and some torque that sets in there can."""
     assert added["repair"]["needed"]
     found = upright(
-        "diagnose", recorded("square", vehicle, "backlash"), "--vehicle", vehicle,
+        "diagnose", recorded("square", vehicle, "backlash"), "--vehicle", vehicle, "--budget", "inf",
         "--model", vehicle.parent / "repaired.toml", "--effect", "torque_step",
     )  # fmt: skip
     assert found["verdict"] == "adequate", found["reason"]

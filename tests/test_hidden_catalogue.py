@@ -28,6 +28,9 @@ LEARNED = "gyro_bias"
 LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}
 """At full size the buffers stop the vehicle before its support does, and with that much play the gimbals rattle."""
 COMMANDED = {each.name for each in CATALOGUE.values() if each.place is Place.ACTUATOR}
+CREEPS = {"torque_drift"}
+"""Held against another run: the plant creeps since it was switched on, 3 s before the record begins, which no formula
+knows, and a third of a run beyond the fitted ones asks for just that."""
 SIZED = {"cubic_stiffness": "coefficient", "flexible_mode": "share"}
 """Effects whose size has to come out within a tenth: the plant's hardening is a sinh. Others are in test_diagnose."""
 CLOSED = 0.97
@@ -43,19 +46,24 @@ def upright(*arguments: Any) -> Any:
     return json.loads(done.stdout)
 
 
-def recorded(effect: str, folder: Path) -> Path:
-    path = folder / f"{effect or 'clean'}.arrow"
-    # Seed 61 decided nothing; 20 s are what the gate asks for with some to spare.
+SEED, ANOTHER = 61, 81
+"""Decided nothing."""
+
+
+def recorded(effect: str, folder: Path, seed: int = SEED) -> Path:
+    path = folder / f"{effect or 'clean'}{seed}.arrow"
+    # 20 s are what the gate asks for with some to spare.
     hide = (LEVELS.get(effect, effect),) if effect else ()
-    record("monocab", "multisine", hide=hide, seed=61, duration=20.0).save(path)
+    record("monocab", "multisine", hide=hide, seed=seed, duration=20.0).save(path)
     return path
 
 
-def added(file: Path, effect: str, recording: Path) -> Any:
+def added(file: Path, effect: str, recording: Path, *held_out: Path) -> Any:
     """What `model add` says of `effect` in the model of `file` with all its effects taken back."""
     while read(file).history:
         upright("model", "undo", file)
-    return upright("model", "add", file, effect, "--recording", recording)["repair"]
+    others = [word for each in held_out for word in ("--held-out", each)]
+    return upright("model", "add", file, effect, "--recording", recording, *others)["repair"]
 
 
 def test_the_virtual_vehicle_can_hide_the_whole_catalogue() -> None:
@@ -77,7 +85,8 @@ def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path
         size = named["parameters"][f"{effect}.{SIZED[effect]}"]["value"]
         assert size == pytest.approx(HIDDEN[effect].size, rel=0.1)
     file = model if named["effect"] in {each.name for each in read(model).model.effects} else actuators(model)
-    repair = added(file, named["effect"], recording)
+    other_run = [recorded(effect, tmp_path, ANOTHER)] if effect in CREEPS else []
+    repair = added(file, named["effect"], recording, *other_run)
     assert repair["needed"]
     sensors, closed, left = (repair["budget"][each] for each in ("sensors", "effect", "unexplained"))
     if effect in COMMANDED:
