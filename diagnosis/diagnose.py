@@ -28,6 +28,7 @@ from diagnosis.ready import ready, unready
 from diagnosis.refit import FURTHER_FITS, FullFit, by_chance, full, settled
 from diagnosis.relevance import relevances
 from diagnosis.screen import Screen
+from diagnosis.sentences import explained_by_none
 from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
 from diagnosis.ties import LEVEL
 from diagnosis.trial import FAILURES, tried
@@ -458,7 +459,7 @@ def _verdict(
     before, after = ratios
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
-        reason = f"something is missing that no known effect explains. {rest.reason}"
+        reason = f"something is missing that {explained_by_none(workspace.untried)}. {rest.reason}"
         names = " and ".join(finding.effect for finding in findings)
         if findings and not rest.named:
             reason += f" Nearest comes {names}; most of it is left."

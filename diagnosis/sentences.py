@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from diagnosis.findings import Diagnosis, Finding
 from diagnosis.repair_words import readable
@@ -87,6 +87,11 @@ def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:
 def two_digits(value: float) -> str:
     """`0.032`, `840`: two digits, and no power of ten in place of a large number."""
     return f"{float(f'{value:.2g}'):.0f}" if value >= 100.0 else f"{value:.2g}"
+
+
+def explained_by_none(untried: Collection[str]) -> str:
+    """What explains nothing of what is missing, after `that`; not all that is known where there was no time for all."""
+    return "nothing explains that there was time to try" if untried else "no known effect explains"
 
 
 def untried_sentence(diagnosis: Diagnosis, seconds: float | None = None) -> str:

@@ -14,6 +14,7 @@ from diagnosis.relevance import Relevance, percent
 from diagnosis.sentences import (
     disturbance_sentences,
     disturbance_text,
+    explained_by_none,
     mattering,
     to_within,
     two_digits,
@@ -103,3 +104,8 @@ def test_of_two_parts_the_one_that_matters_comes_first_and_all_that_is_untried_i
 def test_a_loop_is_known_on_a_part_of_its_recording() -> None:
     whole = Loop(7.0, 40.0, lambda: lambda time, seen: {}, frozenset(), frozenset(), ())
     assert (whole.of_part(3.0).begins, whole.of_part(3.0).ends) == (4.0, 37.0)
+
+
+def test_what_there_was_no_time_for_may_explain_it_yet() -> None:
+    assert explained_by_none(()) == "no known effect explains"
+    assert explained_by_none(("backlash",)) == "nothing explains that there was time to try"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.sentences import NOTHING_MATTERS, mattering, to_within
+from diagnosis.sentences import NOTHING_MATTERS, explained_by_none, mattering, to_within
 from models.effect import Effect
 
 
@@ -46,7 +46,7 @@ def _line(diagnosis: Diagnosis) -> str:
             return f"the model lacks {names}"
         case Verdict.UNKNOWN:
             found = f"{names} would explain a part; " if names else ""
-            return f"{found}the model lacks something that no known effect explains"
+            return f"{found}the model lacks something that {explained_by_none(diagnosis.untried)}"
         case Verdict.INSUFFICIENT_DATA:
             return "these recordings cannot tell what the model lacks"
 

@@ -12,6 +12,7 @@ from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.sentences import (
     NOTHING_MATTERS,
     disturbance_sentences,
+    explained_by_none,
     mattering,
     negligible,
     to_within,
@@ -22,7 +23,7 @@ from service.cli.output import page
 HEADLINES = {
     Verdict.ADEQUATE: ("green", "adequate", "The model explains the recordings {to_within}."),
     Verdict.MISSING_EFFECT: ("yellow", "missing effect", "The model lacks a physical effect that has a name."),
-    Verdict.UNKNOWN: ("red", "unknown", "The model lacks something that no known effect explains."),
+    Verdict.UNKNOWN: ("red", "unknown", "The model lacks something that {explained_by_none}."),
     Verdict.INSUFFICIENT_DATA: ("red", "insufficient data", "The recordings cannot tell."),
 }
 BAR = 20
@@ -32,7 +33,7 @@ def print_diagnosis(found: Diagnosis, seconds: float) -> None:
     """Verdict, findings, and the smallest effects that would have shown, of a diagnosis within so many `seconds`."""
     colour, verdict, meaning = HEADLINES[found.verdict]
     matter = mattering(found)
-    meaning = meaning.format(to_within=to_within(found))
+    meaning = meaning.format(to_within=to_within(found), explained_by_none=explained_by_none(found.untried))
     if found.verdict is Verdict.MISSING_EFFECT and not matter:
         colour, verdict, meaning = "green", "negligible effect", f"{NOTHING_MATTERS.capitalize()}."
     if found.verdict is Verdict.UNKNOWN and matter:
