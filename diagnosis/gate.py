@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Status
+from estimators.quantised import step_of
 from estimators.segments import DataError, segments
 from estimators.time_scale import motion_time, time_scale
 from models.expressions import names_in
@@ -42,6 +43,11 @@ LINE = 0.02
 """Over the time scale, Hz, half width of a line; wider where the record is short."""
 
 
+HELD = 0.1
+"""Share of the rows that repeat the one before to the last bit, above which a sensor is slower than its rows: noise
+never does."""
+COARSE = 4.0
+"""Counts by which a value in steps usually moves, where it does; one that moves by fewer repeats of itself."""
 BEYOND = 3.0
 """Times the angle of its supports that no vehicle can be at: they carry it, whatever it weighs."""
 
@@ -73,6 +79,9 @@ def check(model: Model, recordings: Sequence[Recording], support: float | None =
 
 def _check(model: Model, recordings: Sequence[Recording], support: float | None) -> None:
     rows = segments(model, recordings, support=support)
+    for place, output in enumerate(model.outputs):
+        if not output.counted:
+            _not_held(output.name, [segment.measured[:, place] for segment in rows])
     span = sum(segment.duration for segment in rows)
     scale = time_scale(model, rows)
     asked, size = needed(model, rows), sum(map(len, rows))
@@ -115,6 +124,26 @@ def _check(model: Model, recordings: Sequence[Recording], support: float | None)
             f"the motion is a single sine of {frequency:.2g} Hz, under which most effects look alike",
             remedy="record a multisine or a sweep, or sines of several frequencies and amplitudes.",
         )
+
+
+def _not_held(name: str, stretches: Sequence[Array]) -> None:
+    """Raises DataError where channel `name` holds each of its values for several rows, as a camera's in faster rows.
+
+    What is held is late by up to a frame, and its error the same from row to row: neither a noise nor a lag.
+    """
+    moves = np.abs(np.concatenate([np.diff(each) for each in stretches]))
+    moves = moves[np.isfinite(moves)]
+    fresh = moves[moves > 0.0]
+    if not len(fresh) or len(fresh) > (1.0 - HELD) * len(moves):
+        return
+    if float(np.median(fresh)) < COARSE * step_of(np.concatenate(stretches)):
+        return
+    raise DataError(
+        Status.BAD_DATA,
+        f"channel {name}",
+        f"holds each value for {len(moves) / len(fresh):.2g} rows: its sensor is slower than the rows",
+        remedy="record a row a frame of it, each when it was taken.",
+    )
 
 
 def needed(model: Model, rows: Sequence[Segment]) -> float:

@@ -152,6 +152,13 @@ class TestDataThatCannotTell:
         angle, rate = (0.2 * np.degrees(whole[name]) for name in ("roll", "roll_rate"))
         assert "convert degrees to rad" in self.insufficient(changed(whole, roll=angle, roll_rate=rate))
 
+    def test_a_sensor_that_is_slower_than_the_rows(self) -> None:
+        """A camera: what it showed last stands in the rows until the next frame."""
+        whole = multisine()
+        reason = self.insufficient(changed(whole, roll=whole["roll"][np.arange(len(whole)) // 3 * 3]))
+        assert "roll: holds each value for 3 rows" in reason
+        assert "Remedy: record a row a frame" in reason
+
     def test_two_channels_swapped(self) -> None:
         whole = multisine()
         swapped = changed(whole, roll_rate=whole["precession_rate"], precession_rate=whole["roll_rate"])
