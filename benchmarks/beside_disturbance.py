@@ -1,0 +1,116 @@
+"""Does a random disturbance swallow an effect? Each of the catalogue, beside 0, 1 and 3 times what it does itself.
+
+`python benchmarks/beside_disturbance.py --times 0,1,3 --seed 7` hides each effect in the virtual MONOCAB, at the size
+of `upright demo --hide EFFECT`. What the model without it takes for a random torque is the effect's own RMS; the
+vehicle is then shaken by so many times that, with a correlation time of `--time` s, and the record diagnosed as
+`upright diagnose` does.
+
+right: its name is the first, or tied with it. seen beside others: it is among the findings. not seen: the model is
+`adequate`, since the effect is less than what the record shows beside so much. unknown, wrong: neither of these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+from diagnosis.diagnose import Diagnosis, Verdict
+from diagnosis.parts import diagnose_parts
+from estimators.identify import with_values
+from estimators.methods.prediction_error import prediction_error
+from models.library import ACTUATORS
+from service.cli.diagnose import default_budget
+from service.hidden_effects.trial import Bench
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.hidden import HIDDEN
+from telemetry.errors import UprightError
+
+LEARNED = "gyro_bias"
+"""The roll filter has learned it before the vehicle moves."""
+LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}
+"""At full size the buffers stop the vehicle before its support does, and with that much play the gimbals rattle."""
+SMALLEST = 0.01
+"""N m: a disturbance that is less is none."""
+VEHICLE = "monocab"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What was said of `effect` beside a disturbance of `times` its own RMS, `rms` N m."""
+
+    effect: str
+    times: float
+    rms: float
+    said: str
+    names: str
+
+
+def said(found: Diagnosis, effect: str) -> str:
+    """What `found` is an answer of, in one of the words of the module."""
+    names = [{each.effect, *each.tied_with} for each in found.findings]
+    if names and effect in names[0]:
+        return "right"
+    if any(effect in each for each in names):
+        return "seen beside others"
+    if found.verdict is Verdict.UNKNOWN:
+        return "unknown"
+    return "wrong" if names else "not seen"
+
+
+def tried(effect: str, times: Sequence[float], seed: int, duration: float, correlation_time: float) -> list[Answer]:
+    """One effect beside each of the disturbances."""
+    vehicle = load(VEHICLE)
+    cad, hide = vehicle.parameters, LEVELS.get(effect, effect)
+    model = Bench().nominal
+    actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS[VEHICLE]]
+    still = record(VEHICLE, "multisine", hide=[hide], seed=seed, duration=duration)
+    own = prediction_error(model, [still], support=vehicle.support).disturbance[0].std or 0.0
+    answers = []
+    for number, each in enumerate(times):
+        rms = each * own
+        shaken = [f"disturbance={rms:.6g},{correlation_time:g}"] if rms > SMALLEST else []
+        try:
+            run = record(VEHICLE, "multisine", hide=[hide, *shaken], seed=seed + number, duration=duration)
+        except UprightError as error:
+            answers.append(Answer(effect, each, rms, "not recorded", str(error)))
+            continue
+        found = diagnose_parts(model, actuators, [run], support=vehicle.support, budget=default_budget([run]))
+        names = ", ".join("/".join((one.effect, *one.tied_with)) for one in found.findings)
+        answers.append(Answer(effect, each, rms, said(found, effect), names))
+    return answers
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--times", default="0,1,3", help="RMS of the disturbance over the effect's own")
+    parser.add_argument("--time", type=float, default=0.3, help="s: the disturbance's correlation time")
+    parser.add_argument("--seed", type=int, default=7, help="of the first record of each effect")
+    parser.add_argument("--duration", type=float, default=30.0, help="s of multisine")
+    parser.add_argument("--effects", help="those alone, with commas between")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    chosen = parser.parse_args()
+    times = [float(each) for each in chosen.times.split(",")]
+    effects = chosen.effects.split(",") if chosen.effects else sorted(HIDDEN.keys() - {LEARNED})
+    one = partial(tried, times=times, seed=chosen.seed, duration=chosen.duration, correlation_time=chosen.time)
+    answers: list[Answer] = []
+    with ProcessPoolExecutor(chosen.jobs) as pool:
+        for number, each in enumerate(pool.map(one, effects), start=1):
+            answers += each
+            for line in each:
+                told = f"{line.effect:24} {line.times:g} x, {line.rms:8.3g} N m  {line.said:18} {line.names}"
+                print(told, flush=True)
+            print(f"\r{number} of {len(effects)}", end="\r", file=sys.stderr, flush=True)
+    print()
+    for each in times:
+        some = [line.said for line in answers if line.times == each]
+        counts = ", ".join(f"{some.count(word)} {word}" for word in dict.fromkeys(sorted(some)))
+        print(f"beside {each:g} times its own RMS, of {len(some)}: {counts}")
+
+
+if __name__ == "__main__":
+    main()
