@@ -105,15 +105,19 @@ class ClosedLoop:
         }
 
 
-def closed_loop(found: Innovations, owners: Sequence[int], loops: Sequence[Loop | str]) -> ClosedLoop:
+def closed_loop(
+    found: Innovations, owners: Sequence[int], loops: Sequence[Loop | str], floor: Mapping[str, float] | None = None
+) -> ClosedLoop:
     """`found` in the loops of the recordings; `owners` tells whose each stretch is. A text in place of a loop says why
-    a recording has none: it is left out. Without any loop there is no simulation."""
+    a recording has none: it is left out. Without any loop there is no simulation. `floor` by channel where it is known,
+    so that noise need not be drawn for it."""
     parts, reasons = [], []
     for place, loop in enumerate(loops):
         try:
             if isinstance(loop, str):
                 raise _NotPossible(loop)
-            parts.append(_one(found, [number for number, owner in enumerate(owners) if owner == place], loop))
+            numbers = [number for number, owner in enumerate(owners) if owner == place]
+            parts.append(_one(found, numbers, loop, floor))
         except _NotPossible as error:
             reasons.append(str(error))
     if not parts:
@@ -136,8 +140,8 @@ class _NotPossible(Exception):
     """Why a model cannot be simulated in a loop."""
 
 
-def _one(found: Innovations, numbers: Sequence[int], loop: Loop) -> ClosedLoop:
-    """One recording, whose stretches have these `numbers`."""
+def _one(found: Innovations, numbers: Sequence[int], loop: Loop, floor: Mapping[str, float] | None) -> ClosedLoop:
+    """One recording, whose stretches have these `numbers`; `floor` where it is known."""
     model = found.problem.model
     lacking = loop.needs - {each.name for each in model.outputs}
     if lacking:
@@ -156,16 +160,31 @@ def _one(found: Innovations, numbers: Sequence[int], loop: Loop) -> ClosedLoop:
         if len(away):
             after = segment.time[first + away[0]] - segment.time[first]
             raise _NotPossible(f"with this model in it the loop runs away {after:.1f} s after its start")
-    random = np.random.default_rng(SEED)
-    draws = [_run(found, loop, segment, first, begin, random) for _ in range(DRAWS)]
-    if not all(np.all(np.abs(draw[name][first:]) < BEYOND * limit[name]) for draw in draws for name in draw):
-        raise _NotPossible("with this model in it noise alone lets the loop run away")
     return ClosedLoop(
         time=segment.time[first:],
         measured={name: values[first:] for name, values in measured.items()},
         simulated={name: values[first:] for name, values in simulated.items()},
-        floor={name: _rms(np.array([draw[name] - simulated[name] for draw in draws])[:, first:]) for name in measured},
+        floor=_floor(found, loop, segment, first, begin, simulated, limit) if floor is None else floor,
     )
+
+
+def _floor(
+    found: Innovations,
+    loop: Loop,
+    segment: Segment,
+    first: int,
+    begin: Memory,
+    simulated: Mapping[str, Array],
+    limit: Mapping[str, float],
+) -> dict[str, float]:
+    """RMS by channel of what noise alone does to the loop that is `simulated` without."""
+    random = np.random.default_rng(SEED)
+    draws = [_run(found, loop, segment, first, begin, random) for _ in range(DRAWS)]
+    if not all(np.all(np.abs(draw[name][first:]) < BEYOND * limit[name]) for draw in draws for name in draw):
+        raise _NotPossible("with this model in it noise alone lets the loop run away")
+    return {
+        name: _rms(np.array([draw[name] - values for draw in draws])[:, first:]) for name, values in simulated.items()
+    }
 
 
 def _check(loop: Loop, simulated: Mapping[str, Array], time: Array, first: int) -> None:

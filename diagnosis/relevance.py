@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from diagnosis.ahead import errors, sensor_floors
-from diagnosis.closed_loop_error import Loop, closed_loop
+from diagnosis.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
@@ -68,7 +68,7 @@ def relevances(
     seen = [_seen(each, best) for each in steps]
     reach = horizon(best.problem.model, best.problem.segments)
     ahead = [None if each is None else _ahead(each, reach) for each in seen]
-    looped = [None if each is None or not loops else _looped(each, owners, loops) for each in seen]
+    looped = _looped(seen, owners, loops)
     found: list[Relevance | None] = []
     for place in range(1, len(steps)):
         share = _share(ahead[place - 1], ahead[place])
@@ -95,8 +95,19 @@ def _ahead(found: Innovations, reach: float) -> float | None:
     return mean if np.isfinite(mean) else None
 
 
-def _looped(found: Innovations, owners: Sequence[int], loops: Sequence[Loop | str]) -> float | None:
-    told = closed_loop(found, owners, loops)
+def _looped(
+    seen: Sequence[Innovations | None], owners: Sequence[int], loops: Sequence[Loop | str]
+) -> list[float | None]:
+    """Mean energy of each one's error in the closed loop over what noise alone makes, of all channels; that is of the
+    last one, which has most in it, for all."""
+    best = closed_loop(seen[-1], owners, loops) if seen and seen[-1] is not None and loops else None
+    if best is None or best.reason:
+        return [None] * len(seen)
+    before = [None if each is None else closed_loop(each, owners, loops, best.floor) for each in seen[:-1]]
+    return [None if each is None else _in_loop(each) for each in (*before, best)]
+
+
+def _in_loop(told: ClosedLoop) -> float | None:
     return None if told.reason else float(np.mean([told.over_floor(channel) ** 2 for channel in told.measured]))
 
 

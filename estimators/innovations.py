@@ -14,6 +14,7 @@ doubling: Chu et al., International Journal of Control 77 (2004) 767-788.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
 from estimators.problem import Problem, at_rest, linearise, typical_motion
-from estimators.stationary import stationary
+from estimators.stationary import DOUBLINGS, in_the_long_run, stationary
 from models.segment import Segment
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ SPREADS = 3.0
 """Times its spread by which a noise that is hardly known may differ."""
 STEP = 1e-4
 """Share of its typical size by which an argument of the gain is moved for a derivative."""
+SETTLED = 1e-8
+"""Share of its size by which the last doubling may change a covariance."""
 FLOOR = 1e-6
 """Process noise that every state has, in units of the process noise the model states: keeps every mode observable."""
 
@@ -116,8 +119,8 @@ class NoiseModel:
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
         """The filter gain (nx, ny) at parameter values (np,); None where there is no stable one."""
-        steady = _steady(*self.covariances(values, logarithms))
-        return None if steady is None else steady.gain
+        steady = _steady(*(each[None] for each in self.covariances(values, logarithms)))
+        return steady.gain[0] if steady.there[0] else None
 
     def units(self, values: Array, logarithms: Array, covariance: Array) -> Array:
         """By how much the noise that drives each state is larger than it is told here, (n, nx), where the innovations
@@ -126,17 +129,11 @@ class NoiseModel:
         The gain depends on the ratios of the noises alone. A state's unit is by how much more its corrections k e move
         than they would by these noises: the root of k S k' over its expectation, with k its row of the gain.
         """
-        found = np.ones((len(logarithms), len(self.process)))
-        for place, system in enumerate(zip(*self._systems(values, logarithms), strict=True)):
-            steady = _steady(*system)
-            if steady is None:
-                continue
-            moved, expected = (
-                np.einsum("ij,jk,ik->i", steady.gain, each, steady.gain) for each in (covariance, steady.innovation)
-            )
-            told = expected > 0.0
-            found[place, told] = np.sqrt(moved[told] / expected[told])
-        return found
+        steady = _steady(*self._systems(values, logarithms))
+        moved = np.einsum("nij,jk,nik->ni", steady.gain, covariance, steady.gain)
+        expected = np.einsum("nij,njk,nik->ni", steady.gain, steady.innovation, steady.gain)
+        told = expected > 0.0
+        return np.where(told, np.sqrt(moved / np.where(told, expected, 1.0)), 1.0)
 
     def innovation(self, values: Array, logarithms: Array, gain: Array | None) -> Array | None:
         """Covariance (ny, ny) of the innovations of a predictor with that `gain` (nx, ny), at parameter values (np,)
@@ -155,12 +152,7 @@ class NoiseModel:
         """What all rows tell of the state that they begin with, an inverse covariance (n, nx, nx), for parameter values
         (n, np) and logarithms (n, q): the sum over the rows of F'^k C' S^-1 C F^k with the predictor F = A - A K C.
         Zero where no filter is stable."""
-        found = np.zeros((len(logarithms), len(self.process), len(self.process)))
-        for place, system in enumerate(zip(*self._systems(values, logarithms), strict=True)):
-            steady = _steady(*system)
-            if steady is not None:
-                found[place] = steady.of_start
-        return found
+        return _steady(*self._systems(values, logarithms)).of_start
 
     def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
         """The linear system that the gain is for: A (nx, nx), C (ny, nx) and the covariances of a row's process noise
@@ -185,15 +177,15 @@ class NoiseModel:
         many = np.repeat(values[None], 2 * len(free) + 1, axis=0)
         many[:-1, list(free)] += moves[: 2 * len(free), : len(free)]
         systems = self._systems(many, logarithms + np.concatenate((moves[:, len(free) :], np.zeros((1, self.size)))))
-        steady = _steady(*(each[-1] for each in systems))
-        if steady is None:
+        steady = _steady(*(each[-1:] for each in systems))
+        if not steady.there[0]:
             return None
         rises = [(each[:-1:2] - each[1::2]) / (2.0 * sizes)[:, None, None] for each in systems]
         try:
             slopes = steady.slopes(*rises)
         except np.linalg.LinAlgError:  # at the edge of stability a filter's error never fades
             return None
-        return steady.gain, np.ascontiguousarray(slopes.reshape(len(sizes), -1).T)
+        return steady.gain[0], np.ascontiguousarray(slopes.reshape(len(sizes), -1).T)
 
     def _systems(self, values: Array, logarithms: Array) -> tuple[Array, ...]:
         """Transition and output matrices, covariances of process and sensors and of both, for each row of parameter
@@ -239,8 +231,9 @@ def _places(names: Sequence[str], same: dict[str, str], *, first: int) -> tuple[
 
 @dataclass(frozen=True, slots=True)
 class _Steady:
-    """A filter in its steady state: the system, covariances (nx, nx) of the state before a row's correction and
-    (ny, ny) of the innovation, `ahead` (nx, ny) the gain of the next row's prediction, `gain` that of the filter."""
+    """Filters in their steady state: the systems (n, ...), covariances (n, nx, nx) of the state before a row's
+    correction and (n, ny, ny) of the innovation, `ahead` (n, nx, ny) the gain of the next row's prediction, `gain` that
+    of the filter, and whether one is `there` (n,): NaN where none is."""
 
     transition: Array
     output: Array
@@ -248,22 +241,25 @@ class _Steady:
     innovation: Array
     ahead: Array
     gain: Array
+    there: NDArray[np.bool_]
 
     @property
     def of_start(self) -> Array:
-        """As of NoiseModel, (nx, nx)."""
-        told = self.output.T @ np.linalg.solve(self.innovation, self.output)
-        try:
-            return stationary((self.transition - self.ahead @ self.output).T, told)
-        except EstimationError:
-            return np.zeros_like(told)
+        """As of NoiseModel, (n, nx, nx)."""
+        found = np.zeros_like(self.covariance)
+        some = self.there
+        output = self.output[some]
+        told = _turned(output) @ np.linalg.solve(self.innovation[some], output)
+        gathered = in_the_long_run(_turned(self.transition[some] - self.ahead[some] @ output), told)
+        found[some] = np.where(np.isfinite(gathered), gathered, 0.0)
+        return found
 
     def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
-        """The filter gain's derivatives (m, nx, ny) where m derivatives of the system are given.
+        """The derivatives (m, nx, ny) of the first filter's gain where m derivatives of its system are given.
 
         The covariance is least in the gain, so it changes as if the gain were held: by a Lyapunov equation.
         """
-        A, C, P, L = self.transition, self.output, self.covariance, self.ahead
+        A, C, P, L = self.transition[0], self.output[0], self.covariance[0], self.ahead[0]
         closed = A - L @ C
         half = (transition - L @ output) @ P @ closed.T - across @ L.T
         moved = half + _turned(half) + process + L @ sensor @ L.T
@@ -273,56 +269,74 @@ class _Steady:
         seen = spread @ C.T + P @ _turned(output)
         innovation = output @ P @ C.T + C @ seen + sensor
         ahead = transition @ P @ C.T + A @ seen + across - L @ innovation
-        ahead = _turned(np.linalg.solve(self.innovation, _turned(ahead)).astype(np.float64))
-        return np.asarray(np.linalg.solve(A, ahead - transition @ self.gain))
+        ahead = _turned(np.linalg.solve(self.innovation[0], _turned(ahead)).astype(np.float64))
+        return np.asarray(np.linalg.solve(A, ahead - transition @ self.gain[0]))
 
 
-def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady | None:
-    """The filter whose gain K makes x + K (y - C x) the best estimate; None where there is none.
+def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady:
+    """The filters whose gains K make x + K (y - C x) the best estimates.
 
-    x+ = A x + w, y = C x + v with covariances process (nx, nx), sensor (ny, ny), across (nx, ny) = E w v'.
+    x+ = A x + w, y = C x + v with covariances process (n, nx, nx), sensor (n, ny, ny), across (n, nx, ny) = E w v'.
     """
-    states = len(transition)
-    if not (np.isfinite(transition).all() and np.isfinite(process).all()):
-        return None
+    count, outputs, states = output.shape
+    finite = np.isfinite(transition).all(axis=(1, 2)) & np.isfinite(process).all(axis=(1, 2))
+    covariance, innovation = (np.full((count, size, size), np.nan) for size in (states, outputs))
+    ahead, gain = (np.full((count, states, outputs), np.nan) for _ in range(2))
+    there = np.zeros(count, dtype=bool)
+
+    def fill(some: NDArray[np.intp]) -> None:
+        A, C, Q, R, S = (each[some] for each in (transition, output, process, sensor, across))
+        inner = np.linalg.solve(R, np.concatenate((C, _turned(S)), axis=2))
+        P = _doubled(A - S @ inner[:, :, :states], _turned(C) @ inner[:, :, :states], Q - S @ inner[:, :, states:])
+        settled = np.isfinite(P).all(axis=(1, 2))
+        some, A, C, R, S, P = some[settled], A[settled], C[settled], R[settled], S[settled], P[settled]
+        covariance[some] = P
+        innovation[some] = seen = C @ P @ _turned(C) + R
+        ahead[some] = L = _turned(np.asarray(np.linalg.solve(seen, _turned(A @ P @ _turned(C) + S)), dtype=np.float64))
+        gain[some] = K = np.linalg.solve(A, L)
+        there[some] = np.isfinite(K).all(axis=(1, 2))
+
+    able = np.flatnonzero(finite)
     try:
-        inner = np.linalg.solve(sensor, np.concatenate((output, across.T), axis=1))
-        rest = process - across @ inner[:, states:]
-        covariance = _doubled(transition - across @ inner[:, :states], output.T @ inner[:, :states], rest)
-        if covariance is None:
-            return None
-        innovation = output @ covariance @ output.T + sensor
-        ahead = np.asarray(
-            np.linalg.solve(innovation, (transition @ covariance @ output.T + across).T).T, dtype=np.float64
-        )
-        gain = np.ascontiguousarray(np.linalg.solve(transition, ahead))
-    except np.linalg.LinAlgError:
-        return None
-    return _Steady(transition, output, covariance, innovation, ahead, gain) if np.all(np.isfinite(gain)) else None
+        fill(able)
+    except np.linalg.LinAlgError:  # one of them has none: each alone
+        for place in able:
+            with suppress(np.linalg.LinAlgError):
+                fill(able[able == place])
+    return _Steady(transition, output, covariance, innovation, ahead, gain, there)
 
 
 def _turned(matrices: Array) -> Array:
     return np.swapaxes(matrices, -1, -2)
 
 
-def _doubled(transition: Array, known: Array, process: Array) -> Array | None:
-    """P = A P (I + G P)^-1 A' + Q by doubling, (nx, nx); None where it does not settle."""
-    states = len(transition)
+def _doubled(transition: Array, known: Array, process: Array) -> Array:
+    """P = A P (I + G P)^-1 A' + Q by doubling, (n, nx, nx); NaN where it does not settle.
+
+    Raises LinAlgError where one of them has no next step."""
+    states = transition.shape[1]
+    found = np.full_like(process, np.nan)
     unit = np.eye(states)
-    A, G, H = transition.T, known, 0.5 * (process + process.T)
-    for _ in range(60):
-        ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=1))
-        first, second = ratio[:, :states], ratio[:, states:]
+    A, G, H = _turned(transition), known, 0.5 * (process + _turned(process))
+    left = np.arange(len(found))
+    for _ in range(DOUBLINGS):
+        if not len(left):
+            break
+        ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=2))
+        first, second = ratio[:, :, :states], ratio[:, :, states:]
         with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers has no steady filter
-            grown = H + A.T @ H @ first
-            G = G + A @ second @ A.T
+            grown = H + _turned(A) @ H @ first
+            G = G + A @ second @ _turned(A)
             A = A @ first
-        if not np.all(np.isfinite(grown)):
-            return None
-        # Each state in its own unit: beside 100 N m of a disturbance an angle of 1e-5 rad is nothing, and not settled.
-        size = np.sqrt(np.maximum(np.diag(grown), 0.0))
-        # The error squares with each doubling, so the one after this is exact.
-        if np.all(np.abs(grown - H) <= 1e-8 * np.outer(size, size)):
-            return np.asarray(0.5 * (grown + grown.T))
+            # Each state in its own unit: beside 100 N m of a disturbance an angle of 1e-5 rad is nothing, and not
+            # settled.
+            size = np.sqrt(np.maximum(np.diagonal(grown, axis1=1, axis2=2), 0.0))
+            # The error squares with each doubling, so the one after this is exact.
+            near = np.abs(grown - H) <= SETTLED * size[:, :, None] * size[:, None, :]
+        finite, settled = np.isfinite(grown).all(axis=(1, 2)), near.all(axis=(1, 2))
+        found[left[finite & settled]] = 0.5 * (grown + _turned(grown))[finite & settled]
+        on = finite & ~settled
         H = grown
-    return None
+        if not on.all():
+            left, A, G, H = left[on], A[on], G[on], H[on]
+    return found

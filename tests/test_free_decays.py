@@ -122,10 +122,8 @@ def test_the_usual_rate_is_found_where_an_output_has_a_name_of_its_own() -> None
 
 def test_a_covariance_is_settled_when_each_of_its_states_is() -> None:
     """A disturbance of 100 N m that fades within two rows, and beside it an angle of 1e-5 rad that wanders slowly."""
-    transition, known = np.diag([0.6, 0.99995]), np.diag([1e-4, 1e10])
-    process = np.diag([1e4, 1e-18])
+    transition, known = np.diag([0.6, 0.99995])[None], np.diag([1e-4, 1e10])[None]
+    process = np.diag([1e4, 1e-18])[None]
     both = innovations._doubled(transition, known, process)
-    alone = innovations._doubled(transition[1:, 1:], known[1:, 1:], process[1:, 1:])
-    assert both is not None
-    assert alone is not None
-    assert both[1, 1] / alone[0, 0] == pytest.approx(1.0, rel=1e-6)
+    alone = innovations._doubled(transition[:, 1:, 1:], known[:, 1:, 1:], process[:, 1:, 1:])
+    assert both[0, 1, 1] / alone[0, 0, 0] == pytest.approx(1.0, rel=1e-6)
