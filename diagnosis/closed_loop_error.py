@@ -106,18 +106,23 @@ class ClosedLoop:
 
 
 def closed_loop(
-    found: Innovations, owners: Sequence[int], loops: Sequence[Loop | str], floor: Mapping[str, float] | None = None
+    found: Innovations,
+    owners: Sequence[int],
+    loops: Sequence[Loop | str],
+    *,
+    draws: int = DRAWS,
+    floor: Mapping[str, float] | None = None,
 ) -> ClosedLoop:
     """`found` in the loops of the recordings; `owners` tells whose each stretch is. A text in place of a loop says why
-    a recording has none: it is left out. Without any loop there is no simulation. `floor` by channel where it is known,
-    so that noise need not be drawn for it."""
+    a recording has none: it is left out. Without any loop there is no simulation. Noise is drawn `draws` times for the
+    `floor` by channel, where that is not known."""
     parts, reasons = [], []
     for place, loop in enumerate(loops):
         try:
             if isinstance(loop, str):
                 raise _NotPossible(loop)
             numbers = [number for number, owner in enumerate(owners) if owner == place]
-            parts.append(_one(found, numbers, loop, floor))
+            parts.append(_one(found, numbers, loop, draws, floor))
         except _NotPossible as error:
             reasons.append(str(error))
     if not parts:
@@ -140,8 +145,10 @@ class _NotPossible(Exception):
     """Why a model cannot be simulated in a loop."""
 
 
-def _one(found: Innovations, numbers: Sequence[int], loop: Loop, floor: Mapping[str, float] | None) -> ClosedLoop:
-    """One recording, whose stretches have these `numbers`; `floor` where it is known."""
+def _one(
+    found: Innovations, numbers: Sequence[int], loop: Loop, draws: int, floor: Mapping[str, float] | None
+) -> ClosedLoop:
+    """One recording, whose stretches have these `numbers`; `draws` and `floor` as of closed_loop."""
     model = found.problem.model
     lacking = loop.needs - {each.name for each in model.outputs}
     if lacking:
@@ -164,7 +171,7 @@ def _one(found: Innovations, numbers: Sequence[int], loop: Loop, floor: Mapping[
         time=segment.time[first:],
         measured={name: values[first:] for name, values in measured.items()},
         simulated={name: values[first:] for name, values in simulated.items()},
-        floor=_floor(found, loop, segment, first, begin, simulated, limit) if floor is None else floor,
+        floor=floor or _floor(found, loop, segment, first, begin, simulated, limit, draws),
     )
 
 
@@ -176,14 +183,15 @@ def _floor(
     begin: Memory,
     simulated: Mapping[str, Array],
     limit: Mapping[str, float],
+    draws: int,
 ) -> dict[str, float]:
     """RMS by channel of what noise alone does to the loop that is `simulated` without."""
     random = np.random.default_rng(SEED)
-    draws = [_run(found, loop, segment, first, begin, random) for _ in range(DRAWS)]
-    if not all(np.all(np.abs(draw[name][first:]) < BEYOND * limit[name]) for draw in draws for name in draw):
+    drawn = [_run(found, loop, segment, first, begin, random) for _ in range(draws)]
+    if not all(np.all(np.abs(draw[name][first:]) < BEYOND * limit[name]) for draw in drawn for name in draw):
         raise _NotPossible("with this model in it noise alone lets the loop run away")
     return {
-        name: _rms(np.array([draw[name] - values for draw in draws])[:, first:]) for name, values in simulated.items()
+        name: _rms(np.array([draw[name] - values for draw in drawn])[:, first:]) for name, values in simulated.items()
     }
 
 

@@ -23,6 +23,8 @@ from estimators.contract import EstimationError
 from estimators.methods.prediction_error import Fit
 from estimators.time_scale import horizon
 
+DRAWS = 1
+"""Of the noise in the loop: it tells well enough what an error of one channel weighs beside that of another."""
 NEGLIGIBLE = 1.0
 """Percent of an error's energy below which what makes it is negligible."""
 
@@ -100,10 +102,10 @@ def _looped(
 ) -> list[float | None]:
     """Mean energy of each one's error in the closed loop over what noise alone makes, of all channels; that is of the
     last one, which has most in it, for all."""
-    best = closed_loop(seen[-1], owners, loops) if seen and seen[-1] is not None and loops else None
+    best = closed_loop(seen[-1], owners, loops, draws=DRAWS) if seen and seen[-1] is not None and loops else None
     if best is None or best.reason:
         return [None] * len(seen)
-    before = [None if each is None else closed_loop(each, owners, loops, best.floor) for each in seen[:-1]]
+    before = [None if each is None else closed_loop(each, owners, loops, floor=best.floor) for each in seen[:-1]]
     return [None if each is None else _in_loop(each) for each in (*before, best)]
 
 
