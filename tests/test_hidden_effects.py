@@ -457,6 +457,7 @@ def test_figures_of_a_small_set_are_those_worked_out_by_hand() -> None:
     assert counted(merit.seen_unknown) == (1, 5)
     assert counted(merit.false_alarms_all) == (1, 3)
     assert {name: counted(each) for name, each in merit.false_alarms.items()} == {"hold": (0, 2), "sweep": (1, 1)}
+    assert counted(merit.false_names) == counted(merit.false_names_that_matter) == (1, 12)
     assert counted(merit.unlisted_unknown) == (1, 3)
     assert counted(merit.unlisted_misnamed) == (1, 3)
     assert counted(merit.both_seen) == (1, 3)
@@ -470,6 +471,14 @@ def test_figures_of_a_small_set_are_those_worked_out_by_hand() -> None:
         "b": {"c": 1, "failed": 1},
         "test_x": {"unknown": 1, "a": 1, "nothing": 1},
     }
+
+
+def test_a_false_name_that_is_said_to_be_negligible_is_told_apart() -> None:
+    beside = _named("a", "b")
+    beside["found"][1]["negligible"] = True
+    lines = [_line(Kind.ONE, ["a"], 2.0, beside), _line(Kind.ONE, ["a"], 2.0, _named("a", "c"))]
+    merit = summarise(lines).methods["m"]
+    assert (merit.false_names.count, merit.false_names_that_matter.count) == (2, 1)
 
 
 def test_intervals_are_those_of_the_tables() -> None:
@@ -496,6 +505,7 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
         effect="coulomb_friction",
         tied_with=("hysteresis",),
         parameters={"torque": parameter(61.0), "other": parameter(None)},
+        negligible=True,
     )
     shaken = DisturbanceEstimate("roll", "N m", 8.0, 0.4, 0.3, 0.03)
     found = SimpleNamespace(
@@ -507,6 +517,7 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
     assert of_diagnosis(SimpleNamespace(**{**vars(found), "disturbance": (bounded,)})).disturbance == {}
     assert answer.found[0].names == {"coulomb_friction", "hysteresis"}
     assert answer.found[0].parameters == {"torque": (61.0, 2.0)}
+    assert answer.found[0].negligible
     assert answer.detectable == {"x": 1.0}
     unknown = of_diagnosis(SimpleNamespace(**{**vars(found), "verdict": UNKNOWN, "minimum_detectable": None}))
     assert (unknown.verdict, unknown.found, unknown.detectable) == (UNKNOWN, answer.found, {})

@@ -60,6 +60,7 @@ def _rows(summary: Summary) -> Iterator[Row]:
     for name in keys(lambda merit: merit.false_alarms_by_disturbance):
         yield f"  shaken by {name}", "", lambda merit, name=name: merit.false_alarms_by_disturbance.get(name), True  # type: ignore[misc]
     yield "a name of what is not there", "<= 1 %", lambda merit: merit.false_names, True
+    yield "  that is not said to be negligible", "<= 1 %", lambda merit: merit.false_names_that_matter, True
     yield "not in the catalogue: called unknown", ">= 90 %", lambda merit: merit.unlisted_unknown, True
     yield "  given a name", "<= 5 %", lambda merit: merit.unlisted_misnamed, True
     yield "two effects: both found, seen", ">= 80 %", lambda merit: merit.both_seen, True

@@ -19,11 +19,13 @@ INSUFFICIENT = "insufficient_data"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """One effect that was found. `parameters`: name to value and standard deviation, where they are known."""
+    """One effect that was found. `parameters`: name to value and standard deviation, where they are known.
+    `negligible`: it is said that it shows, and makes next to nothing of the error."""
 
     effect: str
     tied_with: tuple[str, ...] = ()
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    negligible: bool = False
 
     @property
     def names(self) -> frozenset[str]:
@@ -95,6 +97,7 @@ def of_diagnosis(found: Any) -> Answer:
                 for name, parameter in each.parameters.items()
                 if parameter.value is not None and parameter.std is not None
             },
+            each.negligible,
         )
         for each in found.findings
     ]

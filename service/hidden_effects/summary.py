@@ -86,6 +86,8 @@ class Merit:
     false_alarms_by_disturbance: Mapping[str, Figure]
     false_names: Figure
     """Of all records of nothing, one effect or two, of whatever size: how many have a name of what is not there."""
+    false_names_that_matter: Figure
+    """The same without those that are said to be negligible."""
     unlisted_unknown: Figure
     unlisted_misnamed: Figure
     both_seen: Figure
@@ -165,9 +167,15 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
     def alarm(line: Line) -> bool:
         return told(line).get("verdict") in (MISSING, UNKNOWN)
 
-    def false_name(line: Line) -> bool:
+    def false_names(line: Line) -> list[Mapping[str, Any]]:
         found = told(line).get("found", [])
-        return any(not {each["effect"], *each["tied_with"]}.intersection(line["effects"]) for each in found)
+        return [each for each in found if not {each["effect"], *each["tied_with"]}.intersection(line["effects"])]
+
+    def false_name(line: Line) -> bool:
+        return bool(false_names(line))
+
+    def it_matters(line: Line) -> bool:
+        return any(not each.get("negligible", False) for each in false_names(line))
 
     def unknown(line: Line) -> bool:
         return told(line).get("verdict") == UNKNOWN
@@ -197,6 +205,7 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         false_alarms=_by(nothing, _excitation, alarm),
         false_alarms_by_disturbance=shaken(nothing, alarm),
         false_names=share([false_name(line) for line in (*nothing, *one, *two)]),
+        false_names_that_matter=share([it_matters(line) for line in (*nothing, *one, *two)]),
         unlisted_unknown=share([unknown(line) for line in strange]),
         unlisted_misnamed=share([told(line).get("verdict") == MISSING for line in strange]),
         both_seen=share([both(line) for line in both_seen]),

@@ -220,7 +220,12 @@ class _Judge:
 
     def of(self, answer: Answer) -> Line:
         found = [
-            {"effect": each.effect, "tied_with": list(each.tied_with), "parameters": dict(each.parameters)}
+            {
+                "effect": each.effect,
+                "tied_with": list(each.tied_with),
+                "parameters": dict(each.parameters),
+                "negligible": each.negligible,
+            }
             for each in answer.found
         ]
         line: Line = {"verdict": answer.verdict, "found": found, "covered": self._covered(answer)}
