@@ -30,7 +30,8 @@ SLIGHT = 0.5
 STEPS = 4
 """Times the number of unknowns: how often one of them may come to a bound or leave it."""
 ROUNDING = 1e-9
-"""Standard deviations by which an unknown that is held at its bound may want to leave it."""
+"""What rounding may do to an unknown that is held: standard deviations by which it may want to leave its bound, and the
+share by which it may miss its reach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,8 @@ class RecursiveGaussNewton:
         away = self._solution(about, lower, upper) - about
         share = float(np.min(reach[~side] / np.maximum(np.abs(away[~side]), 1e-300), initial=1.0))
         self.z = np.clip(about + np.where(side, 1.0, share) * away, self._lower, self._upper)
-        stopped = bool((np.abs(away[side]) >= reach[side]).any())
+        # What is held at its reach is there but for rounding, which must not decide.
+        stopped = bool((np.abs(away[side]) >= (1.0 - ROUNDING) * reach[side]).any())
         return share < 1.0 or (stopped and self.side_deviations(about) > SLIGHT)
 
     def side_deviations(self, about: Array) -> float:

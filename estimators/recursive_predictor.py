@@ -38,7 +38,7 @@ from estimators.logarithms import is_known_roughly
 from estimators.long_run import long_run
 from estimators.methods.prediction_error import FLOOR
 from estimators.problem import Problem
-from estimators.recursive_gauss_newton import SLIGHT, RecursiveGaussNewton
+from estimators.recursive_gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.expressions import number
 from models.kernel import Memory
 from models.model import Output
@@ -203,7 +203,7 @@ class RecursivePredictor:
         if self.span > KEPT:
             self._kept.clear()
             self._regression.move(self._regression.z, self._reach)
-            if np.any(np.abs(self._regression.z - self._seen_from) > self._reach):
+            if np.any(np.abs(self._regression.z - self._seen_from) > (1.0 + ROUNDING) * self._reach):
                 self._seen_from = self._regression.z
             return
         self._kept.append(chunk)
@@ -363,7 +363,8 @@ class RecursivePredictor:
         z, free = self._regression.z, self._free
         if self._gain_at is not None:
             moved = z - self._gain_at
-            if (np.abs(moved) <= self._gain_moves).all():
+            # What has gone as far as its reach has moved just as far, and rounding must not decide.
+            if (np.abs(moved) < (1.0 - ROUNDING) * self._gain_moves).all():
                 return self._gain + (self._gain_slopes @ moved[self._gain_unknowns]).reshape(self._gain.shape)
         times = tuple(self._problem.free[place] for place in self._shaken)
         found = self._noise.gain_and_slopes(values, z[free:], times, values[list(times)])
