@@ -42,9 +42,10 @@ hurried-test: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --durations=20 -m "not (vcan or systemd or browser or patient)"
 	$(BIN)/pytest -m browser
 
-# These compute on one CPU and ask no clock, so that they go beside the guest, which is one CPU, too.
+# These compute on one CPU and ask no clock, so that they go beside the guest, which is one CPU, too. A slow machine may
+# take its time.
 patient-test: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 -m patient
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 --timeout 900 -m patient
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)

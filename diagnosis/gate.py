@@ -43,9 +43,8 @@ LINE = 0.02
 """Over the time scale, Hz, half width of a line; wider where the record is short."""
 
 
-HELD = 0.1
-"""Share of the rows that repeat the one before to the last bit, above which a sensor is slower than its rows: noise
-never does."""
+HELD = 2.0
+"""Rows for which a sensor shows a value to the last bit, on average, from which on it is slower than its rows."""
 COARSE = 4.0
 """Counts by which a value in steps usually moves, where it does; one that moves by fewer repeats of itself."""
 BEYOND = 3.0
@@ -134,7 +133,7 @@ def _not_held(name: str, stretches: Sequence[Array]) -> None:
     moves = np.abs(np.concatenate([np.diff(each) for each in stretches]))
     moves = moves[np.isfinite(moves)]
     fresh = moves[moves > 0.0]
-    if not len(fresh) or len(fresh) > (1.0 - HELD) * len(moves):
+    if not len(fresh) or len(moves) < HELD * len(fresh):
         return
     if float(np.median(fresh)) < COARSE * step_of(np.concatenate(stretches)):
         return

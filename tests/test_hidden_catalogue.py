@@ -71,7 +71,7 @@ def test_the_virtual_vehicle_can_hide_the_whole_catalogue() -> None:
     assert {*CATALOGUE} - {*HIDDEN} == {"gravity_nonlinearity"}
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("effect", sorted(HIDDEN.keys() - {LEARNED}))
 def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path: Path) -> None:
     recording, model = recorded(effect, tmp_path), tmp_path / "repaired.toml"

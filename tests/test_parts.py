@@ -145,6 +145,7 @@ class TestUnknown:
         short = Diagnosis(Verdict.INSUFFICIENT_DATA, "10 s are too short")
         assert merged(self.ADEQUATE, short, COMMANDED).verdict is Verdict.ADEQUATE
 
+    @pytest.mark.timeout(400)
     def test_process_noise_does_not_excuse_innovations_far_above_the_sensors_noise(self) -> None:
         assert gimbals_of("backlash=0.0353").verdict is Verdict.UNKNOWN
         clean = gimbals_of()
