@@ -5,8 +5,9 @@ of `upright demo --hide EFFECT`. What the model without it takes for a random to
 vehicle is then shaken by so many times that, with a correlation time of `--time` s, and the record diagnosed as
 `upright diagnose` does.
 
-right: its name is the first, or tied with it. seen beside others: it is among the findings. not seen: the model is
-`adequate`, since the effect is less than what the record shows beside so much. unknown, wrong: neither of these.
+right: its name is the first, or tied with it. seen beside others: it is a later one. wrong: other names alone are
+found. Where nothing has a name it is the verdict; `adequate` is what is said of an effect that is less than the record
+shows beside so much.
 """
 
 from __future__ import annotations
@@ -31,11 +32,9 @@ from simulation.hidden import HIDDEN
 from telemetry.errors import UprightError
 
 LEARNED = "gyro_bias"
-"""The roll filter has learned it before the vehicle moves."""
+"""The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""
 LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}
 """At full size the buffers stop the vehicle before its support does, and with that much play the gimbals rattle."""
-SMALLEST = 0.01
-"""N m: a disturbance that is less is none."""
 VEHICLE = "monocab"
 
 
@@ -57,9 +56,7 @@ def said(found: Diagnosis, effect: str) -> str:
         return "right"
     if any(effect in each for each in names):
         return "seen beside others"
-    if found.verdict is Verdict.UNKNOWN:
-        return "unknown"
-    return "wrong" if names else "not seen"
+    return "wrong" if names and found.verdict is not Verdict.UNKNOWN else found.verdict.value
 
 
 def tried(effect: str, times: Sequence[float], seed: int, duration: float, correlation_time: float) -> list[Answer]:
@@ -73,7 +70,7 @@ def tried(effect: str, times: Sequence[float], seed: int, duration: float, corre
     answers = []
     for number, each in enumerate(times):
         rms = each * own
-        shaken = [f"disturbance={rms:.6g},{correlation_time:g}"] if rms > SMALLEST else []
+        shaken = [f"disturbance={rms:.6g},{correlation_time:g}"] if rms else []
         try:
             run = record(VEHICLE, "multisine", hide=[hide, *shaken], seed=seed + number, duration=duration)
         except UprightError as error:

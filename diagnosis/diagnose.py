@@ -155,7 +155,7 @@ def _whole(
         disturbance=disturbances(shown),
         sensor_errors=sensor_errors(shown),
         prediction_limit=prediction_limit(shown),
-        untried=tuple(each for each in workspace.untried if each not in {one.effect for one in findings}),
+        untried=_untried(workspace, findings),
     )
     return found, events(last.fit)
 
@@ -434,6 +434,12 @@ def _failed(workspace: Workspace, findings: Sequence[Finding]) -> dict[str, str]
     return {name: why for name, why in workspace.failed.items() if name not in named}
 
 
+def _untried(workspace: Workspace, findings: Sequence[Finding]) -> tuple[str, ...]:
+    """What was left for want of time, and not found later on."""
+    named = {each.effect for each in findings}
+    return tuple(each for each in workspace.untried if each not in named)
+
+
 def _left(before: float, after: float) -> str:
     """How much of what was missing is left, in words; empty where noise of the model's own stood in for it."""
     if before <= 1.0:
@@ -459,7 +465,7 @@ def _verdict(
     before, after = ratios
     if not rest.adequate:
         verdict = Verdict.UNKNOWN
-        reason = f"something is missing that {explained_by_none(workspace.untried)}. {rest.reason}"
+        reason = f"something is missing that {explained_by_none(_untried(workspace, findings))}. {rest.reason}"
         names = " and ".join(finding.effect for finding in findings)
         if findings and not rest.named:
             reason += f" Nearest comes {names}; most of it is left."

@@ -90,8 +90,8 @@ def two_digits(value: float) -> str:
 
 
 def explained_by_none(untried: Collection[str]) -> str:
-    """What explains nothing of what is missing, after `that`; not all that is known where there was no time for all."""
-    return "nothing explains that there was time to try" if untried else "no known effect explains"
+    """The words after "something that": nothing is said of the whole catalogue while some of it is `untried`."""
+    return "no effect tried so far explains" if untried else "no known effect explains"
 
 
 def untried_sentence(diagnosis: Diagnosis, seconds: float | None = None) -> str:

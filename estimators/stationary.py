@@ -16,7 +16,7 @@ SETTLED = 1e-13
 
 
 def stationary(transition: Array, driven: Array) -> Array:
-    """X = A X A' + Q (nx, nx). Raises EstimationError where X grows for ever."""
+    """X = A X A' + Q (nx, nx), of one system (in_the_long_run). Raises EstimationError where X grows for ever."""
     found = np.asarray(in_the_long_run(transition[None], driven[None])[0])
     if np.isfinite(found).all():
         return found

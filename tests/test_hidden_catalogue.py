@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.beside_disturbance import LEARNED, LEVELS
 from models.effect import Place
 from models.effects import CATALOGUE
 from models.model_file import read
@@ -23,10 +24,8 @@ from simulation.hidden import HIDDEN
 
 pytestmark = pytest.mark.patient
 
-LEARNED = "gyro_bias"
-"""The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""
-LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}
-"""At full size the buffers stop the vehicle before its support does, and with that much play the gimbals rattle."""
+SEED, ANOTHER = 61, 81
+"""Decided nothing."""
 COMMANDED = {each.name for each in CATALOGUE.values() if each.place is Place.ACTUATOR}
 CREEPS = {"torque_drift"}
 """Held against another run: the plant creeps since it was switched on, 3 s before the record begins, which no formula
@@ -44,10 +43,6 @@ def upright(*arguments: Any) -> Any:
     done = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout)
-
-
-SEED, ANOTHER = 61, 81
-"""Decided nothing."""
 
 
 def recorded(effect: str, folder: Path, seed: int = SEED) -> Path:

@@ -168,8 +168,8 @@ def test_where_nothing_is_near_a_name_every_other_second_is_looked_at(monkeypatc
 
 
 def test_what_no_effect_explains_yet_has_no_name() -> None:
-    """Machinery starts: until its frequency is known nothing that is looked for is like it. It is as strong as makes it
-    stand out from a random force; at a fifth of that one record in four says that something is unknown."""
+    """Machinery starts: until its frequency is known nothing that is looked for is like it. A weaker one passes for a
+    random force until then. What is named beside it, second, is not asked."""
     recording = recorded("periodic_disturbance=4@25")
     begin, told = onset(recording, 25.0), course(recording)
     for _, result in told:

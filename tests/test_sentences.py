@@ -108,4 +108,4 @@ def test_a_loop_is_known_on_a_part_of_its_recording() -> None:
 
 def test_what_there_was_no_time_for_may_explain_it_yet() -> None:
     assert explained_by_none(()) == "no known effect explains"
-    assert explained_by_none(("backlash",)) == "nothing explains that there was time to try"
+    assert explained_by_none(("backlash",)) == "no effect tried so far explains"
