@@ -18,15 +18,15 @@ NO_GUEST := { [ $$? = 125 ] && $(OPTIONAL) && echo "make: left out: these tests 
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint native-test hurried-test patient-test vcan-test benchmark clean
+.PHONY: help demo test lint native-test hurried-test patient-test thorough-test vcan-test benchmark clean
 
 help: ## this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
 demo: $(READY) ## the whole story on a virtual bus, no hardware needed; ARGS="--dashboard" shows it in a browser
 	$(BIN)/upright demo $(ARGS)
 
-test: lint hurried-test ## lint and every test, those on real SocketCAN and under a real systemd included
+test: lint hurried-test ## lint and the tests, those on real SocketCAN and under a real systemd included
 	tests/setup/beside "$(MAKE) --no-print-directory patient-test" "$(MAKE) --no-print-directory vcan-test"
 
 lint: $(READY) ## ruff, mypy --strict, import contract
@@ -39,13 +39,16 @@ native-test: hurried-test patient-test ## the tests that need neither SocketCAN 
 
 hurried-test: $(READY)
 	@tests/setup/apt-needs mosquitto:mosquitto chromium:chromium openssl:openssl || $(OPTIONAL)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --durations=20 -m "not (vcan or systemd or browser or patient)"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 -m "not (vcan or systemd or browser or patient or thorough)"
 	$(BIN)/pytest -m browser
 
 # These compute on one CPU and ask no clock, so that they go beside the guest, which is one CPU, too. A slow machine may
 # take its time.
 patient-test: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 --timeout 900 -m patient
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --durations=20 --timeout 900 -m "patient and not thorough"
+
+thorough-test: $(READY) ## what `make test` leaves out: the same asked of further effects and records, for an hour or two
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 --timeout 900 -m thorough
 
 vcan-test: $(READY) ## the tests on real SocketCAN and under a real systemd, in a user-mode Linux guest where needed
 	@tests/setup/apt-needs $(GUEST_NEEDS) || $(OPTIONAL)

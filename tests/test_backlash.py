@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify import nominal_model, with_values
@@ -89,7 +90,7 @@ class TestFormula:
 
 class TestRecords:
     # Four and two times the size that the old formula's record would just show; seeds that decided nothing.
-    @pytest.mark.parametrize(("level", "seed"), [(0.0353, 41), (0.0177, 42)])
+    @pytest.mark.parametrize(("level", "seed"), of_many([(0.0353, 41), (0.0177, 42)], (0.0177, 42)))
     def test_play_is_named_and_sized(self, level: float, seed: int) -> None:
         found = diagnosed(f"backlash={level}", seed)
         # At four times the size the crossing, drawn as a lag, leaves so much that the rest may be called unknown.
@@ -113,12 +114,15 @@ class TestRecords:
         assert stiffness == pytest.approx(PLAY_STIFFNESS * true, rel=0.4)
         assert PlantTruth().gimbal_inertia * LOAD_SHARE == pytest.approx(LOAD_INERTIA)
 
-    @pytest.mark.parametrize("hide", ["load_dependent_friction=0.2", "hysteresis=0.3", "flexible_mode=0.3"])
+    @pytest.mark.parametrize(
+        "hide", of_many(["load_dependent_friction=0.2", "hysteresis=0.3", "flexible_mode=0.3"], "hysteresis=0.3")
+    )
     def test_it_is_not_named_where_another_effect_is_the_truth(self, hide: str) -> None:
         found = diagnosed(hide, 31)
         names = {name for each in found.findings for name in (each.effect, *each.tied_with)}
         assert "backlash" not in names
 
+    @pytest.mark.thorough
     def test_a_torque_beside_it_has_a_name_however_much_more_the_play_explains(self) -> None:
         # 2.4 N m, twice what 30 s just show without play, gain a fortieth of what the play gains.
         hide = ("backlash=0.005", f"static_torque={2.4 / HIDDEN['static_torque'].size:.4g}")

@@ -49,7 +49,7 @@ class TestOneEffect:
         ("hide", "name", "parameter", "within"),
         [
             # The plant's friction has bristles, which tanh has not: a tenth of the size.
-            ("coulomb_friction", "coulomb_friction", "torque", 0.1),
+            pytest.param("coulomb_friction", "coulomb_friction", "torque", 0.1, marks=pytest.mark.thorough),
             ("viscous_friction", "viscous_friction", "coefficient", 0.1),
         ],
     )

@@ -44,6 +44,7 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
     assert found.repaired.values["inertia"] == pytest.approx(emps.PUBLISHED["inertia"], rel=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(900)
 def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
     """100 s of it. Its friction is neither viscous nor dry alone, and nobody has published its sizes: those from
@@ -66,6 +67,7 @@ def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
     assert found.innovation_ratio_after - 1.0 < 0.05 * (found.innovation_ratio_before - 1.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(400)
 def test_drone_from_thrust_and_gravity_alone(measured_data: Path) -> None:
     """It is shaken about 19 Hz. Beside that, dry friction is found; before a narrow band was looked for there, the

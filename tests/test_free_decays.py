@@ -50,6 +50,7 @@ def test_friction_of_a_pendulum_before_a_camera_that_is_late_and_jitters(name: s
     assert sizes(found)[f"{name}.{parameter}"] == pytest.approx(size, rel=0.15)
 
 
+@pytest.mark.thorough
 def test_viscous_friction_of_an_arm_without_gravity() -> None:
     arm = Body(inertia=0.005, stiffness=0.0, dry=1e-4, viscous=0.0015, begin=0.0, rate=500.0, torque=pushed)
     found = diagnose(arm.model(2e-3, 0.05), [arm.by_encoder(2048)])

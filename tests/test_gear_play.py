@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
@@ -65,7 +66,7 @@ def diagnosed(recording: Path, vehicle: Path) -> Any:
     return upright("diagnose", recording, "--vehicle", vehicle, "--budget", "inf", *names)
 
 
-@pytest.mark.parametrize("seed", [SEED, RATTLES])
+@pytest.mark.parametrize("seed", of_many([SEED, RATTLES], SEED))
 def test_play_of_the_gears_is_found_with_its_size(vehicle: Path, seed: int) -> None:
     found = diagnosed(recorded("square", vehicle, "backlash", seed=seed), vehicle)
     assert found["verdict"] == "missing_effect", found["reason"]
@@ -95,6 +96,7 @@ def added(vehicle: Path) -> Any:
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: Any) -> None:
     """Each model with the filter that was fitted with it: a twentieth of a second ahead in tilt and tilt rate, and in
     this a fifth ahead as well."""
@@ -105,6 +107,7 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: 
         assert after < (1.0 - least) * before
 
 
+@pytest.mark.thorough
 def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -> None:
     """A blow that comes a row early or late is left to be explained, and some torque that sets in there can."""
     assert added["repair"]["needed"]
@@ -116,6 +119,7 @@ def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -
     assert "Blows that come a row early or late" in found["reason"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("experiment", OTHERS)
 def test_compared_it_falls_on_each_of_them(added: Any, vehicle: Path, experiment: str) -> None:
     """Through a filter that no model's errors made. Of 18 longer experiments (the benchmark's, seeds 74, 803, 805, 807,

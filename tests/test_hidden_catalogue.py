@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.beside_disturbance import LEARNED, LEVELS
@@ -37,6 +38,9 @@ CLOSED = 0.97
 formula of Stribeck friction leaves a fiftieth of what the plant does."""
 FLOOR = 1.05
 """Error energy over the sensors' below which nothing is left to close."""
+
+EVERY_TIME = ("coulomb_friction", "cubic_stiffness", "input_delay", "sensor_offset", "torque_step")
+"""One of each kind of place that an effect has."""
 
 
 def upright(*arguments: Any) -> Any:
@@ -67,7 +71,7 @@ def test_the_virtual_vehicle_can_hide_the_whole_catalogue() -> None:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("effect", sorted(HIDDEN.keys() - {LEARNED}))
+@pytest.mark.parametrize("effect", of_many(sorted(HIDDEN.keys() - {LEARNED}), *EVERY_TIME))
 def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path: Path) -> None:
     recording, model = recorded(effect, tmp_path), tmp_path / "repaired.toml"
     # On a busy machine a test of what is found is none of how soon.

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.others_recordings import EFFECTS, OthersVehicle, right
@@ -48,7 +49,7 @@ def diagnosed(path: Path) -> Any:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("effect", SIZES)
+@pytest.mark.parametrize("effect", of_many(SIZES, "coulomb_friction", "input_delay"))
 def test_what_is_missing_is_found(effect: str, tmp_path: Path) -> None:
     found = diagnosed(OthersVehicle(seed=11, **EFFECTS[effect]).write(tmp_path / "theirs.csv"))
     assert found["verdict"] == "missing_effect", found["reason"]

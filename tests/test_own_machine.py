@@ -14,6 +14,7 @@ from typing import Any
 
 import pendulum_plant
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from service.cli import app
@@ -63,7 +64,7 @@ def diagnosed(
     return upright("diagnose", pendulum_plant.write(folder / "run.csv", missing, seed=SEED, **more), "--model", model)
 
 
-@pytest.mark.parametrize("effect", MISSING)
+@pytest.mark.parametrize("effect", of_many(MISSING, "coulomb_friction", "quadratic_drag", "end_stop", "torque_step"))
 def test_what_is_missing_is_found(effect: str, model: Path, tmp_path: Path) -> None:
     missing, sizes = MISSING[effect]
     found = diagnosed(model, tmp_path, missing)
@@ -87,7 +88,7 @@ def test_a_late_reading_is_found_and_tied_with_a_late_command(model: Path, tmp_p
     assert named["parameters"][f"{named['effect']}.delay"]["value"] == pytest.approx(0.011, rel=0.01)
 
 
-@pytest.mark.parametrize("early", [0.00025, 0.005])
+@pytest.mark.parametrize("early", of_many([0.00025, 0.005], 0.005))
 def test_a_command_that_is_early_is_no_effect(early: float, model: Path, tmp_path: Path) -> None:
     """By a twentieth of a row, and by a whole one."""
     assert diagnosed(model, tmp_path, early=early)["verdict"] == "adequate"
@@ -97,7 +98,7 @@ def test_a_command_that_is_early_is_no_effect(early: float, model: Path, tmp_pat
     assert named["parameters"]["coulomb_friction.torque"]["value"] == pytest.approx(sizes["torque"], rel=0.01)
 
 
-@pytest.mark.parametrize("effect", UNLISTED)
+@pytest.mark.parametrize("effect", of_many(UNLISTED, "damping on one side"))
 def test_what_no_catalogue_has_is_unknown(effect: str, model: Path, tmp_path: Path) -> None:
     found = diagnosed(model, tmp_path, UNLISTED[effect])
     assert found["verdict"] == "unknown"
@@ -108,6 +109,7 @@ def test_where_nothing_is_missing_nothing_is_found(model: Path, tmp_path: Path) 
     assert diagnosed(model, tmp_path)["verdict"] == "adequate"
 
 
+@pytest.mark.thorough
 def test_a_model_of_exact_forces_is_diagnosed_all_the_same(model: Path, tmp_path: Path) -> None:
     exact = tmp_path / "exact.toml"
     exact.write_text(re.sub(r"process_noise = .*\n", "", model.read_text()))

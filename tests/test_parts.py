@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from thorough import of_many
 
 from diagnosis.actuator_rows import on_time
 from diagnosis.diagnose import Diagnosis, Verdict
@@ -77,13 +78,17 @@ class TestVirtualGimbals:
         ("effect", "times", "within"),
         # Twice and four times the size that shows. The formula's own error is a part of what is small: a lag may come
         # out by two milliseconds too large, a gain by two thousandths off.
-        [
+        of_many(
+            [
+                ("input_delay", 2.0, 1e-3),
+                ("actuator_lag", 2.0, 2e-3),
+                ("input_deadband", 4.0, 5e-5),
+                ("input_asymmetry", 2.0, 5e-5),
+                ("input_gain", 4.0, 2e-3),
+            ],
             ("input_delay", 2.0, 1e-3),
-            ("actuator_lag", 2.0, 2e-3),
-            ("input_deadband", 4.0, 5e-5),
-            ("input_asymmetry", 2.0, 5e-5),
             ("input_gain", 4.0, 2e-3),
-        ],
+        ),
     )
     def test_an_effect_of_the_command_is_named_and_sized(self, effect: str, times: float, within: float) -> None:
         sizes = gimbals_of().minimum_detectable
@@ -145,6 +150,7 @@ class TestUnknown:
         short = Diagnosis(Verdict.INSUFFICIENT_DATA, "10 s are too short")
         assert merged(self.ADEQUATE, short, COMMANDED).verdict is Verdict.ADEQUATE
 
+    @pytest.mark.thorough
     @pytest.mark.timeout(400)
     def test_process_noise_does_not_excuse_innovations_far_above_the_sensors_noise(self) -> None:
         assert gimbals_of("backlash=0.0353").verdict is Verdict.UNKNOWN

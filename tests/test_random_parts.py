@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from shaken_plant import Shaken
+from thorough import of_many
 
 from benchmarks.others_recordings import EFFECTS, SENSORS, OthersVehicle
 from diagnosis.colour import LEVEL, _blocks, signals
@@ -191,12 +192,16 @@ def test_nothing_is_missing_but_a_random_torque_about_a_frequency() -> None:
 @pytest.mark.patient
 @pytest.mark.parametrize(
     ("hide", "narrow"),
-    [
+    of_many(
+        [
+            ((), False),
+            (("narrow_band", "cubic_stiffness"), True),
+            (("periodic_disturbance",), False),
+            (("flexible_mode",), False),
+        ],
         ((), False),
         (("narrow_band", "cubic_stiffness"), True),
-        (("periodic_disturbance",), False),
-        (("flexible_mode",), False),
-    ],
+    ),
 )
 def test_effects_stay_effects(hide: tuple[str, ...], narrow: bool) -> None:
     found = diagnosed(virtual(*hide))
@@ -273,6 +278,7 @@ def test_an_encoder_makes_none(tmp_path: Path) -> None:
     assert not found.sensor_errors
 
 
+@pytest.mark.thorough
 def test_an_effect_is_found_beside_one(tmp_path: Path) -> None:
     found = diagnosed(others(tmp_path, "wander", **EFFECTS["viscous_friction"]))
     assert [each.effect for each in found.findings] == ["viscous_friction"]

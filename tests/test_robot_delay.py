@@ -64,6 +64,7 @@ def test_a_delay_is_found_with_its_size(vehicle: Path) -> None:
     assert abs(delay["value"] - TWSBR_HIDDEN["input_delay"].size) < WITHIN * delay["std"]
 
 
+@pytest.mark.thorough
 def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(vehicle: Path, tmp_path: Path) -> None:
     others = [word for name in OTHERS for word in ("--held-out", recorded(name, vehicle))]
     square = ["--recording", recorded("square", vehicle)]

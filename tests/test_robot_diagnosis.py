@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from thorough import of_many
 from typer.testing import CliRunner
 
 from diagnosis.diagnose import diagnose
@@ -59,7 +60,7 @@ def diagnosed(recording: Path) -> Any:
     return upright("diagnose", recording, "--vehicle", "twsbr", *names)
 
 
-@pytest.mark.parametrize("hidden", list(HIDDEN))
+@pytest.mark.parametrize("hidden", of_many(HIDDEN, "slope", "coulomb_friction"))
 def test_what_is_hidden_is_found_with_its_size(hidden: str, tmp_path: Path) -> None:
     name, _, size, true = HIDDEN[hidden]
     found = diagnosed(recorded("square", tmp_path, hidden))
@@ -69,6 +70,7 @@ def test_what_is_hidden_is_found_with_its_size(hidden: str, tmp_path: Path) -> N
     assert abs(told["value"] - true) < WITHIN * told["std"]
 
 
+@pytest.mark.thorough
 def test_friction_is_found_beside_a_disturbance_that_has_grown_to_it() -> None:
     """In the fit of a model alone that has one at its tilt the disturbance does what the friction of the gears does."""
     file, model = load("twsbr"), nominal_model("twsbr")
@@ -98,6 +100,7 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_pat
     assert closed > CLOSED * (closed + left)
 
 
+@pytest.mark.thorough
 def test_friction_that_is_added_explains_another_experiment_as_well(tmp_path: Path) -> None:
     """On this record a fit that began with none of it ended with four times the motors' resistance, and what `compare`
     says of the sine was 13 times the noise."""

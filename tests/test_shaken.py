@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from shaken_plant import Shaken
+from thorough import of_many
 
 from diagnosis.compare import compare
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
@@ -247,6 +248,7 @@ class TestDiagnosis:
             chances.append(tried * _by_chance(best[2], rest, 200))
         assert least <= float(np.mean(np.array(chances) < LEVEL)) <= most
 
+    @pytest.mark.thorough
     def test_where_nothing_changes_there_is_no_event(self) -> None:
         assert not any(_diagnosed(Shaken().record(seed, 60.0), candidates=()).events for seed in range(8))
 
@@ -310,7 +312,9 @@ RIGHT = {
 }
 
 
-@pytest.mark.parametrize(("name", "effect"), RIGHT.items())
+@pytest.mark.parametrize(
+    ("name", "effect"), of_many(RIGHT.items(), ("clean", None), ("cubic_stiffness_9e6", "cubic_stiffness"))
+)
 def test_records_of_another_simulator(measured_data: Path, name: str, effect: str | None) -> None:
     """What they hide is first, or tied with the first: a delay of what drives a model is one of what it shows."""
     found = _diagnosed(Recording.load(measured_data / "shaken" / f"{name}.csv"))

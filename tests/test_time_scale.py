@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
 from diagnosis.gate import check, needed
@@ -149,7 +150,7 @@ def diagnosed(folder: Path, name: str, pace: float) -> Diagnosis:
     return diagnose(model(folder, pace), [recording(name, pace)])
 
 
-@pytest.mark.parametrize("name", [*HIDDEN, ""])
+@pytest.mark.parametrize("name", of_many([*HIDDEN, ""], "cubic_stiffness", "torque_step", ""))
 def test_a_plant_at_another_pace_is_the_same_plant(name: str, tmp_path: Path) -> None:
     usual, *others = (diagnosed(tmp_path, name, pace) for pace in (1.0, *PACES))
     if name not in UNSURE:

@@ -36,6 +36,7 @@ def found_in(*hide: str) -> Diagnosis:
 
 
 class TestNames:
+    @pytest.mark.thorough
     def test_a_lag_of_the_sensor_is_no_sprung_cabin(self) -> None:
         found = found_in("sensor_lag=0.5")
         (finding,) = found.findings
@@ -48,6 +49,7 @@ class TestNames:
         assert lag.std is not None
         assert lag.value == pytest.approx(0.010, abs=4.0 * lag.std + 0.2e-3)
 
+    @pytest.mark.thorough
     def test_friction_with_bristles_is_at_least_tied_with_dry_friction(self) -> None:
         (finding,) = found_in("coulomb_friction=0.3").findings
         assert "coulomb_friction" in {finding.effect, *finding.tied_with}

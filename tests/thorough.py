@@ -1,0 +1,22 @@
+"""What `make test` leaves to `make thorough-test`: the same asked of further effects, sizes and records, for hours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeVar
+
+import pytest
+
+Case = TypeVar("Case")
+
+
+def of_many(cases: Iterable[Case], *always: Case) -> list[object]:
+    """All `cases` to parametrise a test with. `make test` asks the ones of `always` alone."""
+    found = list(cases)
+    assert set(map(str, always)) <= set(map(str, found))
+    return [each if each in always else _thorough(each) for each in found]
+
+
+def _thorough(case: object) -> object:
+    values = case if isinstance(case, tuple) else (case,)
+    return pytest.param(*values, marks=pytest.mark.thorough)
