@@ -12,8 +12,8 @@ from math import exp
 from typing import Any
 
 from diagnosis.effect_fit import fit_model
+from diagnosis.evidence import asked_for
 from diagnosis.ready import ready
-from diagnosis.repair_result import ODDS, SURE
 from estimators.resting import without_rests
 from models.model import Model
 from telemetry.recording import Recording
@@ -38,8 +38,8 @@ class DropTest:
 
     @property
     def needed(self) -> bool:
-        """Whether the odds for it are beyond ODDS to one, and its size is not that of noise."""
-        return self.odds > ODDS and self.surety > SURE
+        """Whether the records ask for it."""
+        return asked_for(0.5 * self.bic_difference, self.surety)
 
     @property
     def verdict(self) -> str:

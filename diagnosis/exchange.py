@@ -21,12 +21,13 @@ from dataclasses import replace
 from itertools import pairwise
 
 from diagnosis.candidates import Candidate
+from diagnosis.evidence import likelier
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.finer import is_finer
-from diagnosis.refit import FullFit, by_chance, full, with_effect
+from diagnosis.refit import FullFit, full, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
-from diagnosis.ties import LEVEL, NEIGHBOUR, WORTH, alike
+from diagnosis.ties import LEVEL, NEIGHBOUR, alike
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 
@@ -68,7 +69,7 @@ def exchange(
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
             whole = new.fit
-        elif new is None and by_chance(whole, without) < LEVEL / len(workspace.candidates):
+        elif new is None and likelier(whole.evidence - without.evidence, len(workspace.candidates)):
             settled += 1
             found.append(oldest)
         else:
@@ -197,8 +198,8 @@ def two_at_once(
 def worth_two(two: FullFit, one: FullFit, count: int, workspace: Workspace) -> bool:
     """Whether the fit `two` is likelier by the odds of a name than the fit `one`, which has `count` effects."""
     candidates = len(workspace.candidates)
-    rarer = math.log(math.comb(candidates, max(count + 1, 2)) / math.comb(candidates, count))
-    return two.evidence - one.evidence > max(0.0, rarer) + WORTH
+    rarer = math.comb(candidates, max(count + 1, 2)) / math.comb(candidates, count)
+    return likelier(two.evidence - one.evidence, max(1.0, rarer))
 
 
 def _beside(base: FullFit, workspace: Workspace, masked: Collection[str]) -> Named | None:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from functools import partial
 
 from diagnosis.effect_fit import candidate_of
+from diagnosis.evidence import likelier
 from diagnosis.refit import FURTHER_FITS, FullFit, full, with_effect
 from diagnosis.side_by_side import side_by_side
-from diagnosis.ties import WORTH
 from diagnosis.trial import tried
 from diagnosis.workspace import Workspace
 from estimators.budget import OutOfTime
@@ -46,7 +46,9 @@ def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
     except OutOfTime:
         workspace.leave(f"the finer formula of {fitted.name}")
         return fitted
-    return finer if finer and finer.fit.minimum.converged and finer.evidence > fitted.evidence + WORTH else fitted
+    if finer is None or not finer.fit.minimum.converged or not likelier(finer.evidence - fitted.evidence):
+        return fitted
+    return finer
 
 
 def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:

@@ -14,7 +14,6 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from diagnosis.candidates import Candidate
 from diagnosis.screen import Score
@@ -224,12 +223,6 @@ def _creeps(fitted: Fit) -> bool:
     """Whether the second half of its steps decided nothing: along a valley there are hundreds more."""
     middle, last = fitted.steps[len(fitted.steps) // 2], fitted.steps[-1]
     return middle.cost - last.cost < CREEPING
-
-
-def by_chance(fitted: FullFit, base: FullFit) -> float:
-    """p-value of the likelihood ratio of `fitted` to `base`, whose model lacks some of its effects (Wilks)."""
-    gain = 2.0 * (fitted.log_likelihood - base.log_likelihood)
-    return float(chi2.sf(gain, fitted.count - base.count))
 
 
 def surety(fitted: FullFit) -> float:

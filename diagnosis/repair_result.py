@@ -7,17 +7,13 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
+from diagnosis.evidence import ODDS, SURE, asked_for, likelier
 from estimators.disturbance import DisturbanceEstimate
 from models.model import Model
 
 HORIZONS = (0.125, 0.5, 1.25)
 """Time scales (estimators.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last is
 that of the budget."""
-ODDS = 20.0
-"""Odds from which one explanation counts as better than another."""
-
-SURE = 3.0
-"""Standard errors from which a size, or a difference on held-out data, counts."""
 
 Errors = Mapping[str, tuple[float, ...]]
 """Channel to RMS error at each horizon, in the channel's unit."""
@@ -122,7 +118,7 @@ class Neighbour:
     @property
     def better(self) -> bool:
         """The odds are for it, and so is the data that neither was fitted to."""
-        return self.odds > ODDS and self.surety > SURE
+        return likelier(-0.5 * self.bic_difference) and self.surety > SURE
 
     @property
     def tied(self) -> bool:
@@ -165,8 +161,8 @@ class Repair:
 
     @property
     def needed(self) -> bool:
-        """Whether these records ask for the effect at all: the odds are for it, and its size is not that of noise."""
-        return self.odds > ODDS and self.surety > SURE
+        """Whether these records ask for the effect at all."""
+        return asked_for(0.5 * (self.before.bic - self.after.bic), self.surety)
 
     @property
     def units(self) -> dict[str, str]:

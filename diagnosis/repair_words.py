@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 
-from diagnosis.repair_result import ODDS, SURE, Neighbour, Repair
+from diagnosis.evidence import ODDS, SURE
+from diagnosis.repair_result import Neighbour, Repair
 
 MOST_ODDS = 1e4
 WORTH_TELLING = 0.05

@@ -16,10 +16,10 @@ from scipy.optimize import minimize_scalar
 
 from diagnosis import masked
 from diagnosis.actuator_rows import middle
+from diagnosis.evidence import likelier
 from diagnosis.floor import sensor_noise
 from diagnosis.masked import LAG
 from diagnosis.refit import FullFit, full
-from diagnosis.ties import WORTH
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 from models.effect import Effect
@@ -82,7 +82,7 @@ def _tried(alone: FullFit, workspace: Workspace, effects: Sequence[Effect]) -> t
     """The evidence for a model with the effects that suit it best, its likeliest fit with at most one of MASKED, and
     which of these may be missing in it."""
     fits = masked.fits(alone.model, workspace, [each.name for each in effects if each.name in MASKED])
-    worth = [each for each in fits if each.evidence > alone.evidence + WORTH and not small(each.fitted)]
+    worth = [each for each in fits if likelier(each.evidence - alone.evidence) and not small(each.fitted)]
     wider = masked.together(alone.model, workspace, [each.name for each in effects if each.name not in MASKED])
     evidence = max(each.evidence for each in (alone, *fits, *wider)) - _order(alone)
     return evidence, max((alone, *worth), key=lambda each: each.evidence), tuple(each.name for each in worth)

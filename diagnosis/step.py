@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from diagnosis.candidates import Candidate
+from diagnosis.evidence import SURE, asked_for
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.finer import finest
@@ -25,7 +26,6 @@ from diagnosis.refit import (
     FURTHER_FITS,
     FullFit,
     QuickFit,
-    by_chance,
     full,
     possible,
     quick,
@@ -36,7 +36,7 @@ from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
 from diagnosis.ties import LEVEL, SIMPLER, alike, exact, needless, tied
 from diagnosis.trial import tried
-from diagnosis.unseen import SURE, Unseen, UnseenCheck
+from diagnosis.unseen import Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.budget import OutOfTime
@@ -209,8 +209,8 @@ def _contenders(
         quicks.append(tried(partial(_undisturbed, base, workspace, partial(_share, tell, 0.3))) or [])
     far = any(score.inflation > FAR for score in screened.scores if score.p_single < WORTH_A_FIT)
     fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
-    allowed = LEVEL / max(1, len(screened.scores))
-    fits = [each for each in fits if tried(partial(_is_sure, each, base, allowed), each.name, workspace.failed)]
+    tries = max(1, len(screened.scores))
+    fits = [each for each in fits if tried(partial(_is_sure, each, base, tries), each.name, workspace.failed)]
     return sorted(fits, key=lambda each: -each.evidence)
 
 
@@ -279,12 +279,12 @@ def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
     return found
 
 
-def _is_sure(fitted: FullFit, base: FullFit, allowed: float) -> bool:
-    """Whether a fit ended beyond chance, at sizes that are possible and not those of noise. Raises ArithmeticError for
+def _is_sure(fitted: FullFit, base: FullFit, tries: int) -> bool:
+    """Whether a fit is asked for, as one of `tries`, at sizes that are possible. Raises ArithmeticError for
     one that does not settle."""
     if not fitted.fit.minimum.converged:
         raise ArithmeticError("it does not settle")
-    return possible(fitted) and by_chance(fitted, base) < allowed and surety(fitted) > SURE
+    return possible(fitted) and asked_for(fitted.evidence - base.evidence, surety(fitted), tries)
 
 
 def _full_fits(

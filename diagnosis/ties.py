@@ -7,15 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2
 
+from diagnosis.evidence import ODDS
 from diagnosis.refit import FullFit, full
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 from models.effect import Effect, Family
 
-TIED = 1.0 / 20.0
+TIED = 1.0 / ODDS
 """Posterior odds to the best above which an effect is tied with it."""
-WORTH = -float(np.log(TIED))
-"""Logarithm of the odds that an effect has to have to "none", and a finer formula of it to the usual one."""
 SIMPLER = 0.95
 """Share of the best gain in log likelihood with which an effect of fewer parameters is named instead.
 

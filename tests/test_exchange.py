@@ -10,9 +10,9 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
+from diagnosis.evidence import SURE, likelier
 from diagnosis.exchange import exchange, put_together, taken_apart
-from diagnosis.refit import by_chance, full, surety, with_effect
-from diagnosis.unseen import SURE
+from diagnosis.refit import full, surety, with_effect
 from diagnosis.workspace import Workspace
 from estimators.fit_result import inverse
 from estimators.identify import nominal_model, with_values
@@ -67,16 +67,16 @@ def test_what_is_not_missing_beside_another_is_left_out() -> None:
     assert [each.effect for each in found.findings] == ["torque_step"]
 
 
-def test_a_likelihood_ratio_counts_the_further_parameters() -> None:
+def test_evidence_counts_the_further_parameters() -> None:
     recording = record("monocab", "multisine", hide=("viscous_friction=0.1",), seed=31, duration=20.0)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, ("viscous_friction", "quadratic_drag"))
     base = full(MODEL, workspace)
     one = full(MODEL.add("viscous_friction"), workspace)
     two = full(MODEL.add("viscous_friction").add("quadratic_drag"), workspace)
     assert (base.count, one.count, two.count) == (0, 1, 2)
-    assert by_chance(one, base) < 1e-6
-    # The second one is not there. A false alarm of one in a thousand, with a fixed seed.
-    assert by_chance(two, one) > 1e-3
+    assert likelier(one.evidence - base.evidence, len(workspace.candidates))
+    # The second one is not there.
+    assert two.evidence < one.evidence
 
 
 def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> None:
@@ -166,7 +166,7 @@ def test_looking_again_does_not_end_with_less_than_there_was(
     )
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, DRAGS)
     monkeypatch.setattr("diagnosis.exchange.full", lambda *_: lost)
-    monkeypatch.setattr("diagnosis.exchange.by_chance", lambda *_: 1.0)
+    monkeypatch.setattr("diagnosis.exchange.likelier", lambda *_: False)
     monkeypatch.setattr("diagnosis.exchange._again", lambda *_: None)
     found, whole = exchange(two_drags.findings, last, workspace, (), lambda text, share: None)
     assert found == list(two_drags.findings)
