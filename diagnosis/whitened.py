@@ -116,7 +116,10 @@ class Whitened:
                 run = passed(substeps=substeps)
             moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
             rows = (weights @ moved).reshape(-1, len(active))
-            parts.append(np.concatenate((rows, np.zeros((len(basis) - len(rows), len(active))))))
+            begun = np.zeros((len(basis) - len(rows), len(active)))
+            for number, output in task.shown:
+                begun[number] = run.sensitivity[0, output] / task.spread[number]
+            parts.append(np.concatenate((rows, begun)))
         return parts
 
     def _followed(self, full: Problem, values: Array, active: Sequence[int]) -> tuple[Array, Array | None]:

@@ -95,6 +95,7 @@ class Likelihood:
             )
             if run.runs_away:
                 return None
+            off, by = task.off_at_the_start(run, initial, part, range(len(active) - len(starts), len(active)))
             error = segment.measured - run.predicted
             unknown = ~np.isfinite(error)
             if unknown.any():
@@ -102,15 +103,17 @@ class Likelihood:
             columns = run.sensitivity.reshape(len(error), -1)
             squares += error.T @ error
             moments.append((columns.T @ columns, columns.T @ error))
-            ends.append((part - initial[list(task.own)]) / spread)
+            ends.append((off / spread, by / spread[:, None]))
         covariance = _at_least(squares / task.rows + np.diag(self._floor), self._counted)
         # In units of its own: a wheel that is stuck is no predictor that runs away.
         unit = np.sqrt(np.diag(covariance))
         if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > RUNAWAY:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
-        normals = tuple(_weighted(*moment, weights, end, long_run) for moment, end in zip(moments, ends, strict=True))
-        cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(float(end @ end) for end in ends)
+        normals = tuple(_weighted(*moment, weights, *end, long_run) for moment, end in zip(moments, ends, strict=True))
+        cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(
+            float(end @ end) for end, _ in ends
+        )
         if self._counted.any():
             # Where S is held above the mean of e e', the errors are fewer standard deviations than it has outputs.
             cost += 0.5 * (float(np.sum(weights * squares)) - task.rows * len(covariance))
@@ -162,20 +165,18 @@ def _at_least(covariance: Array, least: Array) -> Array:
     return found
 
 
-def _weighted(products: Array, pull: Array, weights: Array, end: Array, long_run: LongRun) -> Normal:
+def _weighted(products: Array, pull: Array, weights: Array, end: Array, by: Array, long_run: LongRun) -> Normal:
     """The normal equations of a stretch.
 
     `products` (ny * c, ny * c) are of its columns, `pull` (ny * c, ny) of these with its errors; the last columns are
-    the initial state's, which is off by `end` (k,) times its spread in the `long_run`.
+    the initial state's, which is off by `end` (k,) times its spread in the `long_run`; `by` (k, c) are the derivatives.
     """
     outputs = len(weights)
     columns = len(pull) // outputs
     four = products.reshape(outputs, columns, outputs, columns)
     matrix = np.einsum("jakb,jk->ab", four, weights)
     vector = -np.einsum("jak,jk->a", pull.reshape(outputs, columns, outputs), weights)
-    own = range(columns - len(end), columns)
-    off = np.zeros((len(end), columns))
-    off[np.arange(len(end)), list(own)] = 1.0 / long_run.spread
+    off = by.copy()
     for number, unknown, slope in long_run.entries:
         off[number, unknown] = -end[number] * slope
     vector[: len(long_run.slopes)] += long_run.slopes

@@ -19,7 +19,7 @@ from estimators.white_noise import white_variance
 from models import library
 from models.disturbance import parameters_of
 from models.expressions import number
-from models.kernel import Kernel, Progress, compile_model
+from models.kernel import Kernel, Progress, Run, compile_model
 from models.model import Model, Parameter
 from models.segment import Segment
 from telemetry.recording import Recording
@@ -79,6 +79,13 @@ class Problem:
         return sum(segment.duration for segment in self.segments)
 
     @property
+    def shown(self) -> list[tuple[int, int]]:
+        """Which of the own starts, by number, an output says as it is, and the place of that."""
+        initials = {place: self.model.states[place].initial for place in self.own}
+        outputs = {name: place for place, name in enumerate(self.kernel.outputs)}
+        return [(k, outputs[initials[place]]) for k, place in enumerate(self.own) if initials[place] in outputs]
+
+    @property
     def own_start(self) -> list[Array]:
         return [initial[list(self.own)] for initial in self.initials]
 
@@ -102,6 +109,22 @@ class Problem:
         """With steps as short as those of `other`, and as sure of the starts of its states, which come first here."""
         spread = np.concatenate((other.spread, self.spread[len(other.spread) :]))
         return replace(self, substeps=max(self.substeps, other.substeps), spread=spread)
+
+    def off_at_the_start(self, run: Run, initial: Array, part: Array, starts: range) -> tuple[Array, Array]:
+        """How far a stretch's own starts `part` (k,) are from what its first row shows, (k,), and the derivatives of
+        that by what is active in `run`, (k, na), of which `starts` are the own ones.
+
+        `initial` (nx,) is what was measured. A state that an output shows is as far off as what the model says that
+        the output shows there: a sensor that is mounted askew does not make the start a surprise.
+        """
+        own = list(self.own)
+        off, by = part - initial[own], np.zeros((len(own), run.sensitivity.shape[2]))
+        by[np.arange(len(own)), list(starts)] = 1.0
+        for each, output in self.shown:
+            slopes = run.sensitivity[0, output]
+            if slopes[starts[each]] != 0.0:
+                off[each], by[each] = run.predicted[0, output] - initial[own[each]], slopes
+        return off, by
 
     def evaluate(
         self,
@@ -136,7 +159,8 @@ class Problem:
                 return None
             error = segment.measured - run.predicted
             residual = (np.where(np.isfinite(error), error, 0.0) @ weights.T).ravel()
-            residual = np.concatenate((residual, (part - initial[list(self.own)]) / spread))
+            off, by = self.off_at_the_start(run, initial, part, range(columns, columns + len(self.own)))
+            residual = np.concatenate((residual, off / spread))
             jacobian = np.zeros((len(residual), columns + further + len(self.own)))
             sensitivity = run.sensitivity
             unknown = ~np.isfinite(error)
@@ -148,7 +172,8 @@ class Problem:
             if slopes is not None:
                 jacobian[: error.size, : columns + further] += moved[:, ends:] @ slopes
             jacobian[: error.size, columns + further :] = moved[:, columns:ends]
-            jacobian[error.size :, columns + further :] = np.diag(1.0 / spread)
+            jacobian[error.size :, :columns] = by[:, :columns] / spread[:, None]
+            jacobian[error.size :, columns + further :] = by[:, columns:ends] / spread[:, None]
             blocks.append(Block(residual, jacobian[:, : columns + further], jacobian[:, columns + further :]))
         return blocks
 

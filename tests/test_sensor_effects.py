@@ -276,6 +276,15 @@ class TestDiagnosis:
         # All that the record tells is delay and offset together: the offset's 2 ms are what is left, to a hundredth.
         assert sizes["sensor_delay"] == pytest.approx(DETECTABLE * MODEL.parameter("drive_offset").std, rel=0.01)
 
+    def test_a_sensor_that_is_askew_is_as_likely_as_the_torque_that_does_the_same(self) -> None:
+        """Where the vehicle begins is not where such a sensor shows it: that had spoken for the torque, by 6 nats."""
+        hide = ("sensor_offset", "disturbance=28,0.3")
+        recording = record("monocab", "multisine", hide=hide, seed=8, duration=20.0)
+        candidates = ["sensor_offset", "static_torque"]
+        found = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates).findings[0]
+        assert {found.effect, *found.tied_with} == {"sensor_offset", "static_torque"}
+        assert min(found.odds.values()) > 0.8
+
     def test_a_delay_of_twice_that_is_named(self) -> None:
         found = found_in(["sensor_delay=1.55"], seed=5)
         assert found.verdict is Verdict.MISSING_EFFECT

@@ -91,9 +91,11 @@ class TestBias:
 
 
 class TestLikelihood:
-    def test_its_slope_is_that_of_differences(self, shaken: Recording) -> None:
-        """Also by the RMS and the correlation time, which say how far off the disturbance may begin."""
-        task = _task(shaken.between(0.0, 4.0))
+    @pytest.mark.parametrize("effect", ["", "sensor_offset", "sensor_delay"])
+    def test_its_slope_is_that_of_differences(self, shaken: Recording, effect: str) -> None:
+        """Also by the RMS and the correlation time, which say how far off the disturbance may begin, and by errors of
+        sensors, which say how far off a start is from what these show."""
+        task = _task(shaken.between(0.0, 4.0), NOMINAL.add(effect) if effect else NOMINAL)
         likelihood = Likelihood.of(task, np.array([parameter.std for parameter in task.parameters]))
         common = np.concatenate((1.02 * task.start, 0.4 * np.cos(np.arange(likelihood.noise.size))))
         scale = np.concatenate((task.scale, np.ones(likelihood.noise.size)))
