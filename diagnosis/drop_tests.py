@@ -39,7 +39,7 @@ class DropTest:
     @property
     def needed(self) -> bool:
         """Whether the records ask for it."""
-        return asked_for(0.5 * self.bic_difference, self.surety)
+        return asked_for(0.5 * self.likelihood_ratio, self.degrees, self.surety)
 
     @property
     def verdict(self) -> str:

@@ -1,35 +1,51 @@
-"""When is an effect asked for? The one answer of a diagnosis, of `upright model add` and of its drop tests.
+"""When is an effect asked for, and when is one explanation better than another? The one answer of all who ask.
 
-An effect is asked for where the odds for the model with it are beyond ODDS to one, against the model without, and its
-size is beyond SURE standard deviations of what it would scatter by were there none of it. The odds are those of Schwarz
-(BIC). Where one of many was picked, each of these was as likely beforehand as that there is none of them. So what a
-diagnosis names is what adding it to the model is then told to be.
+An effect is asked for where chance explains what it gains in log likelihood in less than LEVEL of records, those of all
+effects that were looked at with it together, and where its size is beyond SURE standard deviations of what it would
+scatter by were there none of it. A diagnosis looks at the whole catalogue, `upright model add` and its drop tests at
+one effect: what a diagnosis names, these call needed. Of two explanations one is better where the odds for it, by
+Schwarz, are beyond ODDS to one.
 
-Sources: Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461-464; Kass, Raftery, "Bayes
-factors", Journal of the American Statistical Association 90 (1995) 773-795: 20 to 1 is where "strong" begins.
+Sources: Wilks, "The large-sample distribution of the likelihood ratio for testing composite hypotheses", Annals of
+Mathematical Statistics 9 (1938) 60-62; Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978)
+461-464; Kass, Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995) 773-795: 20 to 1 is
+where "strong" begins.
 """
 
 from __future__ import annotations
 
 import math
 
+from scipy.stats import chi2
+
+LEVEL = 0.01
+"""Probability of naming an effect where nothing is missing, and of asking for a parameter that is not needed."""
+SURE = 2.0
+"""Standard deviations from which a size counts."""
 ODDS = 20.0
 """From which one explanation counts as better than another."""
 WORTH = math.log(ODDS)
-SURE = 3.0
-"""Standard deviations from which a size, or a difference on held-out data, counts."""
 
 
-def likelier(gain: float, tries: float = 1.0) -> bool:
-    """Whether one model is likelier than another by the odds that count.
+def by_chance(gain: float, count: int) -> float:
+    """p-value of what `count` further parameters, one at least, gain in log likelihood (nats)."""
+    return float(chi2.sf(2.0 * gain, max(count, 1)))
 
-    `gain`: natural logarithm of the odds for it (half of the fall of BIC), where it was one of `tries` that were as
-    likely beforehand.
+
+def beyond_chance(gain: float, count: int, tries: int = 1) -> bool:
+    """Whether chance does not explain the `gain` of `count` parameters, as one of `tries` effects that were looked
+    at."""
+    return tries * by_chance(gain, count) < LEVEL
+
+
+def asked_for(gain: float, count: int, surety: float, tries: int = 1) -> bool:
+    """Whether an effect is, whose size is `surety` standard deviations from zero; the rest as in `beyond_chance`."""
+    return surety > SURE and beyond_chance(gain, count, tries)
+
+
+def likelier(log_odds: float, tries: float = 1.0) -> bool:
+    """Whether one explanation is better than another, as one of `tries` that were as likely beforehand.
+
+    `log_odds`: natural logarithm of the odds for it, half of what the Bayes information criterion falls by.
     """
-    return gain > math.log(tries) + WORTH
-
-
-def asked_for(gain: float, surety: float, tries: float = 1.0) -> bool:
-    """Whether an effect whose model is likelier by `gain`, as in `likelier`, is asked for at all: also its size is not
-    that of noise, being `surety` standard deviations from zero."""
-    return surety > SURE and likelier(gain, tries)
+    return log_odds > math.log(tries) + WORTH

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
+from diagnosis.evidence import beyond_chance
 from diagnosis.screen import Score
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
@@ -223,6 +224,12 @@ def _creeps(fitted: Fit) -> bool:
     """Whether the second half of its steps decided nothing: along a valley there are hundreds more."""
     middle, last = fitted.steps[len(fitted.steps) // 2], fitted.steps[-1]
     return middle.cost - last.cost < CREEPING
+
+
+def more_than_chance(fitted: FullFit, base: FullFit, tries: int) -> bool:
+    """Whether `fitted` gains more than chance does over `base`, whose model lacks some of its effects, as one of
+    `tries`."""
+    return beyond_chance(fitted.log_likelihood - base.log_likelihood, fitted.count - base.count, tries)
 
 
 def surety(fitted: FullFit) -> float:

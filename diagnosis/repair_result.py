@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
-from diagnosis.evidence import ODDS, SURE, asked_for, likelier
+from diagnosis.evidence import ODDS, asked_for, by_chance, likelier
 from estimators.disturbance import DisturbanceEstimate
 from models.model import Model
 
 HORIZONS = (0.125, 0.5, 1.25)
 """Time scales (estimators.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last is
 that of the budget."""
+
+CLEARLY = 3.0
+"""Standard errors from which a difference of held-out errors counts."""
 
 Errors = Mapping[str, tuple[float, ...]]
 """Channel to RMS error at each horizon, in the channel's unit."""
@@ -118,7 +121,7 @@ class Neighbour:
     @property
     def better(self) -> bool:
         """The odds are for it, and so is the data that neither was fitted to."""
-        return likelier(-0.5 * self.bic_difference) and self.surety > SURE
+        return likelier(-0.5 * self.bic_difference) and self.surety > CLEARLY
 
     @property
     def tied(self) -> bool:
@@ -162,7 +165,18 @@ class Repair:
     @property
     def needed(self) -> bool:
         """Whether these records ask for the effect at all."""
-        return asked_for(0.5 * (self.before.bic - self.after.bic), self.surety)
+        return asked_for(*self._gained, self.surety)
+
+    @property
+    def p_value(self) -> float:
+        """How well chance explains what the effect gains in likelihood."""
+        return by_chance(*self._gained)
+
+    @property
+    def _gained(self) -> tuple[float, int]:
+        """Log likelihood, and by how many parameters."""
+        gain = self.after.log_likelihood - self.before.log_likelihood
+        return gain, len(self.after.parameters) - len(self.before.parameters)
 
     @property
     def units(self) -> dict[str, str]:
@@ -181,6 +195,7 @@ class Repair:
             "after": _side(self.after),
             "floor": {"training": _errors(self.floor_training), "held_out": _errors(self.floor_held_out)},
             "odds": self.odds,
+            "p_value": self.p_value,
             "surety": self.surety,
             "needed": self.needed,
             "budget": {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 
-from diagnosis.evidence import ODDS, SURE
+from diagnosis.evidence import LEVEL, SURE
 from diagnosis.repair_result import Neighbour, Repair
 
 MOST_ODDS = 1e4
@@ -43,10 +43,9 @@ def _sentences(repair: Repair) -> Iterator[str]:
     of = "" if closed is None or closed < 0.5 else f" ({min(closed, 100.0):.0f} % of what exceeds the sensors' floor)"
     yield f"With {repair.effect} the held-out error {horizon:g} s ahead {moves}{of}."
     if not repair.needed:
-        yield (
-            f"The records do not ask for it: by BIC the odds for it are {odds_text(repair.odds)} ({ODDS:.0f} to 1 are "
-            f"wanted), and its size is {repair.surety:.1f} standard deviations from zero ({SURE:.0f} are wanted)."
-        )
+        chance = f"chance explains what it gains in {_percent(repair.p_value)} of records (less than {_percent(LEVEL)}"
+        size = f"its size is {repair.surety:.1f} standard deviations from zero ({SURE:.0f} are wanted)"
+        yield f"The records do not ask for it: {chance} is wanted), and {size}."
     elif budget.fall <= 0.0 and (near := _falls_near(repair)):
         channels = " and ".join(f"{channel} by {_percent(share)}" for channel, share in near.items())
         yield f"{repair.horizons[0]:g} s ahead it falls: {channels}. What is left of it grows on the way from there on."

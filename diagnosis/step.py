@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from diagnosis.candidates import Candidate
-from diagnosis.evidence import SURE, asked_for
+from diagnosis.evidence import LEVEL, SURE
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.finer import finest
@@ -27,6 +27,7 @@ from diagnosis.refit import (
     FullFit,
     QuickFit,
     full,
+    more_than_chance,
     possible,
     quick,
     surety,
@@ -34,7 +35,7 @@ from diagnosis.refit import (
 )
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
-from diagnosis.ties import LEVEL, SIMPLER, alike, exact, needless, tied
+from diagnosis.ties import SIMPLER, alike, exact, needless, tied
 from diagnosis.trial import tried
 from diagnosis.unseen import Unseen, UnseenCheck
 from diagnosis.whitened import Whitened
@@ -284,7 +285,7 @@ def _is_sure(fitted: FullFit, base: FullFit, tries: int) -> bool:
     one that does not settle."""
     if not fitted.fit.minimum.converged:
         raise ArithmeticError("it does not settle")
-    return possible(fitted) and asked_for(fitted.evidence - base.evidence, surety(fitted), tries)
+    return possible(fitted) and more_than_chance(fitted, base, tries) and surety(fitted) > SURE
 
 
 def _full_fits(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.evidence import ODDS
+from diagnosis.evidence import LEVEL, ODDS
 from diagnosis.refit import FullFit, full
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
@@ -29,8 +29,6 @@ DOUBT = 0.05
 EXACT = (Family.BIAS, Family.SENSOR)
 """Families whose formulas are what they say: a constant is a constant. Between two of them the likelihood ratio decides
 alone, at LEVEL."""
-LEVEL = 0.01
-"""Probability of naming an effect where nothing is missing, and of asking for a parameter that is not needed."""
 
 
 def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> tuple[str, ...]:
