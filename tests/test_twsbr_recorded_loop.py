@@ -54,12 +54,26 @@ def test_a_right_model_goes_with_the_record_to_the_noise(experiment: str) -> Non
     assert loop.fit_percent("tilt") > 90.0
 
 
+def without(hidden: str, name: str, size: str, value: float) -> ClosedLoop:
+    """Of the model that lacks what is `hidden`, beside the disturbance that the one with it leaves. Alone it would
+    take that for a disturbance of its own."""
+    recording, right = recorded("square", hidden), TRUTH.add(*name.split("@")).change({f"{name}.{size}": value})
+    loops = [recorded_loop(VEHICLE, recording)]
+    _, found = compare({"with": right, "without": TRUTH}, [recording], support=VEHICLE.support, loops=loops)
+    return found.closed_loop
+
+
 @pytest.mark.parametrize(
-    ("hidden", "least"), [("static_torque", 30.0), ("input_deadband", 4.0), ("coulomb_friction", 2.5)]
+    ("hidden", "name", "size", "value", "least"),
+    [
+        ("static_torque", "static_torque", "torque", 0.01, 30.0),
+        ("input_deadband", "input_deadband", "width", 0.6, 4.0),
+        ("coulomb_friction", "coulomb_friction@wheels", "torque", 0.02, 2.5),
+    ],
 )
-def test_what_is_hidden_shows(hidden: str, least: float) -> None:
+def test_what_is_hidden_shows(hidden: str, name: str, size: str, value: float, least: float) -> None:
     """Of the tilt, against a right model's 1.4 at most."""
-    loop, right = in_the_loop(recorded("square", hidden)), in_the_loop(recorded("square"))
+    loop, right = without(hidden, name, size, value), in_the_loop(recorded("square"))
     assert loop.over_floor("tilt") > max(least, 2.0 * right.over_floor("tilt"))
     assert loop.over_floor("left_wheel_angle") > 2.0 * right.over_floor("left_wheel_angle")
 
