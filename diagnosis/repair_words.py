@@ -51,8 +51,10 @@ def _sentences(repair: Repair) -> Iterator[str]:
         yield f"{repair.horizons[0]:g} s ahead it falls: {channels}. What is left of it grows on the way from there on."
     elif budget.fall <= 0.0:
         yield "It explains the records it was fitted to and no others: the model may lack something else."
-    else:
+    elif repair.odds > 1.0:
         yield f"By BIC the odds for it are {odds_text(repair.odds)}."
+    else:
+        yield f"Chance explains what it gains in {_percent(repair.p_value)} of records."
     if repair.uses_time and not all(each.startswith("last third") for each in repair.held_out):
         yield "It depends on the time since a record's first row, so another recording says little about it."
     if budget.unexplained > max(budget.sensors, 0.02):
