@@ -383,9 +383,11 @@ def test_every_control_is_reached_by_tab_and_shows_it(watched: Watched) -> None:
         page.evaluate("document.activeElement.blur(); getSelection().removeAllRanges()")
         reached: set[int] = set()
         count = page.evaluate(FOCUSED)[1]
-        for _ in range(2 * count + 10):
+        for _ in range(4 * count + 20):
             page.keyboard.press("Tab")
-            place, count, outline = page.evaluate(FOCUSED)
+            place, there, outline = page.evaluate(FOCUSED)
+            if there != count:  # a recording came or went: another control has each place now
+                reached, count = set(), there
             if place >= 0:
                 assert outline >= 2.0, f"{view}: {place} has no visible focus"
                 reached.add(place)
