@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar
 from diagnosis.adequacy import Adequacy, adequacy, over_floor
 from diagnosis.closed_loop_error import Loop
 from diagnosis.events import Event, events, pieces
+from diagnosis.evidence import beyond_chance
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
@@ -25,7 +26,7 @@ from diagnosis.gate import check
 from diagnosis.limit import prediction_limit
 from diagnosis.random_parts import RANDOM, absorbed, promised
 from diagnosis.ready import ready, unready
-from diagnosis.refit import FURTHER_FITS, FullFit, full, more_than_chance, settled
+from diagnosis.refit import FURTHER_FITS, FullFit, full, gained, settled
 from diagnosis.relevance import relevances
 from diagnosis.screen import Screen
 from diagnosis.sentences import explained_by_none
@@ -223,7 +224,7 @@ def _standing(base: FullFit, before: Diagnosis, workspace: Workspace) -> tuple[F
         base = looked
     for each in before.findings:
         without = full(whole.model.remove(each.effect), workspace, longer=FURTHER_FITS)
-        if not more_than_chance(whole, without, len(workspace.candidates)):
+        if not beyond_chance(*gained(whole, without), len(workspace.candidates)):
             return base, NOTHING
     return base, Known(before.findings, one_by_one(before.findings, whole, workspace))
 

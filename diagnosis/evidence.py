@@ -1,10 +1,10 @@
 """When is an effect asked for, and when is one explanation better than another? The one answer of all who ask.
 
-An effect is asked for where chance explains what it gains in log likelihood in less than LEVEL of records, those of all
-effects that were looked at with it together, and where its size is beyond SURE standard deviations of what it would
-scatter by were there none of it. A diagnosis looks at the whole catalogue, `upright model add` and its drop tests at
-one effect: what a diagnosis names, these call needed. Of two explanations one is better where the odds for it, by
-Schwarz, are beyond ODDS to one.
+An effect is asked for where chance alone would give any of the effects that were looked at as much log likelihood in
+less than LEVEL of records, and where its size is beyond SURE standard deviations: of its own, or of those that it would
+scatter by were there none of it. A diagnosis looks at the whole catalogue, `upright model add` and
+`upright model drop-test` at one effect: what a diagnosis names, these call needed on the same rows. Of two explanations
+one is better where the odds for it, by Schwarz, are beyond ODDS to one.
 
 Sources: Wilks, "The large-sample distribution of the likelihood ratio for testing composite hypotheses", Annals of
 Mathematical Statistics 9 (1938) 60-62; Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978)
@@ -21,25 +21,26 @@ from scipy.stats import chi2
 LEVEL = 0.01
 """Probability of naming an effect where nothing is missing, and of asking for a parameter that is not needed."""
 SURE = 2.0
-"""Standard deviations from which a size counts."""
+"""Standard deviations from which a size counts: one in twenty by chance."""
 ODDS = 20.0
 """From which one explanation counts as better than another."""
 WORTH = math.log(ODDS)
+"""The same as log likelihood, nats."""
 
 
 def by_chance(gain: float, count: int) -> float:
-    """p-value of what `count` further parameters, one at least, gain in log likelihood (nats)."""
+    """p-value of the log likelihood that `count` further parameters, one at least, `gain` (nats)."""
     return float(chi2.sf(2.0 * gain, max(count, 1)))
 
 
 def beyond_chance(gain: float, count: int, tries: int = 1) -> bool:
-    """Whether chance does not explain the `gain` of `count` parameters, as one of `tries` effects that were looked
-    at."""
+    """Whether chance alone gives none of `tries` effects, of `count` parameters each, as much `gain` (nats)."""
     return tries * by_chance(gain, count) < LEVEL
 
 
 def asked_for(gain: float, count: int, surety: float, tries: int = 1) -> bool:
-    """Whether an effect is, whose size is `surety` standard deviations from zero; the rest as in `beyond_chance`."""
+    """Whether an effect is asked for whose size is `surety` standard deviations from zero. The other arguments are
+    those of `beyond_chance`."""
     return surety > SURE and beyond_chance(gain, count, tries)
 
 

@@ -21,10 +21,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 from diagnosis.candidates import Candidate
-from diagnosis.evidence import LEVEL, likelier
+from diagnosis.evidence import LEVEL, beyond_chance, likelier
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.finer import is_finer
-from diagnosis.refit import FullFit, full, more_than_chance, with_effect
+from diagnosis.refit import FullFit, full, gained, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
 from diagnosis.ties import NEIGHBOUR, alike
@@ -69,7 +69,7 @@ def exchange(
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
             whole = new.fit
-        elif new is None and more_than_chance(whole, without, len(workspace.candidates)):
+        elif new is None and beyond_chance(*gained(whole, without), len(workspace.candidates)):
             settled += 1
             found.append(oldest)
         else:

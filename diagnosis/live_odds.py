@@ -22,9 +22,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.evidence import WORTH
 from diagnosis.onset import BEGINNING, LEAST, Amplitudes, Fitted, Onset, examine, with_known
 from diagnosis.products import Products
-from diagnosis.ties import TIED
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def _averaged(gains: Array, price: Array) -> float:
 
 def tied_from(highest: float) -> float:
     """The logarithm of odds from which on an effect is tied with one that has the `highest`."""
-    return min(highest + math.log(TIED), ALIKE * highest)
+    return min(highest - WORTH, ALIKE * highest)
 
 
 def _explained(gain: float, energies: Array, window: int, acts: NDArray[np.bool_]) -> float:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
-from diagnosis.evidence import beyond_chance
 from diagnosis.screen import Score
 from diagnosis.whitened import whitening
 from diagnosis.workspace import Workspace
@@ -226,10 +225,10 @@ def _creeps(fitted: Fit) -> bool:
     return middle.cost - last.cost < CREEPING
 
 
-def more_than_chance(fitted: FullFit, base: FullFit, tries: int) -> bool:
-    """Whether `fitted` gains more than chance does over `base`, whose model lacks some of its effects, as one of
-    `tries`."""
-    return beyond_chance(fitted.log_likelihood - base.log_likelihood, fitted.count - base.count, tries)
+def gained(fitted: FullFit, base: FullFit) -> tuple[float, int]:
+    """By how much the log likelihood of `fitted` is above that of `base` (nats), whose model lacks some of its effects,
+    and by how many parameters."""
+    return fitted.log_likelihood - base.log_likelihood, fitted.count - base.count
 
 
 def surety(fitted: FullFit) -> float:

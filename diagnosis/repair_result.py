@@ -169,7 +169,7 @@ class Repair:
 
     @property
     def p_value(self) -> float:
-        """How well chance explains what the effect gains in likelihood."""
+        """Probability that chance alone gains as much likelihood."""
         return by_chance(*self._gained)
 
     @property

@@ -43,7 +43,7 @@ def _sentences(repair: Repair) -> Iterator[str]:
     of = "" if closed is None or closed < 0.5 else f" ({min(closed, 100.0):.0f} % of what exceeds the sensors' floor)"
     yield f"With {repair.effect} the held-out error {horizon:g} s ahead {moves}{of}."
     if not repair.needed:
-        chance = f"chance explains what it gains in {_percent(repair.p_value)} of records (less than {_percent(LEVEL)}"
+        chance = f"chance alone gains as much in {_percent(repair.p_value)} of records (less than {_percent(LEVEL)}"
         size = f"its size is {repair.surety:.1f} standard deviations from zero ({SURE:.0f} are wanted)"
         yield f"The records do not ask for it: {chance} is wanted), and {size}."
     elif budget.fall <= 0.0 and (near := _falls_near(repair)):
@@ -54,7 +54,7 @@ def _sentences(repair: Repair) -> Iterator[str]:
     elif repair.odds > 1.0:
         yield f"By BIC the odds for it are {odds_text(repair.odds)}."
     else:
-        yield f"Chance explains what it gains in {_percent(repair.p_value)} of records."
+        yield f"Chance alone gains as much in {_percent(repair.p_value)} of records."
     if repair.uses_time and not all(each.startswith("last third") for each in repair.held_out):
         yield "It depends on the time since a record's first row, so another recording says little about it."
     if budget.unexplained > max(budget.sensors, 0.02):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from diagnosis.candidates import Candidate
-from diagnosis.evidence import LEVEL, SURE
+from diagnosis.evidence import LEVEL, SURE, asked_for
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.finer import finest
@@ -27,7 +27,7 @@ from diagnosis.refit import (
     FullFit,
     QuickFit,
     full,
-    more_than_chance,
+    gained,
     possible,
     quick,
     surety,
@@ -281,11 +281,11 @@ def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
 
 
 def _is_sure(fitted: FullFit, base: FullFit, tries: int) -> bool:
-    """Whether a fit is asked for, as one of `tries`, at sizes that are possible. Raises ArithmeticError for
-    one that does not settle."""
+    """Whether the effect of a fit is asked for, as one of `tries`, at sizes that are possible. Raises ArithmeticError
+    for a fit that does not settle."""
     if not fitted.fit.minimum.converged:
         raise ArithmeticError("it does not settle")
-    return possible(fitted) and more_than_chance(fitted, base, tries) and surety(fitted) > SURE
+    return possible(fitted) and asked_for(*gained(fitted, base), surety(fitted), tries)
 
 
 def _full_fits(

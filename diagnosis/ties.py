@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.evidence import LEVEL, ODDS
+from diagnosis.evidence import LEVEL, likelier
 from diagnosis.refit import FullFit, full
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 from models.effect import Effect, Family
 
-TIED = 1.0 / ODDS
-"""Posterior odds to the best above which an effect is tied with it."""
 SIMPLER = 0.95
 """Share of the best gain in log likelihood with which an effect of fewer parameters is named instead.
 
@@ -44,7 +41,7 @@ def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Works
         if each is best or each.candidate is None:
             continue
         gain, other = (fit.log_likelihood - base.log_likelihood for fit in (best, each))
-        likely = each.evidence - likeliest > np.log(TIED)
+        likely = not likelier(likeliest - each.evidence)
         if exact(best, each) and each.count < best.count:
             likely = needless(best, each) >= LEVEL
         elif alike(best.candidate.effect, each.candidate.effect):
@@ -54,7 +51,7 @@ def tied(best: FullFit, fits: Sequence[FullFit], base: FullFit, workspace: Works
                 # One that can be like the one that is named is an alternative only in what it does otherwise.
                 asked = float(chi2.sf(2.0 * (other - gain), each.count - best.count)) < DOUBT
                 likely = asked and (likely or gain < SIMPLER * other)
-                near = other - gain > np.log(TIED)
+                near = not likelier(gain - other)
                 likely = likely or (near and _as_likely_as_usual(best, each, base, workspace))
             # Of one that contains a tied one only what it gains beyond that would count.
             likely = likely and not any(
@@ -102,7 +99,7 @@ def _as_likely_as_usual(best: FullFit, other: FullFit, base: FullFit, workspace:
         )
     except FAILURES:
         return False
-    return held.log_likelihood > best.log_likelihood + float(np.log(TIED))
+    return not likelier(best.log_likelihood - held.log_likelihood)
 
 
 def alike(one: Effect, other: Effect) -> bool:

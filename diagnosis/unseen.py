@@ -3,7 +3,7 @@
 A third is every third of PIECES x THIRDS pieces, and is judged by fits of the other two. Predictors run through the
 whole recording, so that they know their state when a piece begins, as an effect with memory asks for; only what they
 predict inside it counts. Where an effect does so little that what it foretells is less than the noise of what is
-gained, nothing is said.
+gained, nothing is said; a part whose own fits do not tell the effect cannot judge it.
 
 Where parts strike each other, a blow that is predicted a row early is an error of dozens of deviations, and a second
 with a few of them weighs more than all others. There errors have a normal distribution with tails (Box, Tiao, "A
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis import ahead
+from diagnosis.evidence import SURE
 from diagnosis.refit import FullFit, full, off_prior
 from diagnosis.trial import FAILURES
 from diagnosis.whitened import whitening
@@ -52,9 +53,6 @@ SETTLING = 1.25
 of the MONOCAB."""
 BLOCK = 2.5
 """Time scales of held-out data that count as one piece of evidence."""
-SURE = 2.0
-"""Standard deviations from zero of an amplitude that a part of the data tells: one that does not tell cannot judge, and
-in one where the effect would not be told it is not judged. And those by which an error ahead surely grows."""
 LARGER = 2.0
 """Standard deviations of its logarithm by which a noise may be larger than a part of the data tells."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)

@@ -117,6 +117,7 @@ class Whitened:
             moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
             rows = (weights @ moved).reshape(-1, len(active))
             begun = np.zeros((len(basis) - len(rows), len(active)))
+            # What the effects change in what the first row shows.
             for number, output in task.shown:
                 begun[number] = run.sensitivity[0, output] / task.spread[number]
             parts.append(np.concatenate((rows, begun)))

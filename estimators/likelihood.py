@@ -111,9 +111,8 @@ class Likelihood:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
         normals = tuple(_weighted(*moment, weights, *end, long_run) for moment, end in zip(moments, ends, strict=True))
-        cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * sum(
-            float(end @ end) for end, _ in ends
-        )
+        surprise = sum(float(end @ end) for end, _ in ends)
+        cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * surprise
         if self._counted.any():
             # Where S is held above the mean of e e', the errors are fewer standard deviations than it has outputs.
             cost += 0.5 * (float(np.sum(weights * squares)) - task.rows * len(covariance))

@@ -80,7 +80,7 @@ class Problem:
 
     @property
     def shown(self) -> list[tuple[int, int]]:
-        """Which of the own starts, by number, an output says as it is, and the place of that."""
+        """The starts, by their number in `own`, that are read from an output as it is, each with the output's place."""
         initials = {place: self.model.states[place].initial for place in self.own}
         outputs = {name: place for place, name in enumerate(self.kernel.outputs)}
         return [(k, outputs[initials[place]]) for k, place in enumerate(self.own) if initials[place] in outputs]
@@ -111,11 +111,12 @@ class Problem:
         return replace(self, substeps=max(self.substeps, other.substeps), spread=spread)
 
     def off_at_the_start(self, run: Run, initial: Array, part: Array, starts: range) -> tuple[Array, Array]:
-        """How far a stretch's own starts `part` (k,) are from what its first row shows, (k,), and the derivatives of
-        that by what is active in `run`, (k, na), of which `starts` are the own ones.
+        """How far a stretch's own starts `part` (k,) are from the readings of its first row (k,), each in the unit of
+        its state, and the derivatives of that by what is active in `run` (k, na); `starts` are the columns of `part`.
 
-        `initial` (nx,) is what was measured. A state that an output shows is as far off as what the model says that
-        the output shows there: a sensor that is mounted askew does not make the start a surprise.
+        `initial` (nx,) are the states as they were read. Where an output shows a state, its reading is compared with
+        what the model says that the output shows, errors of the sensor included: one that is mounted askew does not
+        make the start a surprise.
         """
         own = list(self.own)
         off, by = part - initial[own], np.zeros((len(own), run.sensitivity.shape[2]))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify import nominal_model, with_values
@@ -47,11 +48,14 @@ class TestNothingMissing:
 class TestOneEffect:
     @pytest.mark.parametrize(
         ("hide", "name", "parameter", "within"),
-        [
-            # The plant's friction has bristles, which tanh has not: a tenth of the size.
-            pytest.param("coulomb_friction", "coulomb_friction", "torque", 0.1, marks=pytest.mark.thorough),
+        of_many(
+            [
+                # The plant's friction has bristles, which tanh has not: a tenth of the size.
+                ("coulomb_friction", "coulomb_friction", "torque", 0.1),
+                ("viscous_friction", "viscous_friction", "coefficient", 0.1),
+            ],
             ("viscous_friction", "viscous_friction", "coefficient", 0.1),
-        ],
+        ),
     )
     def test_is_named_and_sized(self, hide: str, name: str, parameter: str, within: float) -> None:
         found = found_in(hide)

@@ -10,9 +10,9 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
-from diagnosis.evidence import SURE
+from diagnosis.evidence import SURE, beyond_chance
 from diagnosis.exchange import exchange, put_together, taken_apart
-from diagnosis.refit import full, more_than_chance, surety, with_effect
+from diagnosis.refit import full, gained, surety, with_effect
 from diagnosis.workspace import Workspace
 from estimators.fit_result import inverse
 from estimators.identify import nominal_model, with_values
@@ -74,9 +74,9 @@ def test_evidence_counts_the_further_parameters() -> None:
     one = full(MODEL.add("viscous_friction"), workspace)
     two = full(MODEL.add("viscous_friction").add("quadratic_drag"), workspace)
     assert (base.count, one.count, two.count) == (0, 1, 2)
-    assert more_than_chance(one, base, len(workspace.candidates))
+    assert beyond_chance(*gained(one, base), len(workspace.candidates))
     # The second one is not there.
-    assert not more_than_chance(two, one, len(workspace.candidates))
+    assert not beyond_chance(*gained(two, one), len(workspace.candidates))
 
 
 def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> None:
@@ -166,7 +166,7 @@ def test_looking_again_does_not_end_with_less_than_there_was(
     )
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, DRAGS)
     monkeypatch.setattr("diagnosis.exchange.full", lambda *_: lost)
-    monkeypatch.setattr("diagnosis.exchange.more_than_chance", lambda *_: False)
+    monkeypatch.setattr("diagnosis.exchange.beyond_chance", lambda *_: False)
     monkeypatch.setattr("diagnosis.exchange._again", lambda *_: None)
     found, whole = exchange(two_drags.findings, last, workspace, (), lambda text, share: None)
     assert found == list(two_drags.findings)

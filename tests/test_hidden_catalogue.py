@@ -40,7 +40,7 @@ FLOOR = 1.05
 """Error energy over the sensors' below which nothing is left to close."""
 
 EVERY_TIME = ("coulomb_friction", "cubic_stiffness", "input_delay", "sensor_offset", "torque_step")
-"""One of each kind of place that an effect has."""
+"""Forces, the command, a sensor, and what sets in."""
 
 
 def upright(*arguments: Any) -> Any:

@@ -277,7 +277,7 @@ class TestDiagnosis:
         assert sizes["sensor_delay"] == pytest.approx(DETECTABLE * MODEL.parameter("drive_offset").std, rel=0.01)
 
     def test_a_sensor_that_is_askew_is_as_likely_as_the_torque_that_does_the_same(self) -> None:
-        """Where the vehicle begins is not where such a sensor shows it: that had spoken for the torque, by 6 nats."""
+        """Where the vehicle begins is not where such a sensor shows it: that had spoken for the torque."""
         hide = ("sensor_offset", "disturbance=28,0.3")
         recording = record("monocab", "multisine", hide=hide, seed=8, duration=20.0)
         candidates = ["sensor_offset", "static_torque"]
