@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from estimators.contract import EstimationError
 from estimators.problem import Problem, at_rest, linearise, typical_motion
 from estimators.stationary import DOUBLINGS, in_the_long_run, stationary
+from models.model import Output, State
 from models.segment import Segment
 
 Array = NDArray[np.float64]
@@ -76,11 +77,13 @@ class NoiseModel:
         spacing = float(np.median(np.diff(problem.segments[0].time)))
         same = _alike(problem)
         noisy = [place for place, state in enumerate(states) if state.process_noise > 0.0 and not state.noise_known]
-        # What reads as the last output does has its unit.
+        unit = _unit_of(states, outputs)
+        # What reads as the output that is the unit is in it, too.
         loud = [
             place
-            for place, output in enumerate(outputs[:-1])
-            if not output.noise_known and same.get(output.name) != same.get(outputs[-1].name, outputs[-1].name)
+            for place, output in enumerate(outputs)
+            if not output.noise_known
+            and (unit is None or same.get(output.name, output.name) != same.get(unit.name, unit.name))
         ]
         process_place = _places([states[place].name for place in noisy], same, first=0)
         sensor_place = _places([outputs[place].name for place in loud], same, first=len(set(process_place)))
@@ -208,6 +211,16 @@ class NoiseModel:
             smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
             density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
         return transition, output, density, shown @ _turned(shown), trapezoid @ _turned(shown)
+
+
+def _unit_of(states: Sequence[State], outputs: Sequence[Output]) -> Output | None:
+    """The output in whose noise all others are told, since only ratios of noises make a gain: the last whose noise is
+    that of every row, which a count's is not, and to be estimated; the last where there is none. None where a
+    disturbance is stated, which is the unit then."""
+    if any(each.correlation_time and each.noise_known and each.process_noise > 0.0 for each in states):
+        return None
+    noisy = [each for each in outputs if not (each.noise_known or each.counted)]
+    return noisy[-1] if noisy else outputs[-1]
 
 
 def _alike(problem: Problem) -> dict[str, str]:
