@@ -308,7 +308,8 @@ def _search(
             break
         seen = surprising(screens[-1])
         found = None
-        if seen or (masked and not findings):
+        shaken = any(each.shown for each in disturbances(whole.fit))
+        if seen or (not findings and (masked or shaken)):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
             searched = partial(find, whole, screens[-1], workspace, {*masked, *more}, part)
