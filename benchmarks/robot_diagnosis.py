@@ -1,6 +1,7 @@
 """What is hidden in the balancing robot, found and added from the command line? `python benchmarks/robot_diagnosis.py`
 
-Each case is a virtual robot with one effect hidden in it, or none, recorded with the paper's square wave. `upright
+Each case is a virtual robot in a draught (`--disturbance LEVEL`, 0 for none) with one effect hidden in it, or none,
+recorded with the paper's square wave. `upright
 diagnose` is told the recording and the vehicle file, whose numbers are up to 40 % off, and looks for the whole
 catalogue at all places; `upright model add` then adds the effect that is hidden, with the sine, the doublet and the
 sine stream held out. Told are the verdict, the names, the size beside the plant's own, and the energy of the
@@ -93,7 +94,12 @@ def vehicle(folder: Path, softer: bool) -> Path:
     return path
 
 
-def tried(case: Case, seed: int, candidates: list[str], named: bool) -> list[str]:
+def hidden(name: str, level: float) -> list[str]:
+    """What `record` takes for the effect `name`, or none, in a draught of that `level`."""
+    return [each for each in (name, f"disturbance={level:g}" if level else "") if each]
+
+
+def tried(case: Case, seed: int, level: float, candidates: list[str], named: bool) -> list[str]:
     """What came out, in lines; only of the diagnosis where it is asked what is `named`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -101,8 +107,7 @@ def tried(case: Case, seed: int, candidates: list[str], named: bool) -> list[str
 
         def recorded(experiment: str) -> Path:
             path = folder / f"{experiment}.arrow"
-            hidden = [case.hide] if case.hide else []
-            record(load(str(file)), experiment, hide=hidden, seed=seed).save(path)
+            record(load(str(file)), experiment, hide=hidden(case.hide, level), seed=seed).save(path)
             return path
 
         square = recorded("square")
@@ -133,6 +138,9 @@ def diagnosed(case: Case, found: dict[str, Any]) -> str:
             size = next(iter(each["parameters"].values()))
             value, std = (float("nan") if size[key] is None else size[key] for key in ("value", "std"))
             told.append(f"{value:.4g} +-{std:.2g} {size['unit']} for {case.size:g}")
+    for joint, each in found["disturbance"].items():
+        if each["shown"]:
+            told.append(f"{each['rms']:.2g} +-{each['rms_std']:.1g} {each['unit']} RMS at {joint}")
     if found["innovation_ratio_before"] is not None:
         told.append(f"{found['innovation_ratio_before']:.3g} to {found['innovation_ratio_after']:.3g} times the noise")
     return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in told if each)
@@ -166,27 +174,27 @@ def compared(experiment: str, models: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def while_it_runs(name: str, seed: int) -> str:
+def while_it_runs(name: str, seed: int, level: float) -> str:
     """What the live diagnosis says at the end of a square wave with the effect `name`; empty where nothing."""
     file = load("twsbr")
-    found = live_diagnosis(record("twsbr", "square", hide=[name] if name else [], seed=seed), file) or {}
+    found = live_diagnosis(record("twsbr", "square", hide=hidden(name, level), seed=seed), file) or {}
     return "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found.get("findings", ()))
 
 
-def in_the_loop(name: str, seed: int) -> str:
+def in_the_loop(name: str, seed: int, level: float) -> str:
     """How far the true numbers without the effect `name` are off in the closed loop, times the noise's share."""
     file, right = load("twsbr"), get("twsbr").change(TwsbrTruth().table_1)
-    recording = record("twsbr", "square", hide=[name] if name else [], seed=seed)
+    recording = record("twsbr", "square", hide=hidden(name, level), seed=seed)
     (found,) = compare({"": right}, [recording], support=file.support, loops=[recorded_loop(file, recording)])
     loop = found.closed_loop
     return loop.reason or ", ".join(f"{each} {loop.over_floor(each):.2g}" for each in ("tilt", "left_wheel_angle"))
 
 
-def of_each(told: Callable[[str, int], str], seeds: Sequence[int], processes: int) -> None:
+def of_each(told: Callable[[str, int, float], str], seeds: Sequence[int], level: float, processes: int) -> None:
     """Prints what is `told` of the robot with each effect that it can hide, and with none."""
-    asked = [(name, seed) for name in ("", *TWSBR_HIDDEN) for seed in seeds]
+    asked = [(name, seed, level) for name in ("", *TWSBR_HIDDEN) for seed in seeds]
     with ProcessPoolExecutor(processes) as pool:
-        for (name, _), text in zip(asked, pool.map(told, *zip(*asked, strict=True)), strict=True):
+        for (name, *_), text in zip(asked, pool.map(told, *zip(*asked, strict=True)), strict=True):
             print(f"{name or 'nothing':26}{text or 'no name'}", flush=True)
 
 
@@ -197,6 +205,7 @@ def main() -> None:
     parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
     parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
     parser.add_argument("--named", action="store_true", help="only diagnose, and add nothing")
+    parser.add_argument("--disturbance", type=float, default=1.0, metavar="LEVEL", help="of the draught; 0 for none")
     parser.add_argument("--live", action="store_true", help="what is named while it runs, of all that can be hidden")
     parser.add_argument("--closed-loop", action="store_true", help="how far off the true numbers are")
     parser.add_argument("--processes", type=int, default=2)
@@ -205,12 +214,13 @@ def main() -> None:
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     for told, wanted in ((while_it_runs, arguments.live), (in_the_loop, arguments.closed_loop)):
         if wanted:
-            of_each(told, seeds, arguments.processes)
+            of_each(told, seeds, arguments.disturbance, arguments.processes)
     if arguments.live or arguments.closed_loop:
         return
     asked = [(name, seed) for name in arguments.case or CASES for seed in seeds]
     with ThreadPoolExecutor(arguments.processes) as pool:
-        results = pool.map(lambda each: tried(CASES[each[0]], each[1], arguments.effect, arguments.named), asked)
+        level, effects, named = arguments.disturbance, arguments.effect, arguments.named
+        results = pool.map(lambda each: tried(CASES[each[0]], each[1], level, effects, named), asked)
         for (name, seed), lines in zip(asked, results, strict=True):
             print(f"{name}, seed {seed}", *lines, sep="\n", flush=True)
 

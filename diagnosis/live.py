@@ -29,9 +29,8 @@ from estimators.frame_chunks import Chunk, join
 from estimators.problem import FINEST as STEP
 from estimators.problem import Problem
 from estimators.problem import at_rest as moment_at_rest
-from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, at_rest
+from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, as_it_runs, at_rest, known_as
 from estimators.recursive_predictor import Seen, inputs_at, measured_state, of_noise
-from models.disturbance import disturbed
 from models.effect import Effect
 from models.effects import CATALOGUE
 from models.kernel import Kernel, Memory, Progress, compile_model
@@ -81,11 +80,9 @@ class LiveDiagnosis:
         effects: Sequence[str | Effect] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        model = disturbed(model, ())
+        model = as_it_runs(known_as(model, parameters, deviations))
         self.estimator = RecursivePredictionError(
             model,
-            parameters=parameters,
-            deviations=deviations,
             support=support,
             channels=channels,
             progress=progress,

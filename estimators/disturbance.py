@@ -151,7 +151,7 @@ class DisturbanceEstimate:
         if not self.shown:
             return f"none shows; less than {self.std:.2g} {self.unit} RMS"
         if self.known or self.std_error is None or self.correlation_time_error is None:
-            return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, as stated"
+            return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, not estimated"
         return (
             f"{rms(self)}, correlation time {with_error(self.correlation_time or 0.0, self.correlation_time_error)} s"
         )

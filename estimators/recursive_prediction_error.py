@@ -22,6 +22,7 @@ import numpy as np
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.disturbance import DisturbanceEstimate, is_of_disturbance
 from estimators.frame_chunks import FrameChunks
+from estimators.logarithms import is_known_roughly
 from estimators.problem import Problem, substeps_of, usual_motion
 from estimators.recursive_predictor import RecursivePredictor, Seen
 from models import library
@@ -76,15 +77,12 @@ class RecursivePredictionError:
         watch: Callable[[Seen], None] | None = None,
     ) -> None:
         model = library.get(model) if isinstance(model, str) else model
-        names = {parameter.name for parameter in model.parameters}
-        values = {name: value for name, value in (parameters or {}).items() if name in names}
-        spread = {name: std for name, std in (deviations or {}).items() if name in names}
-        model = _computable(model.change(values, deviations=spread))
+        model = _computable(known_as(model, parameters, deviations))
         shaken = parameters_of(model.base_states)
         if not any(parameter.estimated and parameter.name not in shaken for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
         # A simulation that begins anew every second knows nothing of what pushed before.
-        self._model = model = disturbed(model, ()) if method is Method.PREDICTION_ERROR else model
+        self._model = model = as_it_runs(model) if method is Method.PREDICTION_ERROR else model
         if not memory > 0.0:
             raise EstimationError("memory", f"{memory:g} s is no time constant", remedy="give a positive one.")
         self._method = method
@@ -163,6 +161,31 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
     substeps = substeps_of(kernel, kernel.vector(), (rest,), usual_motion(model))
     spread = np.array([model.states[place].initial_std for place in own])
     return Problem(model, kernel, (rest,), free, own, (), substeps, spread)
+
+
+def known_as(
+    model: Model, values: Mapping[str, float] | None = None, deviations: Mapping[str, float] | None = None
+) -> Model:
+    """`model` with those of `values` and their `deviations` that are its own."""
+    names = {parameter.name for parameter in model.parameters}
+    own = {name: value for name, value in (values or {}).items() if name in names}
+    spread = {name: std for name, std in (deviations or {}).items() if name in names}
+    return model.change(own, deviations=spread)
+
+
+def as_it_runs(model: Model) -> Model:
+    """`model` with the disturbances that it has while cycles come in.
+
+    Where parameters are known by their order of magnitude alone (estimators.logarithms), each is held at where its
+    estimation would start: in the first seconds one that is estimated takes the place of what the parameters do, and
+    from there on they move to where no filter works (docs/decisions.md).
+    """
+    its = parameters_of(model.base_states)
+    if any(p.estimated and p.name not in its and is_known_roughly(p) for p in model.parameters):
+        held = (each.disturbance and replace(each.disturbance, known=True) for each in model.joints)
+        joints = tuple(replace(each, disturbance=known) for each, known in zip(model.joints, held, strict=True))
+        model = replace(model, joints=joints)
+    return disturbed(model, ())
 
 
 def _computable(model: Model) -> Model:

@@ -25,25 +25,22 @@ from simulation.twsbr.truth import TwsbrTruth
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow. One
-    that a person starts is `shaken` where the vehicle's model has a disturbance, too."""
+    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow."""
 
     truth: Truth
     eds: str
-    shaken: bool
 
 
 TWINS = {
-    "monocab": Twin(PlantTruth(), "upright_servo.eds", shaken=True),
-    "twsbr": Twin(TwsbrTruth(), "upright_motor.eds", shaken=False),
+    "monocab": Twin(PlantTruth(), "upright_servo.eds"),
+    "twsbr": Twin(TwsbrTruth(), "upright_motor.eds"),
 }
 
 
-def usual_disturbance(vehicle: VehicleFile) -> Disturbance | None:
-    """The random disturbance of a virtual vehicle that a person starts and says nothing of it: level 1, or none.
-    Programs and tests ask for theirs."""
-    twin = TWINS[vehicle.vehicle.kind]
-    return twin.truth.registry.disturbance if twin.shaken else None
+def usual_disturbance(vehicle: VehicleFile) -> Disturbance:
+    """The random disturbance of a virtual vehicle that a person starts and says nothing of it: level 1. Programs and
+    tests ask for theirs."""
+    return TWINS[vehicle.vehicle.kind].truth.registry.disturbance
 
 
 def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:

@@ -8,7 +8,7 @@ longer).
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import math
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 
 from diagnosis.diagnose import diagnose
 from estimators.identify import nominal_model, with_values
-from models.model import Disturbance
 from service.cli import app
 from service.vehicle_file import load
 from service.virtual_run import record
+from simulation.twsbr.hidden import TWSBR
 
 SEED = 83
 """Decided nothing."""
@@ -50,8 +50,9 @@ def upright(*arguments: Any) -> Any:
 
 
 def recorded(experiment: str, folder: Path, *hide: str, seed: int = SEED, duration: float = EXCITED) -> Path:
+    """A robot in a draught, as one that a person starts."""
     path = folder / f"{experiment}.arrow"
-    record("twsbr", experiment, hide=hide, seed=seed, duration=duration).save(path)
+    record("twsbr", experiment, hide=["disturbance", *hide], seed=seed, duration=duration).save(path)
     return path
 
 
@@ -72,18 +73,24 @@ def test_what_is_hidden_is_found_with_its_size(hidden: str, tmp_path: Path) -> N
 
 @pytest.mark.thorough
 def test_friction_is_found_beside_a_disturbance_that_has_grown_to_it() -> None:
-    """In the fit of a model alone that has one at its tilt the disturbance does what the friction of the gears does."""
-    file, model = load("twsbr"), nominal_model("twsbr")
-    model = with_values(model, file.parameters.values, file.parameters.deviations)
-    joints = (replace(each, disturbance=Disturbance()) if each.name == "tilt" else each for each in model.joints)
+    """In the fit of the model alone the disturbance does what the friction of the gears does."""
+    file = load("twsbr")
+    model = with_values(nominal_model("twsbr"), file.parameters.values, file.parameters.deviations)
     still = record("twsbr", "square", hide=["coulomb_friction"], seed=SEED, duration=EXCITED)
-    found = diagnose(replace(model, joints=tuple(joints)), [still], support=file.support, candidates=LOOKED_FOR, most=1)
+    found = diagnose(model, [still], support=file.support, candidates=LOOKED_FOR, most=1)
     assert [each.effect for each in found.findings] == ["coulomb_friction@wheels"]
 
 
-def test_where_nothing_is_hidden_nothing_is_found(tmp_path: Path) -> None:
-    found = diagnosed(recorded("square", tmp_path))
+@pytest.mark.parametrize("level", [0.0, 1.0, 2.0])
+def test_where_nothing_is_hidden_the_draught_is_told_as_what_it_is(level: float, tmp_path: Path) -> None:
+    found = diagnosed(recorded("square", tmp_path, f"disturbance={level:g}"))
     assert found["verdict"] == "adequate", found["reason"]
+    draught, told = TWSBR.disturbance, found["disturbance"]["tilt"]
+    assert told["shown"] is (level > 0.0)
+    if level:
+        # All torques are multiples of the motors' gain, which the body's mass gives to a few tenths.
+        assert abs(math.log(told["rms"] / (level * draught.rms))) < 0.5
+        assert abs(told["correlation_time"] - draught.correlation_time) < WITHIN * told["correlation_time_std"]
 
 
 def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the balancing robot lacks, named while it runs; replayed, which gives the same bit for bit.
+"""What the balancing robot lacks, named while it runs, in a draught; replayed, which gives the same bit for bit.
 
 How an onset in the first second is called was decided on the slope and the step of these seeds, and nothing else. By
 its level a name where nothing is missing is due once in a hundred minutes; a few more are seen
@@ -52,8 +52,8 @@ HIDDEN = {
 
 
 @cache
-def run(hide: str = "", seed: int = SEED, experiment: str = "square") -> Recording:
-    return record("twsbr", experiment, hide=[hide] if hide else [], seed=seed)
+def run(hide: str = "", seed: int = SEED, experiment: str = "square", air: str = "disturbance") -> Recording:
+    return record("twsbr", experiment, hide=[each for each in (hide, air) if each], seed=seed)
 
 
 @cache
@@ -71,23 +71,30 @@ def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[LiveResul
             yield diagnosis.result()
 
 
+@pytest.mark.parametrize("air", ["disturbance", "disturbance=2", ""])
 @pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
-def test_where_nothing_is_missing_nothing_is_named_at_any_time(seed: int) -> None:
-    told = list(course(run(seed=seed), made()))
+def test_where_nothing_is_missing_nothing_is_named_at_any_time(seed: int, air: str) -> None:
+    """Without a disturbance in the model three of three robots in a draught had a name."""
+    told = list(course(run(seed=seed, air=air), made()))
     assert [each.findings for each in told] == [()] * len(told)
     assert told[0].verdict == "insufficient_data"
     assert told[-1].verdict == "adequate"
 
 
+@pytest.mark.parametrize("air", ["disturbance", ""])
 @pytest.mark.parametrize("experiment", ["hold", "doublet", "sine_stream"])
-def test_while_the_wheels_hardly_move_nothing_is_named(experiment: str) -> None:
+def test_while_the_wheels_hardly_move_nothing_is_named(experiment: str, air: str) -> None:
     """An encoder's error then stays for seconds, which is like friction: something was named in four of four runs of
-    `hold`. What is gathered of one is less than the run."""
-    *_, last = course(run(experiment=experiment), made())
+    `hold`."""
+    *_, last = course(run(experiment=experiment, air=air), made())
     assert last.findings == ()
-    *_, moving = course(run(), made())
     assert last.seconds > 0
-    assert experiment != "hold" or last.seconds < 0.6 * moving.seconds
+
+
+def test_of_wheels_that_hardly_move_less_is_gathered_than_of_a_run() -> None:
+    *_, still = course(run(experiment="hold", air=""), made())
+    *_, moving = course(run(), made())
+    assert 0 < still.seconds < 0.6 * moving.seconds
 
 
 @pytest.mark.parametrize("hidden", list(HIDDEN))
@@ -96,7 +103,7 @@ def test_what_is_hidden_is_named_in_the_end_or_tied_with_the_name(hidden: str) -
     assert last.verdict == "missing_effect"
     first = last.findings[0]
     assert HIDDEN[hidden] in (first.effect, *first.tied_with)
-    assert first.p_value < 1e-9
+    assert first.p_value < 1e-4
 
 
 def test_a_name_is_that_of_an_effect_at_its_place() -> None:
@@ -112,11 +119,14 @@ def test_a_name_is_that_of_an_effect_at_its_place() -> None:
 
 
 def test_a_load_that_is_put_on_during_the_run_is_named_with_its_time() -> None:
-    recording = run("torque_step=1@14")
+    """Of 5 mN m; one twice as large nearly uses up the way that the robot may roll."""
+    recording, without = run("torque_step=0.5@14"), run()
     *_, last = course(recording, made())
     first = last.findings[0]
     assert "torque_step" in (first.effect, *first.tied_with)
-    assert abs(first.since - 14.0) < 2.5  # a ramp of 0.3 s, told in whole seconds
+    rows = min(len(recording.time), len(without.time))
+    onset = recording.time[np.argmax(recording["tilt"][:rows] != without["tilt"][:rows])]
+    assert abs(first.since - onset) < 1.0  # a ramp of 0.3 s, told in whole seconds
 
 
 @pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])

@@ -64,18 +64,18 @@ def without(hidden: str, name: str, size: str, value: float) -> ClosedLoop:
 
 
 @pytest.mark.parametrize(
-    ("hidden", "name", "size", "value", "least"),
+    ("hidden", "name", "size", "value"),
     [
-        ("static_torque", "static_torque", "torque", 0.01, 30.0),
-        ("input_deadband", "input_deadband", "width", 0.6, 4.0),
-        ("coulomb_friction", "coulomb_friction@wheels", "torque", 0.02, 2.5),
+        ("static_torque", "static_torque", "torque", 0.01),
+        ("input_deadband", "input_deadband", "width", 0.6),
+        ("coulomb_friction", "coulomb_friction@wheels", "torque", 0.02),
     ],
 )
-def test_what_is_hidden_shows(hidden: str, name: str, size: str, value: float, least: float) -> None:
-    """Of the tilt, against a right model's 1.4 at most."""
+def test_what_is_hidden_shows(hidden: str, name: str, size: str, value: float) -> None:
+    """More than twice what a right model leaves, and than what noise and disturbance make."""
     loop, right = without(hidden, name, size, value), in_the_loop(recorded("square"))
-    assert loop.over_floor("tilt") > max(least, 2.0 * right.over_floor("tilt"))
-    assert loop.over_floor("left_wheel_angle") > 2.0 * right.over_floor("left_wheel_angle")
+    for channel in ("tilt", "left_wheel_angle"):
+        assert loop.over_floor(channel) > 2.0 * max(1.0, right.over_floor(channel))
 
 
 def test_added_it_does_not_show_any_more() -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 
-from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Actuator, Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
 
 GRAVITY = 9.81
 COUNT = 2.0 * math.pi / 700.0
@@ -278,8 +278,8 @@ TWSBR = Model(
             coordinate_scale=0.1,
             rate_scale=1.0,
             smooth_rate=0.02,
-            # A random torque here can stand for friction of the gears (docs/decisions.md).
-            disturbance=None,
+            # A draught in a room, where estimation starts (docs/explanation/disturbance.md).
+            disturbance=Disturbance(std=5e-4, correlation_time=0.3),
         ),
         _joint(
             "travel",
