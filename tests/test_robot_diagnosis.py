@@ -123,15 +123,16 @@ def test_friction_that_is_added_explains_another_experiment_as_well(tmp_path: Pa
     assert repaired["innovation_ratio"] < 1.2
 
 
-@pytest.mark.parametrize(("hidden", "needed"), [("static_torque", True), ("", False)])
-def test_a_torque_is_asked_for_where_there_is_one(hidden: str, needed: bool, tmp_path: Path) -> None:
-    """Its size is known to a third only, with the mass of the body; that there is one, beyond doubt. Held out is the
-    last third of the recording itself."""
-    square = recorded("square", tmp_path, *([hidden] if hidden else []))
+@pytest.mark.parametrize(
+    ("hidden", "least"), [(("static_torque",), 5.0), (("static_torque", "disturbance=0"), 30.0), ((), None)]
+)
+def test_a_torque_is_asked_for_where_there_is_one(hidden: tuple[str, ...], least: float | None, tmp_path: Path) -> None:
+    """Its size is known to a third only, with the mass of the body; that there is one, beyond doubt, in still air by
+    the square root of a log likelihood ratio of thousands. Held out is the last third of the recording itself."""
+    square = recorded("square", tmp_path, *hidden)
     repair = upright(
         "model", "add", "twsbr", "static_torque", "--at", "tilt", "--vehicle", "twsbr",
         "--output", tmp_path / "repaired.toml", "--recording", square,
     )["repair"]  # fmt: skip
-    assert repair["needed"] is needed
-    if needed:
-        assert repair["surety"] > 30.0  # the square root of a log likelihood ratio of thousands
+    assert repair["needed"] is (least is not None)
+    assert least is None or repair["surety"] > least
