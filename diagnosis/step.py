@@ -63,6 +63,8 @@ CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
 QUICKLY = 0.5
 """Share of the time that is left which all quick fits of a step together may take."""
+LATE = 0.7
+"""Share of the time that is then left which fits of what the screen does not see may take."""
 CHECKED = 3
 """Effects, the likeliest first, that are tried on unseen data before none is named."""
 
@@ -106,10 +108,13 @@ def find(
     `unseen`: effects that get a full fit whatever the screen says. `before`: an effect whose fit is known, and that
     stood up to unseen data.
     """
-    hidden = fits_of_masked(base.model, workspace, unseen, (before.fit.name,) if before else ())
-    if before:
-        hidden = [*hidden, before.fit]
-    fits = finest(_contenders(base, screened, workspace, hidden, tell), workspace)
+    known = [before.fit] if before else []
+    contenders = _contenders(base, screened, workspace, known, tell)
+    # What the screen does not see takes longest, so that it comes last.
+    hidden = fits_of_masked(base.model, workspace.within(LATE), unseen, [each.name for each in known])
+    contenders = _sure([*contenders, *hidden], base, screened, workspace)
+    hidden = [*hidden, *known]
+    fits = finest(contenders, workspace)
     # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
     # strongest is tested, the best fitting is named.
     left = [each.candidate for each in fits if each.candidate]
@@ -210,8 +215,15 @@ def _contenders(
         quicks.append(tried(partial(_undisturbed, base, workspace, partial(_share, tell, 0.3))) or [])
     far = any(score.inflation > FAR for score in screened.scores if score.p_single < WORTH_A_FIT)
     fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
+    return _sure(fits, base, screened, workspace)
+
+
+def _sure(fits: Sequence[FullFit], base: FullFit, screened: Screen, workspace: Workspace) -> list[FullFit]:
+    """Of `fits`, the likelier where there are two with one effect, those that are better than none, the one with most
+    evidence first."""
     tries = max(1, len(screened.scores))
-    fits = [each for each in fits if tried(partial(_is_sure, each, base, tries), each.name, workspace.failed)]
+    likeliest = {each.name: each for each in sorted(fits, key=lambda each: each.log_likelihood)}.values()
+    fits = [each for each in likeliest if tried(partial(_is_sure, each, base, tries), each.name, workspace.failed)]
     return sorted(fits, key=lambda each: -each.evidence)
 
 
