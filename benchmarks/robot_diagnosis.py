@@ -1,15 +1,14 @@
 """What is hidden in the balancing robot, found and added from the command line? `python benchmarks/robot_diagnosis.py`
 
 Each case is a virtual robot in a draught (`--disturbance LEVEL`, 0 for none) with one effect hidden in it, or none,
-recorded with the paper's square wave. `upright
-diagnose` is told the recording and the vehicle file, whose numbers are up to 40 % off, and looks for the whole
-catalogue at all places; `upright model add` then adds the effect that is hidden, with the sine, the doublet and the
-sine stream held out. Told are the verdict, the names, the size beside the plant's own, and the energy of the
-innovations over that of the sensors' noise; of the three others together by how much the energy of the error some time
-ahead falls, each model with the filter that was fitted with it, and to what multiple of that which the model states for
-its noise; then of each of them by how much it falls in `upright compare`, whose filter is of the noise of sensors and
-process as they are stated, and of no model's errors. A delay and play are recorded with a softer
-controller (docs/how-to/diagnose-the-robot.md).
+recorded with the paper's square wave. `upright diagnose` is told the recording and the vehicle file, whose numbers are
+up to 40 % off, and looks for the whole catalogue at all places; `upright model add` then adds the effect that is
+hidden, with the sine, the doublet and the sine stream held out. Told are the verdict, the names, the size beside the
+plant's own, and the energy of the innovations over that of the sensors' noise; of the three others together by how much
+the energy of the error some time ahead falls, each model with the filter that was fitted with it, and to what multiple
+of that which the model states for its noise; then of each of them by how much it falls in `upright compare`, whose
+filter is of the noise of sensors and process as they are stated, and of no model's errors. A delay and play are
+recorded with a softer controller (docs/how-to/diagnose-the-robot.md).
 
 With `--live` every effect that the virtual robot can hide is hidden, and none, and told is what the live diagnosis says
 at the end of the square wave. With `--closed-loop` the true numbers are simulated in the closed loop with the robot's

@@ -308,6 +308,7 @@ def _search(
             break
         seen = surprising(screens[-1])
         found = None
+        # In a fit of the model alone a disturbance may have grown to what is missing, beside which nothing shows.
         shaken = any(each.shown for each in disturbances(whole.fit))
         if seen or (not findings and (masked or shaken)):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.

@@ -112,9 +112,8 @@ def find(
     contenders = _contenders(base, screened, workspace, known, tell)
     # What the screen does not see takes longest, so that it comes last.
     hidden = fits_of_masked(base.model, workspace.within(LATE), unseen, [each.name for each in known])
-    contenders = _sure([*contenders, *hidden], base, screened, workspace)
+    fits = finest(_sure([*contenders, *hidden], base, screened, workspace), workspace)
     hidden = [*hidden, *known]
-    fits = finest(contenders, workspace)
     # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
     # strongest is tested, the best fitting is named.
     left = [each.candidate for each in fits if each.candidate]
@@ -205,7 +204,7 @@ def named_alone(
 def _contenders(
     base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
 ) -> list[FullFit]:
-    """Full fits with the effects that explain most, each better than none, the one with most evidence first.
+    """`hidden`, and full fits with the effects that explain most.
 
     Most of what the model of `base` leaves, and most of what it would leave were nothing of it a disturbance: in its
     fit the disturbance has grown to what the effect does.
@@ -214,8 +213,7 @@ def _contenders(
     if any(each.shown for each in disturbances(base.fit)):
         quicks.append(tried(partial(_undisturbed, base, workspace, partial(_share, tell, 0.3))) or [])
     far = any(score.inflation > FAR for score in screened.scores if score.p_single < WORTH_A_FIT)
-    fits = [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
-    return _sure(fits, base, screened, workspace)
+    return [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
 
 
 def _sure(fits: Sequence[FullFit], base: FullFit, screened: Screen, workspace: Workspace) -> list[FullFit]:

@@ -214,9 +214,10 @@ class NoiseModel:
 
 
 def _unit_of(states: Sequence[State], outputs: Sequence[Output]) -> Output | None:
-    """The output in whose noise all others are told, since only ratios of noises make a gain: the last whose noise is
-    that of every row, which a count's is not, and to be estimated; the last where there is none. None where a
-    disturbance is stated, which is the unit then."""
+    """The output whose noise is the unit of all others, since only ratios of noises make a gain.
+
+    It is the last output whose noise is estimated and white, which a counted one's is not; where there is none, the
+    last output. None where a disturbance is stated: its size is the unit then."""
     if any(each.correlation_time and each.noise_known and each.process_noise > 0.0 for each in states):
         return None
     noisy = [each for each in outputs if not (each.noise_known or each.counted)]
