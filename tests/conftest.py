@@ -1,16 +1,20 @@
 """What all tests share: the measured data, and where the tests that need SocketCAN or systemd may run.
 
-With UPRIGHT_REQUIRE_ALL=1 a test that would be skipped fails instead, with the reason that it gave.
+With UPRIGHT_REQUIRE_ALL=1 a test that would be skipped fails instead, with the reason that it gave. A test on a bus
+that fails while the machine stood still is run again, and says so (`standstill.py`).
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Generator
+import time
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 import pytest
+from standstill import MachineStoodStill, Witness
 
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 
@@ -29,11 +33,52 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("UPRIGHT_CACHE", str(config.rootpath / ".pytest_cache" / "upright"))
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
+WITNESS = pytest.StashKey[Witness]()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.get_closest_marker("vcan"):
+            item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=[MachineStoodStill.__name__]))
+
+
+@contextmanager
+def _witnessed(item: pytest.Item) -> Iterator[None]:
+    """What fails meanwhile is told as MachineStoodStill where that is what happened."""
+    if not item.get_closest_marker("vcan") or not Path("/sys/class/net/vcan0").exists():
+        yield
+        return
+    stash, start = item.session.stash, time.monotonic()
+    if WITNESS not in stash:
+        stash[WITNESS] = Witness(Path("/dev/shm/upright-standstill"))
+    try:
+        yield
+    except Exception as error:
+        lasted = stash[WITNESS].longest_since(start)
+        if lasted == 0:
+            raise
+        raise MachineStoodStill(f"for {lasted * 1e3:.0f} ms") from error
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
     if item.get_closest_marker("vcan") and not Path("/sys/class/net/vcan0").exists():
         pytest.skip("no vcan0 here; `make vcan-test` runs this in a guest that has one")
     if item.get_closest_marker("systemd") and not _in_throwaway_systemd():
         pytest.skip("not in the throw-away guest with systemd; `make vcan-test` runs this there")
+    with _witnessed(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    with _witnessed(item):
+        return (yield)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if witness := session.stash.get(WITNESS, None):
+        witness.close()
 
 
 @pytest.fixture(scope="session")

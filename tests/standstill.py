@@ -1,0 +1,54 @@
+"""Whether the machine itself stood still for longer than a test in real time allows.
+
+A guest's processor is a share of its host's, which may take it away at any time and says nothing of it. Whoever sleeps
+at the highest priority of the guest and wakes far too late has seen that.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+TOLD = 0.1
+"""s: half of what a vehicle file for such a machine forgives (`rig.patient`)."""
+
+
+class MachineStoodStill(Exception):
+    """What failed here was held up by the machine, and shows nothing: to be run again."""
+
+
+class Witness:
+    """A process that waits for nobody, and keeps every standstill of more than `TOLD` in a file."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        file.touch()
+        ahead = ["chrt", "--fifo", "90"] if shutil.which("chrt") else []
+        self._process = subprocess.Popen([*ahead, sys.executable, "-S", __file__, str(file)])
+
+    def longest_since(self, start: float) -> float:
+        """s, the longest standstill since `start` (of `time.monotonic`); 0 where there was none."""
+        seen = [tuple(map(float, line.split())) for line in self.file.read_text().splitlines()]
+        return max((lasted for at, lasted in seen if at >= start), default=0.0)
+
+    def close(self) -> None:
+        self._process.terminate()
+        self._process.wait()
+
+
+def _watch(file: Path, pause: float = 0.02) -> None:
+    before = time.monotonic()
+    while True:
+        time.sleep(pause)
+        now = time.monotonic()
+        if now - before > TOLD:
+            with file.open("a") as told:
+                told.write(f"{now} {now - before}\n")
+        before = now
+
+
+if __name__ == "__main__":
+    _watch(Path(sys.argv[1]))
