@@ -15,7 +15,7 @@ from diagnosis.screen import Screen
 from diagnosis.unseen import Unseen
 from estimators.contract import ParameterEstimate
 from estimators.disturbance import DisturbanceEstimate
-from estimators.sensor_errors import SensorError
+from estimators.sensor_errors import InputError, SensorError
 from models.effect import Effect
 from models.model import Model
 
@@ -132,8 +132,8 @@ class Diagnosis:
 
     `steps`: the fit of the model alone, then that after each of `findings`. `disturbance`: the random force that the
     last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `events`: where
-    it changes, which is left out of all else. `sensor_errors`: what sensors err by beside white noise. `untried`: what
-    was left for want of time. `parts`: those of a vehicle and of its actuators that this one is made of
+    it changes, which is left out of all else. `sensor_errors`: what sensors err by beside the white noise of outputs.
+    `untried`: what was left for want of time. `parts`: those of a vehicle and of its actuators that this one is made of
     (diagnosis.parts), none where it is of one model.
     """
 
@@ -150,7 +150,7 @@ class Diagnosis:
     steps: tuple[FullFit, ...] = ()
     unexplained: Adequacy | None = None
     disturbance: tuple[DisturbanceEstimate, ...] = ()
-    sensor_errors: tuple[SensorError, ...] = ()
+    sensor_errors: tuple[SensorError | InputError, ...] = ()
     prediction_limit: PredictionLimit | None = None
     untried: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()

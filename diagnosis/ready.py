@@ -8,6 +8,7 @@ from diagnosis.timed import timed, untimed
 from estimators.as_recorded import as_recorded
 from models.disturbance import disturbed, undisturbed
 from models.model import Model
+from models.noisy_input import without_input_noise
 from telemetry.recording import Recording
 
 
@@ -19,4 +20,4 @@ def ready(model: Model, recordings: Sequence[Recording]) -> Model:
 
 def unready(model: Model, fitted: Model) -> Model:
     """`fitted`, which came of what `ready` made of `model`, without what is the recordings' and not the machine's."""
-    return untimed(model, undisturbed(model, fitted))
+    return untimed(model, undisturbed(model, without_input_noise(model, fitted)))

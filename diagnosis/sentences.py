@@ -48,7 +48,7 @@ def _erring(diagnosis: Diagnosis) -> str:
     if not errors:
         return ""
     told = "; ".join(f"{channel} by {each.scaled(*readable(each.unit))}" for channel, each in errors.items())
-    return f"Sensors err beside their white noise, which is no property of the vehicle: {told}."
+    return f"Sensors err beside the white noise of outputs, which is no property of the vehicle: {told}."
 
 
 def _shaking(diagnosis: Diagnosis) -> str:

@@ -62,7 +62,7 @@ def shapes(found: Innovations, probed: Probe) -> list[Shape]:
     white = Whitened.of(found.fit)
     tried: list[tuple[str, str, _Gain, int]] = []
     for place, joint in enumerate(probed.joints):
-        design = _Design(white, found, probed, place)
+        design = Design(white, found, probed, place)
         for name, width, members in _kinds(found, probed, place):
             columns = design.columns(members)
             pieces = [columns[:, first : first + width] for first in range(0, columns.shape[1], width)]
@@ -173,7 +173,7 @@ class _Gain:
         return float(chi2.sf(self.explained / self.inflation, self.rank))
 
 
-class _Design:
+class Design:
     """What forces at one joint do to the whitened innovations."""
 
     def __init__(self, white: Whitened, found: Innovations, probed: Probe, place: int) -> None:

@@ -112,7 +112,8 @@ def find(
     contenders = _contenders(base, screened, workspace, known, tell)
     # What the screen does not see takes longest, so that it comes last.
     hidden = fits_of_masked(base.model, workspace.within(LATE), unseen, [each.name for each in known])
-    fits = finest(_sure([*contenders, *hidden], base, screened, workspace), workspace)
+    fits = _at_one_noise([*contenders, *hidden], base, workspace)
+    fits = finest(_sure(fits, base, screened, workspace), workspace)
     hidden = [*hidden, *known]
     # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
     # strongest is tested, the best fitting is named.
@@ -130,7 +131,7 @@ def find(
     p_value = min([p_value, *(tries * _by_likelihood(each, base, screened) for each in fits)])
     if p_value >= LEVEL:
         return None
-    check, refused = UnseenCheck(base, workspace), set[str]()
+    check, refused = UnseenCheck(base, workspace), False
     for attempt in range(CHECKED):
         if not fits:
             return None
@@ -139,14 +140,12 @@ def find(
         held_out = before.finding.held_out if before and best is before.fit else check.of(best)
         if held_out is None and not workspace.budget.left:
             workspace.leave(f"the held-out check of {best.name}")
-        # What does all that a refused effect does is not named without a check of its own.
-        unchecked = held_out is None and refused.intersection(best.candidate.effect.beyond if best.candidate else ())
-        if not unchecked and (held_out is None or held_out.stands):
+        # What explains the same as a refused effect is not named without a check of its own.
+        if held_out.stands if held_out is not None else not refused:
             finding = tried(partial(_finding, base, best, fits, screened, p_value, held_out, workspace), best.name)
             if finding is not None:
                 return Named(finding, _from_elsewhere(best, workspace))
-        fits = [each for each in fits if each is not best]
-        refused.add(best.candidate.effect.name if best.candidate else "")
+        fits, refused = [each for each in fits if each is not best], True
     return None
 
 
@@ -216,12 +215,48 @@ def _contenders(
     return [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
 
 
+def _at_one_noise(fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> list[FullFit]:
+    """`fits`, of two with one effect the likelier. Those that explain at least CONTENDING of what the likeliest does
+    are begun again with its noise; the likelier end of each stays.
+
+    Fits begin with the noise of `base`, which stands in for what is missing, and one may end beside it: of a pendulum
+    before which dry friction had been found the viscous friction that is there ended 34 nats below a mode that is not.
+    """
+    likeliest = {each.name: each for each in sorted(fits, key=lambda each: each.log_likelihood)}
+    begun = set[str]()
+    while likeliest:
+        best = max(likeliest.values(), key=lambda each: each.log_likelihood)
+        if best.name in begun:
+            break
+        begun.add(best.name)
+        enough = CONTENDING * (best.log_likelihood - base.log_likelihood)
+        near = [each for each in likeliest.values() if each.log_likelihood - base.log_likelihood >= enough > 0.0]
+        again = partial(_again, best=best, workspace=workspace)
+        ends = side_by_side(again, [each for each in near if each is not best])
+        likeliest |= {each.name: each for each in ends if each.log_likelihood > likeliest[each.name].log_likelihood}
+    return list(likeliest.values())
+
+
+def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
+    """`fitted` begun again where it ended, but with the noise and the disturbance of `best`; itself where that fails,
+    or no time for it is left."""
+    end, other = fitted.fit.end, best.fit.end
+    its = is_of_disturbance(fitted.model)
+    begin = Begin({**end.values, **{name: other.values[name] for name in its if name in other.values}}, other.noise)
+    if len(end.noise) != len(other.noise):
+        return fitted
+    again = partial(full, fitted.model, workspace.for_one, fitted.candidate, begin)
+    try:
+        found = tried(again)
+    except OutOfTime:
+        return fitted
+    return found if found is not None and found.fit.minimum.converged else fitted
+
+
 def _sure(fits: Sequence[FullFit], base: FullFit, screened: Screen, workspace: Workspace) -> list[FullFit]:
-    """Of `fits`, the likelier where there are two with one effect, those that are better than none, the one with most
-    evidence first."""
+    """Of `fits`, those that are better than none, the one with most evidence first."""
     tries = max(1, len(screened.scores))
-    likeliest = {each.name: each for each in sorted(fits, key=lambda each: each.log_likelihood)}.values()
-    fits = [each for each in likeliest if tried(partial(_is_sure, each, base, tries), each.name, workspace.failed)]
+    fits = [each for each in fits if tried(partial(_is_sure, each, base, tries), each.name, workspace.failed)]
     return sorted(fits, key=lambda each: -each.evidence)
 
 

@@ -1,11 +1,16 @@
-"""The random errors of a fit's sensors beside white noise, with their standard deviations (models.sensor_error)."""
+"""The random errors of a fit's sensors beside the white noise of outputs, with their standard deviations: what wanders
+or vibrates in an output (models.sensor_error), and white noise of a measured input (models.noisy_input)."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from estimators.disturbance import Found, NarrowBandEstimate, with_error
+from estimators.input_noise import input_noise
+from models.noisy_input import SHARE, noisy_inputs
 from models.sensor_error import at_outputs
 
 if TYPE_CHECKING:
@@ -52,10 +57,49 @@ class SensorError:
         return f"{with_error(self.std, self.std_error)} {self.unit} RMS, correlation time {time} s"
 
 
-def sensor_errors(fitted: Fit) -> tuple[SensorError, ...]:
-    """Of each output that has one, in the model's order."""
+@dataclass(frozen=True, slots=True)
+class InputError:
+    """White noise of the measured input `channel`, in `unit`, of RMS `std`: `idle` is the share of it that does not
+    act, with the standard deviation of its error."""
+
+    channel: str
+    unit: str
+    std: float
+    idle: float
+    idle_error: float
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {"unit": self.unit, "rms": self.std, "idle_share": self.idle, "idle_share_std": self.idle_error}
+
+    def scaled(self, unit: str, factor: float) -> InputError:
+        """The same in another `unit`, of which there are `factor` in one."""
+        return replace(self, unit=unit, std=factor * self.std)
+
+    def __str__(self) -> str:
+        """`0.0030 N m RMS of white noise, of which 99 ± 1 % does not act`."""
+        idle = with_error(100.0 * self.idle, 100.0 * self.idle_error)
+        return f"{self.std:.2g} {self.unit} RMS of white noise, of which {idle} % does not act"
+
+
+def sensor_errors(fitted: Fit) -> tuple[SensorError | InputError, ...]:
+    """Of each output and each input that has one, in the model's order."""
     found = Found.of(fitted)
-    return tuple(_told(found, output.name, output.unit, place) for output, place in at_outputs(found.model))
+    outputs = [_told(found, output.name, output.unit, place) for output, place in at_outputs(found.model)]
+    return (*outputs, *_of_inputs(found))
+
+
+def _of_inputs(found: Found) -> Iterator[InputError]:
+    task = found.noise.problem
+    units = {each.name: each.unit for each in found.model.inputs}
+    for name in noisy_inputs(found.model):
+        place = task.kernel.index(f"{SHARE}{name}")
+        column = task.free.index(place)
+        noise = input_noise(task, name)
+        std = 0.0 if noise is None else noise.std
+        yield InputError(
+            name, units[name], std, float(found.values[place]), math.sqrt(found.covariance[column, column])
+        )
 
 
 def _told(found: Found, channel: str, unit: str, place: int) -> SensorError:

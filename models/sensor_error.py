@@ -13,6 +13,7 @@ from dataclasses import replace
 from models.disturbance import narrow_at_joints
 from models.expressions import names_in
 from models.model import Model, NarrowBand, Output
+from models.noisy_input import noisy_inputs
 from models.random_part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
 
 PREFIX = "error_of_"
@@ -52,9 +53,9 @@ def at_outputs(model: Model) -> list[tuple[Output, int]]:
 
 def random_count(model: Model) -> int:
     """Numbers that tell the random parts of `model` beside the first-order disturbance: the RMS of each, and its
-    correlation time and frequency."""
+    correlation time and frequency; of the noise of an input the share that does not act."""
     parts = [*narrow_at_joints(model), *at_outputs(model)]
-    return sum(3 if model.base_states[place].frequency else 2 for _, place in parts)
+    return sum(3 if model.base_states[place].frequency else 2 for _, place in parts) + len(noisy_inputs(model))
 
 
 def _with(model: Model, shown: Output, part: RandomPart) -> Model:

@@ -6,17 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from swing_plant import Body, pushed
+from numpy.typing import NDArray
 
+from benchmarks.free_decays import Body, pushed
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.noisy_inputs import not_acting
 from diagnosis.ready import ready
+from diagnosis.sentences import disturbance_sentences
 from estimators import innovations
+from estimators.input_noise import input_noise
 from estimators.likelihood import Likelihood
-from estimators.problem import problem, typical_motion
+from estimators.methods.prediction_error import fit
+from estimators.problem import Problem, problem, typical_motion
 from estimators.quantised import step_of
 from estimators.resting import without_rests
+from estimators.sensor_errors import InputError
 from models.model_file import load_model
-from telemetry.recording import load
+from models.noisy_input import noisy_inputs
+from telemetry.recording import Recording, load
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -48,6 +55,64 @@ def test_friction_of_a_pendulum_before_a_camera_that_is_late_and_jitters(name: s
     assert found.findings[0].effect == name
     size = {"torque": body.dry, "coefficient": body.viscous}[parameter]
     assert sizes(found)[f"{name}.{parameter}"] == pytest.approx(size, rel=0.15)
+
+
+def test_a_passive_motor_whose_current_is_noise_alone() -> None:
+    """A torque that is measured, and does not act, drives the model: the verdict was unknown, with a force that goes
+    with it."""
+    body = Body(dry=0.012, viscous=0.001)
+    found = diagnose(body.model(1e-3, 0.3), [body.by_encoder(4096, torque_noise=0.003, seed=7)])
+    assert found.verdict is Verdict.MISSING_EFFECT, found.reason
+    assert [each.effect for each in found.findings] == ["coulomb_friction", "viscous_friction"]
+    assert sizes(found)["coulomb_friction.torque"] == pytest.approx(0.012, rel=0.05)
+    assert sizes(found)["viscous_friction.coefficient"] == pytest.approx(0.001, rel=0.1)
+    (told,) = found.sensor_errors
+    assert isinstance(told, InputError)
+    assert told.std == pytest.approx(0.003, rel=0.05)
+    assert abs(told.idle - 1.0) < 3.0 * told.idle_error
+    assert "of which" in disturbance_sentences(found)
+    assert found.to_json()["sensor_errors"]["torque"]["unit"] == "N m"
+    # It is of the record, and not of the machine.
+    assert found.repaired is not None
+    assert found.repaired.joints[0].load == body.model(1e-3, 0.3).joints[0].load
+    assert not noisy_inputs(found.repaired)
+
+
+class TestNoiseOfAnInput:
+    def test_its_size_is_told_beside_a_level_that_wanders(self) -> None:
+        random = np.random.default_rng(4)
+        level = np.cumsum(0.02 * random.standard_normal(5000))
+        found = input_noise(driven_by(level + 0.1 * random.standard_normal(5000)), "torque")
+        assert found is not None
+        assert found.std == pytest.approx(0.1, rel=0.05)
+        # The gain of the steady filter solves k^2 / (1 - k) = (0.02 / 0.1)^2.
+        assert found.time == pytest.approx(-0.005 / np.log1p(-0.181), rel=0.15)
+
+    @pytest.mark.parametrize("kind", ["sine", "steps", "walk"])
+    def test_there_is_none_in_what_moves_by_itself(self, kind: str) -> None:
+        time, random = np.arange(5000) / 200.0, np.random.default_rng(5)
+        steps = np.repeat(random.standard_normal(50), 100)
+        walk = np.cumsum(random.standard_normal(5000))
+        readings = {"sine": np.sin(2.0 * np.pi * 0.7 * time), "steps": steps, "walk": walk}
+        assert input_noise(driven_by(readings[kind]), "torque") is None
+
+    def test_a_torque_without_an_order_that_acts_is_no_noise(self) -> None:
+        """The readings look like noise, and the body says that all of them act."""
+        table = 0.05 * np.random.default_rng(3).standard_normal(20000)
+        body = Body(viscous=0.001, begin=0.5, span=20.0, torque=lambda time: float(table[round(time * 200.0)]))
+        record = body.by_encoder(4096)
+        model = ready(body.model(1e-3, 0.3).add("viscous_friction"), [record])
+        task = problem(model, [record])
+        assert input_noise(task, "torque") is not None
+        assert not not_acting(fit(task))
+
+
+def driven_by(readings: NDArray[np.float64]) -> Problem:
+    """A body that swings, of which the torque reads so, at 200 Hz."""
+    body = Body(span=len(readings) / 200.0)
+    record = body.by_encoder(4096)
+    record = Recording(record.channels, record.timestamp_ns, {**record.values, "torque": readings})
+    return problem(body.model(1e-3, 0.3), [record])
 
 
 @pytest.mark.thorough

@@ -473,6 +473,23 @@ def test_figures_of_a_small_set_are_those_worked_out_by_hand() -> None:
     }
 
 
+def test_a_disturbance_beside_what_has_no_name_is_told_apart() -> None:
+    held, missed = ({"disturbance_covered": {"rms": holds}} for holds in (True, False))
+    lines = [
+        _line(Kind.NOTHING, [], 0.0, held),
+        _line(Kind.ONE, ["a"], 2.0, _named("b", tied=("a", "c")) | held),
+        _line(Kind.TWO, ["a", "b"], 2.0, _named("b", "a") | missed),
+        # One of two, one too many, and what no catalogue has.
+        _line(Kind.TWO, ["a", "b"], 2.0, _named("a") | missed),
+        _line(Kind.ONE, ["a"], 2.0, _named("a", "c") | missed),
+        _line(Kind.UNLISTED, ["test_x"], 2.0, {"verdict": UNKNOWN} | missed),
+    ]
+    merit = summarise(lines).methods["m"]
+    of_all, named = (each["rms"] for each in (merit.disturbance_covered, merit.disturbance_covered_named))
+    assert (of_all.count, of_all.of) == (2, 6)
+    assert (named.count, named.of) == (2, 3)
+
+
 def test_a_false_name_that_is_said_to_be_negligible_is_told_apart() -> None:
     beside = _named("a", "b")
     beside["found"][1]["negligible"] = True

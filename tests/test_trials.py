@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from swing_plant import Body
 
+from benchmarks.free_decays import Body
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.trial import tried
 from estimators.contract import EstimationError

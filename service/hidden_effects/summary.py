@@ -98,6 +98,9 @@ class Merit:
     covered: Figure
     disturbance_covered: Mapping[str, Figure]
     """Of each of its two numbers, empty where nothing was shaken."""
+    disturbance_covered_named: Mapping[str, Figure]
+    """The same of records whose hidden effects have their names, and nothing else has one: what else is missing, or
+    explained too much, is in the disturbance."""
     seconds: Figure
     failed: int
     confusion: Mapping[str, Mapping[str, int]]
@@ -187,10 +190,17 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         asked = {part: [true(line) for line in of if id(line) in among] for part, of in parts.items()}
         return {part: share(answers) for part, answers in asked.items() if answers}
 
-    numbers: dict[str, list[bool]] = {}
-    for line in asked:
-        for name, holds in told(line).get("disturbance_covered", {}).items():
-            numbers.setdefault(name, []).append(holds)
+    def all_named(line: Line) -> bool:
+        names = {name for each in told(line).get("found", []) for name in (each["effect"], *each["tied_with"])}
+        return line["kind"] != Kind.UNLISTED.value and names >= set(line["effects"]) and not false_name(line)
+
+    def disturbance_covered(chosen: Sequence[Line]) -> dict[str, Figure]:
+        numbers: dict[str, list[bool]] = {}
+        for line in chosen:
+            for name, holds in told(line).get("disturbance_covered", {}).items():
+                numbers.setdefault(name, []).append(holds)
+        return {name: share(each) for name, each in numbers.items()}
+
     confusion: dict[str, Counter[str]] = {}
     for line in (*seen, *strange):
         confusion.setdefault(line["effects"][0], Counter())[_named(told(line), line["kind"])] += 1
@@ -214,7 +224,8 @@ def merit(lines: Sequence[Line], method: str) -> Merit:
         held_out_closed=middle(told(line).get("held_out_closed") for line in (*seen, *both_seen)),
         energy_over_floor=middle(told(line).get("energy_over_floor") for line in (*nothing, *one, *two)),
         covered=share([each for line in (*one, *two) for each in told(line).get("covered", {}).values()]),
-        disturbance_covered={name: share(each) for name, each in numbers.items()},
+        disturbance_covered=disturbance_covered(asked),
+        disturbance_covered_named=disturbance_covered([line for line in asked if all_named(line)]),
         seconds=middle(told(line)["seconds"] for line in asked),
         failed=sum(bool(told(line)["error"]) for line in asked),
         confusion=confusion,

@@ -1,4 +1,8 @@
-"""Bodies that swing or coast freely, apart from the models: they really stick, and others look at them.
+"""What does a diagnosis say of swings that die away? `python benchmarks/free_decays.py [NAME ...]`
+
+Bodies that swing or coast freely, apart from the models: they really stick, and others look at them. Each meets a model
+without friction whose inertia is 10 % off, as `upright diagnose` would meet it. Told are the verdict, the effects
+with their sizes, what sensors err by, how far the one-step errors are over the floor, and seconds.
 
 inertia angle'' = torque - stiffness sin(angle) - viscous angle' - dry friction, semi-implicit steps, with Karnopp's
 friction: a body whose rate would turn within a step rests where the force on it is less than the dry friction.
@@ -6,13 +10,16 @@ friction: a body whose rate would turn within a step rests where the force on it
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.diagnose import Diagnosis, diagnose
+from estimators.stopwatch import stopwatch
 from models.model import Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
 from telemetry.recording import Recording, describe
 
@@ -54,11 +61,12 @@ class Body:
                 angle += step * speed
         return np.arange(len(rows)) / self.rate, np.array(rows)
 
-    def by_encoder(self, counts: int) -> Recording:
-        """Angle in `counts` a turn, and the torque."""
+    def by_encoder(self, counts: int, *, torque_noise: float = 0.0, seed: int = 0) -> Recording:
+        """Angle in `counts` a turn, and the torque, with white noise (N m) of its reading."""
         time, angle = self.course()
         count = 2.0 * np.pi / counts
         torque = np.array([self.torque(each) for each in time.tolist()])
+        torque = torque + torque_noise * np.random.default_rng(seed).standard_normal(len(time))
         return _table(time, {"position": np.round(angle / count) * count, "torque": torque})
 
     def by_camera(self, *, noise: float, jitter: float, late: float, rate: float, seed: int) -> Recording:
@@ -115,3 +123,65 @@ def pushed(time: float) -> float:
 def _table(time: Array, values: dict[str, Array]) -> Recording:
     units = {"position": "rad", "torque": "N m"}
     return Recording(describe(units), np.round(time * 1e9).astype(np.int64), values)
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """A body, what sees it, and what is said to be known: the sensor's noise, rad, and the typical force, N m."""
+
+    body: Body
+    seen: Callable[[Body], Recording]
+    noise: float
+    force: float = 0.3
+
+
+def _by_camera(body: Body) -> Recording:
+    return body.by_camera(noise=2e-3, jitter=2e-3, late=0.015, rate=50.0, seed=3)
+
+
+SWINGS: Mapping[str, Swing] = {
+    "encoder": Swing(Body(dry=0.012, viscous=0.001), lambda body: body.by_encoder(4096), 1e-3),
+    "passive_motor": Swing(
+        Body(dry=0.012, viscous=0.001), lambda body: body.by_encoder(4096, torque_noise=0.003, seed=7), 1e-3
+    ),
+    "noisier_motor": Swing(
+        Body(dry=0.012, viscous=0.001), lambda body: body.by_encoder(4096, torque_noise=0.02, seed=5), 1e-3
+    ),
+    "camera_dry": Swing(Body(dry=0.01, viscous=0.0005, begin=1.0, rate=500.0), _by_camera, 2e-3),
+    "camera_viscous": Swing(Body(dry=0.0003, viscous=0.004, begin=1.0, rate=500.0), _by_camera, 2e-3),
+    "arm": Swing(
+        Body(inertia=0.005, stiffness=0.0, dry=1e-4, viscous=0.0015, begin=0.0, rate=500.0, torque=pushed),
+        lambda body: body.by_encoder(2048),
+        2e-3,
+        0.05,
+    ),
+}
+
+
+def _told(found: Diagnosis) -> str:
+    effects = []
+    for each in found.findings:
+        sizes = [
+            f"{name.partition('.')[2]} {size.value:.4g} ± {size.std:.2g}"
+            for name, size in each.parameters.items()
+            if size.value is not None and size.std is not None
+        ]
+        effects.append(f"{' or '.join((each.effect, *each.tied_with))} ({', '.join(sizes)})")
+    errors = [f"{each.channel} errs by {each}" for each in found.sensor_errors]
+    over = f"{found.innovation_ratio_before:.3g} to {found.innovation_ratio_after:.3g} over the floor"
+    return "; ".join((found.verdict.value, *effects, *errors, over))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SWINGS)}; all by default")
+    for name in parser.parse_args().names or SWINGS:
+        swing = SWINGS[name]
+        began = stopwatch()
+        found = diagnose(swing.body.model(swing.noise, swing.force), [swing.seen(swing.body)])
+        hidden = f"dry {swing.body.dry:g} N m, viscous {swing.body.viscous:g} N m s"
+        print(f"{name} ({hidden}): {_told(found)}; {stopwatch() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""The white noise of a measured input, told without a model from what the input does.
+
+    u(k) = level(k) + v(k),    level(k + 1) = level(k) + w(k)        v, w white
+
+is a level that wanders, and readings of it with noise: the innovations of the filter level += gain (u - level) are
+white, and the gain is the likeliest. Without noise it is 1. Source: Harvey, "Forecasting, structural time series models
+and the Kalman filter" (1989), section 4.1.2 (local level).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+from estimators.problem import Problem
+from models.noisy_input import InputNoise
+
+Array = NDArray[np.float64]
+
+GAINS = 24
+"""From the least that a record tells from none to 1, beside which the likeliest is looked for."""
+
+
+def input_noise(task: Problem, name: str) -> InputNoise | None:
+    """Of the input `name` on the rows of `task`; None where these show none."""
+    place = task.kernel.inputs.index(name)
+    parts = [np.ascontiguousarray(segment.row_inputs[:, place]) for segment in task.segments]
+    power = float(np.var(np.concatenate(parts)))
+    rows = max(map(len, parts))
+    if power == 0.0 or rows < GAINS:
+        return None
+
+    def cost(logarithm: float) -> float:
+        return _cost(parts, math.exp(logarithm))
+
+    tried = np.linspace(-math.log(rows), 0.0, GAINS)
+    best = int(np.argmin([cost(each) for each in tried.tolist()]))
+    if best == GAINS - 1:
+        return None
+    around = (float(tried[max(best - 1, 0)]), float(tried[best + 1]))
+    found = minimize_scalar(cost, bounds=around, method="bounded")
+    gain, count = math.exp(float(found.x)), sum(map(len, parts))
+    if cost(0.0) - cost(math.log(gain)) < 0.5 * math.log(count):
+        return None
+    white = (1.0 - gain) * float(np.mean(np.concatenate([_innovations(part, gain) for part in parts]) ** 2))
+    return InputNoise(
+        name=name,
+        std=math.sqrt(white),
+        time=-float(np.median(np.diff(task.segments[0].time))) / math.log1p(-gain),
+        level=float(np.mean(np.concatenate(parts))),
+        # A level that does not wander is known as the mean is.
+        spread=math.sqrt(gain * white + max(power - white, 0.0)),
+    )
+
+
+def _cost(parts: Sequence[Array], gain: float) -> float:
+    error = np.concatenate([_innovations(part, gain) for part in parts])
+    return 0.5 * len(error) * math.log(max(float(np.mean(error**2)), 1e-300))
+
+
+def _innovations(readings: Array, gain: float) -> Array:
+    """(n,), from the mean of what the filter remembers on."""
+    begin = float(np.mean(readings[: max(1, round(1.0 / gain))]))
+    off = readings - begin
+    # e(k) = u(k) - level(k), level(k + 1) = level(k) + gain e(k): e = (1 - z^-1) / (1 - (1 - gain) z^-1) u.
+    return np.asarray(lfilter([1.0, -1.0], [1.0, -(1.0 - gain)], off))
