@@ -7,19 +7,14 @@ left is a test of one number at each joint.
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.signal import lfilter
-
+from diagnosis.evidence import LEVEL
 from diagnosis.floor import Innovations, floor
 from diagnosis.force_probe import probe
 from diagnosis.shapes import Design
 from diagnosis.whitened import Whitened
-from estimators.input_noise import input_noise
+from estimators.input_noise import input_noise, rough
 from estimators.methods.prediction_error import Fit
 from models.noisy_input import InputNoise, noisy_inputs
-
-CHANCE = 1e-2
-"""Probability with which noise of any of the inputs may seem not to act, where all of it does."""
 
 
 def not_acting(fitted: Fit) -> list[InputNoise]:
@@ -33,16 +28,11 @@ def not_acting(fitted: Fit) -> list[InputNoise]:
         return []
     found = Innovations(fitted, floor(task, fitted.values), tuple(fitted.innovations()))
     probed, white = probe(found), Whitened.of(fitted)
+    designs = [Design(white, found, probed, joint) for joint in range(len(probed.joints))]
     told = []
     for each in asked:
-        place = task.kernel.inputs.index(each.name)
-        kept = float(np.exp(-np.median(np.diff(task.segments[0].time)) / each.time))
-        rough = [
-            lfilter([1.0, -1.0], [1.0, -kept], segment.row_inputs[:, place] - each.level)[:, None]
-            for segment in task.segments
-        ]
-        gains = [Design(white, found, probed, joint) for joint in range(len(probed.joints))]
-        least = min((one.gain(one.columns(rough)).by_chance for one in gains), default=1.0)
-        if least * len(asked) * len(gains) < CHANCE:
+        columns = [part[:, None] for part in rough(task, each)]
+        least = min((one.gain(one.columns(columns)).by_chance for one in designs), default=1.0)
+        if least * len(asked) * len(designs) < LEVEL:
             told.append(each)
     return told

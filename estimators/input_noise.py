@@ -47,25 +47,40 @@ def input_noise(task: Problem, name: str) -> InputNoise | None:
     gain, count = math.exp(float(found.x)), sum(map(len, parts))
     if cost(0.0) - cost(math.log(gain)) < 0.5 * math.log(count):
         return None
-    white = (1.0 - gain) * float(np.mean(np.concatenate([_innovations(part, gain) for part in parts]) ** 2))
+    white = (1.0 - gain) * float(np.mean(np.concatenate(_all_innovations(parts, gain)) ** 2))
     return InputNoise(
         name=name,
         std=math.sqrt(white),
-        time=-float(np.median(np.diff(task.segments[0].time))) / math.log1p(-gain),
+        time=-_spacing(task) / math.log1p(-gain),
         level=float(np.mean(np.concatenate(parts))),
         # A level that does not wander is known as the mean is.
         spread=math.sqrt(gain * white + max(power - white, 0.0)),
     )
 
 
+def rough(task: Problem, noise: InputNoise) -> list[Array]:
+    """What the filter of `noise` leaves of the readings of its input, by stretch (n,): the noise, mostly."""
+    place = task.kernel.inputs.index(noise.name)
+    gain = -math.expm1(-_spacing(task) / noise.time)
+    return [_innovations(segment.row_inputs[:, place], gain, noise.level) for segment in task.segments]
+
+
+def _spacing(task: Problem) -> float:
+    return float(np.median(np.diff(task.segments[0].time)))
+
+
 def _cost(parts: Sequence[Array], gain: float) -> float:
-    error = np.concatenate([_innovations(part, gain) for part in parts])
+    """Negative log likelihood of the innovations with a gain, at the variance that is likeliest, but for a constant."""
+    error = np.concatenate(_all_innovations(parts, gain))
     return 0.5 * len(error) * math.log(max(float(np.mean(error**2)), 1e-300))
 
 
-def _innovations(readings: Array, gain: float) -> Array:
-    """(n,), from the mean of what the filter remembers on."""
-    begin = float(np.mean(readings[: max(1, round(1.0 / gain))]))
-    off = readings - begin
+def _all_innovations(parts: Sequence[Array], gain: float) -> list[Array]:
+    """By stretch (n,), from the mean of what the filter remembers on."""
+    return [_innovations(part, gain, float(np.mean(part[: max(1, round(1.0 / gain))]))) for part in parts]
+
+
+def _innovations(readings: Array, gain: float, level: float) -> Array:
+    """(n,), where the level begins at `level`."""
     # e(k) = u(k) - level(k), level(k + 1) = level(k) + gain e(k): e = (1 - z^-1) / (1 - (1 - gain) z^-1) u.
-    return np.asarray(lfilter([1.0, -1.0], [1.0, -(1.0 - gain)], off))
+    return np.asarray(lfilter([1.0, -1.0], [1.0, -(1.0 - gain)], readings - level))

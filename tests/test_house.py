@@ -83,7 +83,8 @@ def test_vcan():
 def test_a_skip_is_a_failure_where_everything_is_required(
     tmp_path: Path, required: str, outcomes: dict[str, int]
 ) -> None:
-    shutil.copy(REPOSITORY / "tests" / "conftest.py", tmp_path)
+    for name in ("conftest.py", "standstill.py"):
+        shutil.copy(REPOSITORY / "tests" / name, tmp_path)
     (tmp_path / "test_skips.py").write_text(TWO_SKIPS)
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-ra", "--rootdir", tmp_path, tmp_path],
