@@ -31,7 +31,7 @@ from estimators.disturbance import SHOWN
 from estimators.fit_result import inverse
 from estimators.gauss_newton import Block, eliminate
 from estimators.innovations import NoiseModel
-from estimators.likelihood import Likelihood
+from estimators.likelihood import Likelihood, Seen
 from estimators.methods.prediction_error import Fit, result
 from estimators.problem import Problem, problem
 from estimators.segments import segments
@@ -54,7 +54,9 @@ of the MONOCAB."""
 BLOCK = 2.5
 """Time scales of held-out data that count as one piece of evidence."""
 LARGER = 2.0
-"""Standard deviations of its logarithm by which a noise may be larger than a part of the data tells."""
+"""Standard deviations by which a noise may be larger than a part of the data tells."""
+HALVINGS = 8
+"""Of the way to the noise that is stated, to find how large that is."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 TAILS = 1e-3
 """Share of the errors that parts which strike each other make, and"""
@@ -153,8 +155,8 @@ class UnseenCheck:
 
 
 def unsure(fitted: Fit) -> Fit:
-    """`fitted` with each noise that does not show as large as its own uncertainty allows, by LARGER standard deviations
-    of its logarithm, but no larger than it is stated.
+    """`fitted` with the noises that do not show as large as its data do not exclude, by LARGER standard deviations of a
+    likelihood ratio, but no larger than they are stated.
 
     Data never say that there is no noise at all. A predictor without noise corrects nothing: it is a simulation, in
     which the errors of the parameters add up to thousands of standard deviations.
@@ -165,10 +167,27 @@ def unsure(fitted: Fit) -> Fit:
     least = (deviations > SHOWN) & (logarithms < 0.0)
     if not least.any():
         return fitted
-    common = fitted.minimum.common.copy()
-    common[size:] = np.where(least, np.minimum(logarithms + LARGER * deviations, 0.0), logarithms)
-    seen = Likelihood(fitted.problem, noise, common, fitted.prior).of_data(common, fitted.minimum.own)
-    return fitted if seen is None else replace(fitted, gain=seen.gain, covariance=seen.covariance)
+    likelihood = Likelihood(fitted.problem, noise, fitted.minimum.common, fitted.prior)
+
+    def seen(share: float) -> Seen | None:
+        """With the noises that do not show so far from where they ended to what is stated."""
+        common = fitted.minimum.common.copy()
+        common[size:] = np.where(least, (1.0 - share) * logarithms, logarithms)
+        return likelihood.of_data(common, fitted.minimum.own)
+
+    ended = seen(0.0)
+    if ended is None:
+        return fitted
+
+    def within(found: Seen | None) -> bool:
+        return found is not None and found.cost <= ended.cost + 0.5 * LARGER**2
+
+    low, high = (1.0, 1.0) if within(seen(1.0)) else (0.0, 1.0)
+    for _ in range(HALVINGS if high > low else 0):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if within(seen(middle)) else (low, middle)
+    larger = seen(low)
+    return fitted if larger is None else replace(fitted, gain=larger.gain, covariance=larger.covariance)
 
 
 def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
