@@ -36,16 +36,20 @@ def pytest_configure(config: pytest.Config) -> None:
 WITNESS = pytest.StashKey[Witness]()
 
 
+def _in_real_time(item: pytest.Item) -> bool:
+    return any(item.get_closest_marker(name) for name in ("vcan", "systemd"))
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.get_closest_marker("vcan"):
+        if _in_real_time(item):
             item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=[MachineStoodStill.__name__]))
 
 
 @contextmanager
 def _witnessed(item: pytest.Item) -> Iterator[None]:
     """What fails meanwhile is told as MachineStoodStill where that is what happened."""
-    if not item.get_closest_marker("vcan") or not Path("/sys/class/net/vcan0").exists():
+    if not _in_real_time(item):
         yield
         return
     stash, start = item.session.stash, time.monotonic()
@@ -53,7 +57,7 @@ def _witnessed(item: pytest.Item) -> Iterator[None]:
         stash[WITNESS] = Witness(Path("/dev/shm/upright-standstill"))
     try:
         yield
-    except Exception as error:
+    except (Exception, pytest.fail.Exception) as error:  # a timeout is the latter
         lasted = stash[WITNESS].longest_since(start)
         if lasted == 0:
             raise
