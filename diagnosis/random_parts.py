@@ -5,7 +5,7 @@ likelihood than their parameters cost (diagnosis.refit). One that wins is absorb
 model alone, beside which effects are then looked for anew, and is no finding about the vehicle. Where effects explain
 more without it there is none: what is periodic, and goes on as it began, takes fewer numbers as an effect.
 
-The noise of a measured input is one, too: a share of it, which does not act (diagnosis.noisy_inputs).
+The noise of a measured input is one, too: a share of it, which does not act (diagnosis.input_noise).
 
 The likelihood's derivative by the RMS is zero where that is zero, so that no score test sees it. It takes full fits of
 its own, of the signals that the spectrum of the innovations says (diagnosis.colour), from their numbers on; where these
@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 
 from diagnosis.colour import Signal, same, signals
-from diagnosis.noisy_inputs import not_acting
+from diagnosis.input_noise import not_acting
 from diagnosis.refit import FURTHER_FITS, FullFit, full
 from diagnosis.trial import tried
 from diagnosis.workspace import Workspace
@@ -29,8 +29,8 @@ from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import Begin, Fit
 from estimators.problem import Problem
 from models.disturbance import narrow_at_joints, power_share, with_narrow_band
+from models.input_noise import InputNoise, with_input_noise
 from models.model import Model, NarrowBand
-from models.noisy_input import InputNoise, with_input_noise
 from models.sensor_error import at_outputs, with_error
 
 RANDOM = "random parts beside the disturbance"
@@ -61,10 +61,9 @@ def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | No
 
 def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
     """The fit with one random part more than `fitted` has that has most evidence."""
-    asked = _distinct(tried(partial(signals, fitted.fit)) or [])
+    asked: list[Signal | InputNoise] = [*_distinct(tried(partial(signals, fitted.fit)) or [])]
+    asked += tried(partial(not_acting, fitted.fit)) or []
     fits = [tried(partial(_with, fitted, each, workspace)) for each in asked]
-    noisy = tried(partial(not_acting, fitted.fit)) or []
-    fits += [tried(partial(_with_noise, fitted, each, workspace)) for each in noisy]
     settled = [each for each in fits if each is not None and each.fit.minimum.converged and _lasts(each)]
     return max(settled, key=lambda each: each.evidence, default=None)
 
@@ -91,13 +90,11 @@ def _lasts(fitted: FullFit) -> bool:
     )
 
 
-def _with(fitted: FullFit, signal: Signal, workspace: Workspace) -> FullFit:
-    model = with_signal(fitted.model, signal, workspace)
-    return full(model, workspace, fitted.candidate, _begin(fitted.fit, workspace.problem(model)), longer=FURTHER_FITS)
-
-
-def _with_noise(fitted: FullFit, noise: InputNoise, workspace: Workspace) -> FullFit:
-    model = with_input_noise(fitted.model, noise)
+def _with(fitted: FullFit, part: Signal | InputNoise, workspace: Workspace) -> FullFit:
+    if isinstance(part, InputNoise):
+        model = with_input_noise(fitted.model, part)
+    else:
+        model = with_signal(fitted.model, part, workspace)
     return full(model, workspace, fitted.candidate, _begin(fitted.fit, workspace.problem(model)), longer=FURTHER_FITS)
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from diagnosis.timed import timed, untimed
 from estimators.as_recorded import as_recorded
 from models.disturbance import disturbed, undisturbed
+from models.input_noise import without_input_noise
 from models.model import Model
-from models.noisy_input import without_input_noise
 from telemetry.recording import Recording
 
 

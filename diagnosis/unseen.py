@@ -53,10 +53,8 @@ SETTLING = 1.25
 of the MONOCAB."""
 BLOCK = 2.5
 """Time scales of held-out data that count as one piece of evidence."""
-LARGER = 2.0
-"""Standard deviations by which a noise may be larger than a part of the data tells."""
 HALVINGS = 8
-"""Of the way to the noise that is stated, to find how large that is."""
+"""Of the way to the noise that is stated: how large a noise may be is found to a 256th of it."""
 NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 TAILS = 1e-3
 """Share of the errors that parts which strike each other make, and"""
@@ -155,7 +153,7 @@ class UnseenCheck:
 
 
 def unsure(fitted: Fit) -> Fit:
-    """`fitted` with the noises that do not show as large as its data do not exclude, by LARGER standard deviations of a
+    """`fitted` with the noises that do not show as large as its data do not exclude, by SURE standard deviations of a
     likelihood ratio, but no larger than they are stated.
 
     Data never say that there is no noise at all. A predictor without noise corrects nothing: it is a simulation, in
@@ -180,7 +178,7 @@ def unsure(fitted: Fit) -> Fit:
         return fitted
 
     def within(found: Seen | None) -> bool:
-        return found is not None and found.cost <= ended.cost + 0.5 * LARGER**2
+        return found is not None and found.cost <= ended.cost + 0.5 * SURE**2
 
     low, high = (1.0, 1.0) if within(seen(1.0)) else (0.0, 1.0)
     for _ in range(HALVINGS if high > low else 0):

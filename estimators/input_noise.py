@@ -18,12 +18,14 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from estimators.problem import Problem
-from models.noisy_input import InputNoise
+from models.input_noise import InputNoise
 
 Array = NDArray[np.float64]
 
 GAINS = 24
-"""From the least that a record tells from none to 1, beside which the likeliest is looked for."""
+"""That are tried, from that of a filter which remembers the whole record to 1, which knows of no noise.
+
+The likeliest is looked for beside the best of them, so that their number decides nothing."""
 
 
 def input_noise(task: Problem, name: str) -> InputNoise | None:
@@ -32,7 +34,7 @@ def input_noise(task: Problem, name: str) -> InputNoise | None:
     parts = [np.ascontiguousarray(segment.row_inputs[:, place]) for segment in task.segments]
     power = float(np.var(np.concatenate(parts)))
     rows = max(map(len, parts))
-    if power == 0.0 or rows < GAINS:
+    if power == 0.0 or rows < 2:
         return None
 
     def cost(logarithm: float) -> float:

@@ -1,5 +1,5 @@
 """The random errors of a fit's sensors beside the white noise of outputs, with their standard deviations: what wanders
-or vibrates in an output (models.sensor_error), and white noise of a measured input (models.noisy_input)."""
+or vibrates in an output (models.sensor_error), and white noise of a measured input (models.input_noise)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from estimators.disturbance import Found, NarrowBandEstimate, with_error
 from estimators.input_noise import input_noise
-from models.noisy_input import SHARE, noisy_inputs
+from models.input_noise import SHARE, noisy_inputs
 from models.sensor_error import at_outputs
 
 if TYPE_CHECKING:

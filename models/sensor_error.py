@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from models.disturbance import narrow_at_joints
 from models.expressions import names_in
+from models.input_noise import noisy_inputs
 from models.model import Model, NarrowBand, Output
-from models.noisy_input import noisy_inputs
 from models.random_part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
 
 PREFIX = "error_of_"

@@ -6,6 +6,7 @@ at the highest priority of the guest and wakes far too late has seen that.
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -40,8 +41,8 @@ class Witness:
 
 
 def _watch(file: Path, pause: float = 0.02) -> None:
-    before = time.monotonic()
-    while True:
+    parent, before = os.getppid(), time.monotonic()
+    while os.getppid() == parent:
         time.sleep(pause)
         now = time.monotonic()
         if now - before > TOLD:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.free_decays import Body, pushed
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.noisy_inputs import not_acting
+from diagnosis.input_noise import not_acting
 from diagnosis.ready import ready
 from diagnosis.sentences import disturbance_sentences
 from estimators import innovations
@@ -21,8 +21,8 @@ from estimators.problem import Problem, problem, typical_motion
 from estimators.quantised import step_of
 from estimators.resting import without_rests
 from estimators.sensor_errors import InputError
+from models.input_noise import noisy_inputs
 from models.model_file import load_model
-from models.noisy_input import noisy_inputs
 from telemetry.recording import Recording, load
 
 pytestmark = pytest.mark.timeout(300)

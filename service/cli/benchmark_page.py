@@ -75,7 +75,7 @@ def _rows(summary: Summary) -> Iterator[Row]:
         title = f"  of the disturbance's {name.replace('_', ' ')}"
         yield title, "93 to 97 %", lambda merit, name=name: merit.disturbance_covered.get(name), True  # type: ignore[misc]
         title = "    where all that is hidden is named"
-        yield title, "", lambda merit, name=name: merit.disturbance_covered_named.get(name), True  # type: ignore[misc]
+        yield title, "93 to 97 %", lambda merit, name=name: merit.disturbance_covered_named.get(name), True  # type: ignore[misc]
     yield "seconds a diagnosis, median", "", lambda merit: merit.seconds, False
 
 

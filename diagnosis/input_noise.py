@@ -14,7 +14,7 @@ from diagnosis.shapes import Design
 from diagnosis.whitened import Whitened
 from estimators.input_noise import input_noise, rough
 from estimators.methods.prediction_error import Fit
-from models.noisy_input import InputNoise, noisy_inputs
+from models.input_noise import InputNoise, noisy_inputs
 
 
 def not_acting(fitted: Fit) -> list[InputNoise]:
