@@ -156,6 +156,7 @@ def _whole(
         sensor_errors=sensor_errors(shown),
         prediction_limit=prediction_limit(shown),
         untried=_untried(workspace, findings),
+        rounds=tuple(workspace.rounds),
     )
     return found, events(last.fit)
 

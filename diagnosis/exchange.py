@@ -24,10 +24,10 @@ from diagnosis.candidates import Candidate
 from diagnosis.evidence import LEVEL, beyond_chance, likelier
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.finer import is_finer
+from diagnosis.gates import NEIGHBOUR, alike
 from diagnosis.refit import FullFit, full, gained, with_effect
 from diagnosis.screen import Screen
 from diagnosis.step import Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
-from diagnosis.ties import NEIGHBOUR, alike
 from diagnosis.trial import FAILURES
 from diagnosis.workspace import Workspace
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from diagnosis.adequacy import Adequacy
 from diagnosis.events import Event
+from diagnosis.gates import Round, Unseen
 from diagnosis.refit import FullFit
 from diagnosis.relevance import Relevance
 from diagnosis.screen import Screen
-from diagnosis.unseen import Unseen
 from estimators.contract import ParameterEstimate
 from estimators.disturbance import DisturbanceEstimate
 from estimators.sensor_errors import InputError, SensorError
@@ -134,7 +134,7 @@ class Diagnosis:
     last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `events`: where
     it changes, which is left out of all else. `sensor_errors`: what sensors err by beside the white noise of outputs.
     `untried`: what was left for want of time. `parts`: those of a vehicle and of its actuators that this one is made of
-    (diagnosis.parts), none where it is of one model.
+    (diagnosis.parts), none where it is of one model. `rounds`: what was decided about each effect that was fitted.
     """
 
     verdict: Verdict
@@ -155,6 +155,7 @@ class Diagnosis:
     untried: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
     parts: tuple[Diagnosis, ...] = ()
+    rounds: tuple[Round, ...] = ()
 
     @property
     def adequate(self) -> bool:

@@ -18,10 +18,10 @@ from scipy.stats import norm
 
 from diagnosis.candidates import Candidate
 from diagnosis.exchange import FURTHER_ALIKE
+from diagnosis.gates import SIMPLER, alike
 from diagnosis.live_odds import Weighed, weigh
 from diagnosis.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.products import Products
-from diagnosis.ties import SIMPLER, alike
 from estimators.disturbance import DisturbanceEstimate
 from estimators.problem import Problem
 from estimators.recursive_predictor import Seen

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from diagnosis.candidates import Candidate
-from diagnosis.evidence import LEVEL, SURE, asked_for
+from diagnosis.evidence import LEVEL, SURE
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.finer import finest
 from diagnosis.foresight import foresees
+from diagnosis.gates import Round, Tried, alike, decide, gated, tie
 from diagnosis.masked import fits as fits_of_masked
 from diagnosis.masked import surprise
 from diagnosis.refit import (
@@ -35,9 +36,8 @@ from diagnosis.refit import (
 )
 from diagnosis.screen import Score, Screen, screen
 from diagnosis.side_by_side import side_by_side
-from diagnosis.ties import SIMPLER, alike, exact, needless, tied
 from diagnosis.trial import tried
-from diagnosis.unseen import Unseen, UnseenCheck
+from diagnosis.unseen import UnseenCheck
 from diagnosis.whitened import Whitened
 from diagnosis.workspace import Workspace, attached
 from estimators.budget import OutOfTime
@@ -65,8 +65,6 @@ QUICKLY = 0.5
 """Share of the time that is left which all quick fits of a step together may take."""
 LATE = 0.7
 """Share of the time that is then left which fits of what the screen does not see may take."""
-CHECKED = 3
-"""Effects, the likeliest first, that are tried on unseen data before none is named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,40 +111,112 @@ def find(
     # What the screen does not see takes longest, so that it comes last.
     hidden = fits_of_masked(base.model, workspace.within(LATE), unseen, [each.name for each in known])
     fits = _at_one_noise([*contenders, *hidden], base, workspace)
-    fits = finest(_sure(fits, base, screened, workspace), workspace)
-    hidden = [*hidden, *known]
-    # What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere: the
-    # strongest is tested, the best fitting is named.
-    left = [each.candidate for each in fits if each.candidate]
-    names = {each.name for each in left}
-    seen = [
-        score.p_value
-        for score in screened.scores
-        if any(score.candidate.name == each.name or alike(score.candidate.effect, each.effect) for each in left)
-    ]
-    p_value = min(seen, default=1.0)
-    tries = len(screened.scores)
-    unscreened = [each for each in hidden if each.name in names and not (before and each is before.fit)]
-    p_value = min([p_value, *(tries * surprise(base, each) for each in unscreened)])
-    p_value = min([p_value, *(tries * _by_likelihood(each, base, screened) for each in fits)])
-    if p_value >= LEVEL:
-        return None
-    check, refused = UnseenCheck(base, workspace), False
-    for attempt in range(CHECKED):
-        if not fits:
-            return None
-        best = _simplest(fits, base)
-        tell(f"checking {best.name} on data that the fit has not seen", 0.9 + 0.03 * attempt)
-        held_out = before.finding.held_out if before and best is before.fit else check.of(best)
+    fitted, asked = _asked(base, fits, screened, {each.name for each in hidden}, workspace)
+    check = UnseenCheck(base, workspace)
+
+    def on_held_out(best: Tried) -> Tried:
+        tell(f"checking {best.name} on data that the fit has not seen", 0.95)
+        fit = fitted[best.name]
+        held_out = before.finding.held_out if before and fit is before.fit else check.of(fit)
         if held_out is None and not workspace.budget.left:
             workspace.leave(f"the held-out check of {best.name}")
-        # What explains the same as a refused effect is not named without a check of its own.
-        if held_out.stands if held_out is not None else not refused:
-            finding = tried(partial(_finding, base, best, fits, screened, p_value, held_out, workspace), best.name)
-            if finding is not None:
-                return Named(finding, _from_elsewhere(best, workspace))
-        fits, refused = [each for each in fits if each is not best], True
-    return None
+        return replace(best, held_out=held_out)
+
+    def in_usual_shape(other: Tried) -> float | None:
+        held = tried(partial(_in_usual_shape, fitted[other.name], base, workspace))
+        return None if held is None else held - base.log_likelihood
+
+    decided = decide(asked, on_held_out, in_usual_shape)
+    workspace.rounds.append(decided)
+    if decided.finding is None:
+        return None
+    best = fitted[decided.named]
+    return Named(_finding(best, decided, screened), _from_elsewhere(best, workspace))
+
+
+def _asked(
+    base: FullFit, fits: Sequence[FullFit], screened: Screen, unscreened: Collection[str], workspace: Workspace
+) -> tuple[dict[str, FullFit], Round]:
+    """All of `fits` in the numbers that decide about them, by the finer formula where that is likelier, and the fits
+    that passed the gates, by name. `unscreened`: effects that the screen does not see."""
+    tries = max(1, len(screened.scores))
+    rows = {each.name: row for each in fits if (row := _gated(each, base, tries, workspace))}
+    likely = sorted((each for each in fits if each.name in rows and not rows[each.name].refused), key=_by_evidence)
+    best = {each.name: each for each in finest(likely, workspace)}
+    names = list(best)
+    for each in fits:
+        if (fit := best.get(each.name)) is None:
+            continue
+        row = _in_numbers(fit, base)
+        if fit is not each:
+            row = replace(row, usual=gained(each, base))
+        rows[each.name] = replace(row, p_value=_p_value(fit, base, screened, each.name in unscreened, tries))
+    there = tuple(each.name for each in base.model.effects)
+    ordered = [*(rows[name] for name in names), *(row for name, row in rows.items() if name not in best)]
+    p_value = min((row.p_value for row in ordered if not row.refused), default=1.0)
+    return best, Round(there, tries, tuple(ordered), p_value)
+
+
+def _by_evidence(fitted: FullFit) -> float:
+    return -fitted.evidence
+
+
+def _gated(fitted: FullFit, base: FullFit, tries: int, workspace: Workspace) -> Tried | None:
+    """`fitted` in numbers, with the reason of the gate that refuses it; None where these cannot be made."""
+    row = tried(partial(_in_numbers, fitted, base), fitted.name, workspace.failed)
+    if row is None:
+        return None
+    if not row.settled:
+        workspace.failed[row.name] = "no fit with it ends: it does not settle"
+    return gated(row, tries)
+
+
+def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
+    """What decides about `fitted`, the model of `base` with one effect more. Raises ArithmeticError, LinAlgError."""
+    assert fitted.candidate is not None
+    gain, parameters = gained(fitted, base)
+    settled = fitted.fit.minimum.converged
+    return Tried(
+        name=fitted.name,
+        effect=fitted.candidate.effect,
+        log_likelihood=gain,
+        parameters=parameters,
+        rows=fitted.rows,
+        settled=settled,
+        possible=possible(fitted),
+        t_ratio=surety(fitted) if settled else math.nan,
+        among=fitted.candidate.among if fitted.candidate.picked else 1,
+    )
+
+
+def _p_value(fitted: FullFit, base: FullFit, screened: Screen, unscreened: bool, tries: int) -> float:
+    """How likely chance makes one of so many `tries` explain as much as `fitted`, which the screen may not see.
+
+    What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere.
+    """
+    assert fitted.candidate is not None
+    effect = fitted.candidate.effect
+    found = [
+        score.p_value
+        for score in screened.scores
+        if score.candidate.name == fitted.name or alike(score.candidate.effect, effect)
+    ]
+    found.append(tries * _by_likelihood(fitted, base, screened))
+    if unscreened:
+        found.append(tries * surprise(base, fitted))
+    return min(1.0, *found)
+
+
+def _in_usual_shape(other: FullFit, base: FullFit, workspace: Workspace) -> float | None:
+    """The log likelihood of the model of `base` with the effect of `other` held in its usual shape; None where it has
+    none."""
+    candidate = other.candidate
+    assert candidate is not None
+    if not candidate.shapes:
+        return None
+    own = {name: value for name, value in other.fitted.values.items() if name in candidate.amplitudes}
+    usual = base.model.add(candidate.effect, candidate.attached.at).change({**own, **candidate.variants[0]})
+    return full(usual, workspace, candidate).log_likelihood
 
 
 def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
@@ -191,13 +261,18 @@ def named_alone(
             fits += [ended] if ended is not None else []
     fits = finest(fits, workspace) if finer else fits
     best = next((each for each in fits if each.name == made.name), None)
-    if best is None or not best.fit.minimum.converged or surety(best) <= SURE:
+    rows = {each.name: row for each in fits if (row := _gated(each, base, 1, workspace))}
+    if best is None or made.name not in rows or rows[made.name].refused:
         return None
     held_out = UnseenCheck(base, workspace).of(best)
     if held_out is not None and not held_out.stands:
         return None
     p_value = min(screened.score(each.name).p_value for each in fits)
-    return Named(_finding(base, best, fits, screened, p_value, held_out, workspace), best)
+    rows[made.name] = replace(rows[made.name], held_out=held_out)
+    there = tuple(each.name for each in base.model.effects)
+    decided = tie(Round(there, 1, tuple(rows.values()), p_value, made.name), lambda other: None)
+    workspace.rounds.append(decided)
+    return Named(_finding(best, decided, screened), best)
 
 
 def _contenders(
@@ -251,13 +326,6 @@ def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
     except OutOfTime:
         return fitted
     return found if found is not None and found.fit.minimum.converged else fitted
-
-
-def _sure(fits: Sequence[FullFit], base: FullFit, screened: Screen, workspace: Workspace) -> list[FullFit]:
-    """Of `fits`, those that are better than none, the one with most evidence first."""
-    tries = max(1, len(screened.scores))
-    fits = [each for each in fits if tried(partial(_is_sure, each, base, tries), each.name, workspace.failed)]
-    return sorted(fits, key=lambda each: -each.evidence)
 
 
 def _share(tell: Tell, begin: float, text: str, share: float) -> None:
@@ -323,14 +391,6 @@ def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
     if not math.isfinite(found.gain):
         raise ArithmeticError("the model runs away from every start")
     return found
-
-
-def _is_sure(fitted: FullFit, base: FullFit, tries: int) -> bool:
-    """Whether the effect of a fit is asked for, as one of `tries`, at sizes that are possible. Raises ArithmeticError
-    for a fit that does not settle."""
-    if not fitted.fit.minimum.converged:
-        raise ArithmeticError("it does not settle")
-    return possible(fitted) and asked_for(*gained(fitted, base), surety(fitted), tries)
 
 
 def _full_fits(
@@ -402,33 +462,27 @@ def _like_any(fitted: QuickFit, effects: Sequence[Effect]) -> bool:
     return any(alike(fitted.candidate.effect, each) for each in effects)
 
 
-def _finding(
-    base: FullFit,
-    best: FullFit,
-    fits: Sequence[FullFit],
-    screened: Screen,
-    p_value: float,
-    held_out: Unseen | None,
-    workspace: Workspace,
-) -> Finding:
+def _finding(best: FullFit, decided: Round, screened: Screen) -> Finding:
+    """What was `decided`, of which `best` is the fit."""
+    row, p_value = decided.finding, decided.p_value
+    assert row is not None
     assert best.candidate is not None
-    odds = {each.name: float(np.exp(np.clip(each.evidence - best.evidence, -700.0, 0.0))) for each in fits}
+    odds = {each.name: float(np.exp(np.clip(each.evidence - row.evidence, -700.0, 0.0))) for each in decided.passed}
     # The least odds that "none" can have at this p-value, whatever the prior of the size: Sellke, Bayarri, Berger,
     # "Calibration of p values for testing precise null hypotheses" (2001).
     none = -math.e * p_value * math.log(max(p_value, 1e-300))
-    gain = best.log_likelihood - base.log_likelihood
     finding = Finding(
         effect=best.name,
         family=best.candidate.effect.family.value,
         parameters=sizes(best.name, best),
         probability=1.0 / (sum(odds.values()) + none),
         p_value=p_value,
-        tied_with=tied(best, fits, base, workspace),
+        tied_with=decided.tied_with,
         explanation="",
-        log_likelihood_gain=gain,
-        held_out=held_out,
+        log_likelihood_gain=row.log_likelihood,
+        held_out=row.held_out,
         odds=odds,
-        gains={each.name: float(each.log_likelihood - base.log_likelihood) / gain for each in fits},
+        gains={each.name: each.log_likelihood / row.log_likelihood for each in decided.passed},
         screen=screened,
     )
     return reworded(finding)
@@ -475,25 +529,3 @@ def unseen_at_zero(workspace: Workspace) -> list[str]:
         for each in workspace.candidates
         if each.effect.place is Place.SENSOR and any(p.amplitude and p.starts for p in each.effect.parameters)
     ]
-
-
-def _simplest(fits: Sequence[FullFit], base: FullFit) -> FullFit:
-    """The first of `fits`, or one with fewer parameters that explains almost as much.
-
-    Between formulas that are exact, the one with more parameters where the record asks for them.
-    """
-    asked = [
-        each for each in fits if each.count > fits[0].count and exact(each, fits[0]) and needless(each, fits[0]) < LEVEL
-    ]
-    if asked:
-        return asked[0]
-    best = fits[0]
-    gain = best.log_likelihood - base.log_likelihood
-    simple = [
-        each
-        for each in fits
-        if each.cost < best.cost
-        and each.log_likelihood - base.log_likelihood >= SIMPLER * gain
-        and (not exact(best, each) or needless(best, each) >= LEVEL)
-    ]
-    return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from diagnosis import ahead
 from diagnosis.evidence import SURE
+from diagnosis.gates import Unseen
 from diagnosis.refit import FullFit, full, off_prior
 from diagnosis.trial import FAILURES
 from diagnosis.whitened import whitening
@@ -73,39 +74,6 @@ class Fold:
     def judges(self, time: Array) -> NDArray[np.bool_]:
         """Which of the rows at `time` (n,)."""
         return _inside(time, self.pieces)
-
-
-@dataclass(frozen=True, slots=True)
-class Unseen:
-    """`gain`: rise of the log likelihood; `std` of it, but for what was foretold; `known`: by how much parameters are
-    nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy a horizon ahead that
-    exceeds the sensors', what is gone, and the standard deviation of that, None where there was none;
-    `closing_percent`: what would be gone if the effect were right, and would have come if there were none of it;
-    `struck`: parts of the model strike each other."""
-
-    gain: float
-    std: float
-    closed_percent: float | None
-    closed_std: float | None = None
-    closing_percent: float | None = None
-    known: float = 0.0
-    struck: bool = False
-
-    @property
-    def stands(self) -> bool:
-        """Whether the likelihood rises beyond its own noise, and no error surely grows.
-
-        What an effect does ahead that is less than the scatter there is judged by the rows alone: other errors of the
-        model, which add up on the way, would decide. Likewise where parts strike each other: how far ahead is foretold
-        what follows a blow is a matter of the filter that the blows of one record have made.
-        """
-        return (self.struck or not self._grows) and self.gain + self.known >= self.std
-
-    @property
-    def _grows(self) -> bool:
-        if self.closed_percent is None or self.closed_std is None or self.closing_percent is None:
-            return False
-        return self.closing_percent > self.closed_std and self.closed_percent <= -SURE * self.closed_std
 
 
 class UnseenCheck:

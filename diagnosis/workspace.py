@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnosis.actuator_rows import of_actuators
 from diagnosis.candidates import Candidate, candidates_for
+from diagnosis.gates import Round
 from estimators.budget import UNLIMITED, Budget
 from estimators.problem import Problem, problem
 from estimators.resting import without_rests
@@ -35,7 +36,8 @@ from being tried."""
 @dataclass(frozen=True, slots=True)
 class Workspace:
     """`left_out`: effects that are no candidate, and why; `failed`: candidates that no fit of ended, and why. All that
-    is fitted is within the `budget`; `untried` gathers in words what was left for want of time."""
+    is fitted is within the `budget`; `untried` gathers in words what was left for want of time, `rounds` what was
+    decided about each effect."""
 
     recordings: tuple[Recording, ...]
     support: float | None
@@ -45,6 +47,7 @@ class Workspace:
     failed: dict[str, str] = field(default_factory=dict)
     budget: Budget = UNLIMITED
     untried: list[str] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
 
     @classmethod
     def of(

@@ -1,0 +1,425 @@
+"""What does the diagnosis decide, and by which numbers? A net of some 300 cases under every change of its code.
+
+    python benchmarks/decisions.py record TABLE     diagnose every case and keep what was decided: an hour on two cores
+    python benchmarks/decisions.py replay TABLE     decide again from the numbers in the table, in seconds
+    python benchmarks/decisions.py diff OLD NEW     cases that have another verdict or other names, and by which numbers
+    python benchmarks/decisions.py summary TABLE    right names, false names, unknown and adequate, class by class
+
+A case is a record with nothing missing, with one effect, two, or one that no catalogue has, shaken and still, of both
+vehicles; a MONOCAB of another simulator; bodies that swing freely; the measured records in ../shared, where they are
+there. All follows from its name, and no case knows a clock: each is diagnosed for as long as it takes. A table holds
+one line of JSON a case, compressed: the verdict, the names, and of every effect that got a fit the numbers that decided
+about it (diagnosis.gates.Tried) with the reason for which it was refused. That of the repository is recorded/decisions.
+
+`record` goes on where it was when it was ended. `--only WORDS` takes the cases whose name has one of these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import lzma
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, before numpy is loaded
+
+from benchmarks import free_decays, measured_verdicts, others_recordings
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.gates import Round, Tried, Unseen, decide, gated
+from diagnosis.parts import diagnose_parts
+from estimators.identify import nominal_model, with_values
+from models.effect import Effect, Family
+from models.effects import CATALOGUE
+from models.library import ACTUATORS
+from service.hidden_effects.cases import pairs
+from service.hidden_effects.vehicles import drawn
+from service.vehicle_file import load
+from service.virtual_run import record
+from simulation.hidden import HIDDEN, UNLISTED
+from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
+from telemetry.clock import by_the_clock
+from telemetry.csv_file import read_csv
+from telemetry.errors import UprightError
+
+HERE = Path(__file__).parent
+SHARED = HERE.parents[1] / "shared"
+TABLE = HERE / "recorded" / "decisions.jsonl.xz"
+Line = dict[str, Any]
+
+SEED = 300
+SHAKEN = "disturbance=5,0.3"
+"""N m RMS and s: the middle of what is drawn for `upright benchmark hidden-effects`."""
+LOUDER = 4.0
+"""Times the level of a still record with which an effect is hidden beside it."""
+LEVELS: Mapping[str, float] = {
+    "static_torque": -0.027,
+    "viscous_friction": 0.062,
+    "coulomb_friction": 0.018,
+    "stribeck_friction": 0.080,
+    "load_dependent_friction": 0.0097,
+    "asymmetric_friction": 0.081,
+    "quadratic_drag": 0.046,
+    "cubic_stiffness": 0.061,
+    "end_stop": 0.0045,
+    "hysteresis": 0.018,
+    "position_cogging": 0.037,
+    "periodic_disturbance": 0.018,
+    "torque_step": 0.0081,
+    "torque_drift": -0.14,
+    "gimbal_angle_coupling": 0.24,
+    "flexible_mode": 0.030,
+    "gimbal_imbalance": 0.39,
+    "input_deadband": 0.012,
+    "input_delay": 1.0,
+    "backlash": 0.005,
+    "actuator_lag": 0.62,
+    "input_asymmetry": 0.00086,
+    "sensor_offset": -0.026,
+    "input_gain": -0.020,
+    "sensor_delay": 1.55,
+    "sensor_lag": 0.19,
+    "sensor_scale": -1.2,
+    "test_cubic_drag": -0.029,
+    "test_one_sided_damping": -0.023,
+    "test_varying_stiffness": 0.037,
+    "test_patchy_damping": 0.11,
+}
+"""Twice what 30 s of multisine just show where nothing shakes, as levels of the virtual MONOCAB's effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """`hidden`: what is missing, by names of the catalogue; `unlisted`: it has no name there. `diagnosed` makes the
+    record and diagnoses it."""
+
+    name: str
+    hidden: tuple[str, ...]
+    unlisted: bool
+    diagnosed: Callable[[], Diagnosis]
+
+
+def cases() -> Iterator[Case]:
+    """All of them, class by class; those whose records are not there are left out."""
+    yield from _monocabs()
+    yield from _robots()
+    yield from _of_others()
+    yield from _swings()
+    yield from _measured()
+
+
+def _monocabs() -> Iterator[Case]:
+    for shaken in (False, True):
+        how, factor = ("shaken", LOUDER) if shaken else ("still", 1.0)
+        for number in range(10):
+            yield _monocab(f"monocab {how} nothing {number}", {}, shaken, SEED + number)
+        listed = [name for name in LEVELS if name in HIDDEN]
+        for names in [*((name,) for name in LEVELS), *pairs(listed, SEED)]:
+            levels = {name: factor * LEVELS[name] for name in names}
+            yield _monocab(f"monocab {how} {'+'.join(names)}", levels, shaken, SEED)
+        for name in listed:
+            yield _monocab(f"monocab {how} {name} of the demo", {name: DEMO.get(name, 1.0)}, shaken, SEED + 1)
+
+
+DEMO: Mapping[str, float] = {"backlash": 0.02, "load_dependent_friction": 0.05, "gyro_bias": 1.0}
+"""Levels, where that of the demo stops the vehicle."""
+
+
+def _monocab(name: str, levels: Mapping[str, float], shaken: bool, seed: int) -> Case:
+    def diagnosed() -> Diagnosis:
+        vehicle, known = drawn(seed), load("monocab")
+        cad = known.parameters
+        hide = [*(f"{each}={level:g}" for each, level in levels.items()), *([SHAKEN] if shaken else [])]
+        run = record(vehicle.file, "multisine", hide=hide, seed=seed, duration=30.0, configure=vehicle.configured)
+        own = with_values(nominal_model("monocab").remove("static_torque"), cad.values, cad.deviations)
+        actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]
+        return diagnose_parts(own, actuators, [run], support=known.support)
+
+    return Case(name, tuple(levels), any(each in UNLISTED for each in levels), diagnosed)
+
+
+AS_NAMED: Mapping[str, str] = {"slope": "static_torque@travel"}
+"""What the catalogue calls an effect of the virtual robot."""
+
+
+def _robots() -> Iterator[Case]:
+    for level in (0.0, 1.0):
+        how = "shaken" if level else "still"
+        for number in range(5):
+            yield _robot(f"robot {how} nothing {number}", "", level, SEED + number)
+        for name in (*TWSBR_HIDDEN, *TWSBR_UNLISTED):
+            yield _robot(f"robot {how} {name}", name, level, SEED)
+
+
+def _robot(name: str, hidden: str, level: float, seed: int) -> Case:
+    def diagnosed() -> Diagnosis:
+        known = load("twsbr")
+        hide = [each for each in (hidden, f"disturbance={level:g}" if level else "") if each]
+        model = with_values(nominal_model("twsbr"), known.parameters.values, known.parameters.deviations)
+        return diagnose(model, [record("twsbr", "square", hide=hide, seed=seed)], support=known.support)
+
+    names = (AS_NAMED.get(hidden, hidden),) if hidden else ()
+    return Case(name, names, hidden in TWSBR_UNLISTED, diagnosed)
+
+
+def _of_others() -> Iterator[Case]:
+    listed = {others_recordings.CLEAN: {}, **others_recordings.EFFECTS}
+    for name, how in {**listed, **others_recordings.UNLISTED}.items():
+        hidden = () if name == others_recordings.CLEAN else (name,)
+        yield Case(f"others {name}", hidden, name in others_recordings.UNLISTED, _others_diagnosed(how))
+
+
+def _others_diagnosed(how: Mapping[str, Any]) -> Callable[[], Diagnosis]:
+    def diagnosed() -> Diagnosis:
+        known = load("monocab")
+        cad = known.parameters
+        with tempfile.TemporaryDirectory() as folder:
+            vehicle = others_recordings.OthersVehicle(rate=200, noise=5.0, sweep=False, seed=SEED, **how)
+            run = by_the_clock(read_csv(vehicle.write(Path(folder) / "table.csv")))
+        own = with_values(nominal_model("monocab").remove("static_torque"), cad.values, cad.deviations)
+        actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]
+        return diagnose_parts(own, actuators, [run], support=known.support)
+
+    return diagnosed
+
+
+def _swings() -> Iterator[Case]:
+    for name, swing in free_decays.SWINGS.items():
+        sizes = {"coulomb_friction": swing.body.dry, "viscous_friction": swing.body.viscous}
+        hidden = tuple(each for each, size in sizes.items() if size)
+        yield Case(f"swing {name}", hidden, False, _swing_diagnosed(swing))
+
+
+def _swing_diagnosed(swing: free_decays.Swing) -> Callable[[], Diagnosis]:
+    return lambda: diagnose(swing.body.model(swing.noise, swing.force), [swing.seen(swing.body)])
+
+
+def _measured() -> Iterator[Case]:
+    for folder, found in measured_verdicts.SOURCES.values():
+        if (SHARED / "data" / folder).is_dir():
+            for case in found(SHARED / "data"):
+                yield Case(f"measured {case.name}", (case.hidden,), False, _measured_diagnosed(case))
+
+
+def _measured_diagnosed(case: measured_verdicts.Case) -> Callable[[], Diagnosis]:
+    return lambda: diagnose(case.model, [case.record], support=case.support)
+
+
+def line_of(case: Case) -> Line:
+    """What came out of a case. One that cannot be recorded or diagnosed says why."""
+    about: Line = {"case": case.name, "hidden": list(case.hidden), "unlisted": case.unlisted}
+    try:
+        found = case.diagnosed()
+    except (UprightError, ArithmeticError) as error:
+        return {**about, "verdict": "failed", "reason": str(error), "named": [], "rounds": []}
+    rounds = [each for part in (found.parts or (found,)) for each in part.rounds]
+    return {
+        **about,
+        "verdict": found.verdict.value,
+        "named": [[each.effect, *each.tied_with] for each in found.findings],
+        "sizes": {
+            name: [size.value, size.std]
+            for each in found.findings
+            for name, size in each.parameters.items()
+            if size.value is not None and size.std is not None
+        },
+        "ratios": [found.innovation_ratio_before, found.innovation_ratio_after],
+        "rounds": [_round_line(each) for each in rounds],
+    }
+
+
+def _round_line(decided: Round) -> Line:
+    return {
+        "beside": list(decided.beside),
+        "tries": decided.tries,
+        "p_value": decided.p_value,
+        "named": decided.named,
+        "tied_with": list(decided.tied_with),
+        "tried": [_tried_line(each) for each in decided.tried],
+    }
+
+
+def _tried_line(tried: Tried) -> Line:
+    """Without the effect itself, but for what it is alike with where no catalogue has it."""
+    own = {name: getattr(tried, name) for name in Tried.__slots__ if name not in ("effect", "held_out")}
+    return {**own, "held_out": asdict(tried.held_out) if tried.held_out else None}
+
+
+def _short(value: Any) -> Any:
+    """Numbers to six digits, what is no number as text."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if abs(value) < float("inf") else str(value)
+    if isinstance(value, dict):
+        return {key: _short(each) for key, each in value.items()}
+    return [_short(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def read_table(path: Path) -> dict[str, Line]:
+    """Case to line."""
+    with lzma.open(path, "rt", encoding="utf-8") if path.suffix == ".xz" else path.open(encoding="utf-8") as file:
+        return {line["case"]: line for line in map(json.loads, file)}
+
+
+def _round_of(line: Mapping[str, Any]) -> Round:
+    """As it was before anything was decided."""
+    tried = tuple(gated(_tried_of(each), line["tries"]) for each in line["tried"])
+    return Round(tuple(line["beside"]), line["tries"], tried, float(line["p_value"]))
+
+
+def _tried_of(line: Mapping[str, Any]) -> Tried:
+    own = {name: line[name] for name in Tried.__slots__ if name in line and name not in ("held_out", "refused")}
+    held_out = Unseen(**line["held_out"]) if line["held_out"] else None
+    effect = CATALOGUE.get(line["name"].partition("@")[0]) or _without_kin(line["name"])
+    numbers = {"log_likelihood": float(line["log_likelihood"]), "t_ratio": float(line["t_ratio"])}
+    usual = tuple(line["usual"]) if line["usual"] else None
+    return Tried(effect=effect, held_out=held_out, **{**own, **numbers, "usual": usual})
+
+
+def _without_kin(name: str) -> Effect:
+    """An effect that no catalogue has, and that is easily confused with none."""
+    return replace(next(iter(CATALOGUE.values())), name=name, family=Family.STRUCTURE, confused_with=())
+
+
+def decided_again(line: Line) -> list[tuple[str, str]]:
+    """Rounds of a case that are decided otherwise now than in its line, and how."""
+    found = []
+    for each in line["rounds"]:
+        known = {one["name"]: one for one in each["tried"]}
+        lacking: list[str] = []
+
+        def on_held_out(best: Tried, known: Mapping[str, Line] = known, lacking: list[str] = lacking) -> Tried:
+            asked = known[best.name]["held_out"] is not None or known[best.name]["refused"] != ""
+            if not asked and best.name != each["named"]:  # noqa: B023
+                lacking.append(best.name)
+            return best
+
+        again = decide(_round_of(each), on_held_out, lambda other: other.in_usual_shape)
+        before, now = ([one["named"], *one["tied_with"]] for one in (each, {**each, **_named(again)}))
+        if before != now or lacking:
+            beside = " beside " + " and ".join(each["beside"]) if each["beside"] else ""
+            told = f"{' = '.join(before) or 'none'} is now {' = '.join(now) or 'none'}"
+            asks = f", and asks held-out data about {', '.join(lacking)}" if lacking else ""
+            found.append((line["case"] + beside, told + asks))
+    return found
+
+
+def _named(decided: Round) -> Line:
+    return {"named": decided.named, "tied_with": list(decided.tied_with)}
+
+
+def kind_of(line: Line) -> str:
+    """What a case is counted among."""
+    group = line["case"].split(" ")[0]
+    how = " ".join(word for word in ("still", "shaken") if f" {word} " in line["case"])
+    count = "unlisted" if line["unlisted"] else ("nothing", "one", "two")[min(2, len(line["hidden"]))]
+    return " ".join(filter(None, (group, how, count)))
+
+
+def right(line: Line) -> bool:
+    """Whether all that is hidden is named, the one alone first or tied with one other; an effect of no catalogue is
+    unknown, and nothing is adequate."""
+    names = [set(each) for each in line["named"]]
+    if line["unlisted"]:
+        return bool(line["verdict"] == Verdict.UNKNOWN.value)
+    if not line["hidden"]:
+        return bool(line["verdict"] == Verdict.ADEQUATE.value)
+    if len(line["hidden"]) == 1:
+        return bool(names) and line["hidden"][0] in names[0] and len(names[0]) <= 2
+    return all(any(hidden in each for each in names) for hidden in line["hidden"])
+
+
+def false_names(line: Line) -> int:
+    """Names of which none is of what is hidden; one that is hidden outside the catalogue has none that is right."""
+    hidden = set() if line["unlisted"] else set(line["hidden"])
+    sure = line["verdict"] == Verdict.MISSING_EFFECT.value
+    return sum(not hidden & set(each) for each in line["named"]) if sure or not line["unlisted"] else 0
+
+
+def summary(lines: Iterable[Line]) -> Iterator[str]:
+    """A line for each kind of case."""
+    kinds: dict[str, list[Line]] = {}
+    for line in lines:
+        kinds.setdefault(kind_of(line), []).append(line)
+    for kind, each in kinds.items():
+        verdicts = ", ".join(f"{count} {name}" for name, count in Counter(one["verdict"] for one in each).most_common())
+        good, false = sum(map(right, each)), sum(map(false_names, each))
+        yield f"{kind:26} right {good:3} of {len(each):3}, false names {false:2}; {verdicts}"
+
+
+def difference(old: Mapping[str, Line], new: Mapping[str, Line]) -> Iterator[str]:
+    """What is other in the cases of both, a line each."""
+    for name in old:
+        if name not in new:
+            yield f"{name}: only in the old table"
+            continue
+        one, other = old[name], new[name]
+        before, now = (f"{each['verdict']} {_names(each)}" for each in (one, other))
+        if before != now:
+            hidden = " and ".join(one["hidden"]) or "nothing"
+            change = {(True, False): "WORSE", (False, True): "better"}.get((right(one), right(other)), "other")
+            yield f"{change:6} {name} (hides {hidden}): {before.strip()} -> {now.strip()}"
+    yield from (f"{name}: only in the new table" for name in new if name not in old)
+
+
+def _names(line: Line) -> str:
+    return "; ".join(" = ".join(each) for each in line["named"])
+
+
+def recorded(path: Path, words: Sequence[str], processes: int) -> None:
+    """Writes the table of all cases whose name has one of `words`, going on where `path`.part was."""
+    part = path.with_name(f"{path.name}.part")
+    done = read_table(part) if part.exists() else {}
+    names = [each.name for each in cases() if not words or any(word in each.name for word in words)]
+    left = [name for name in names if name not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(processes, max_tasks_per_child=20) as pool, part.open("a", encoding="utf-8") as file:
+        for number, line in enumerate(pool.map(_line_of, left), start=1):
+            done[line["case"]] = line
+            file.write(json.dumps(line) + "\n")
+            file.flush()
+            print(f"{number:4} of {len(left)}  {line['case']:60} {line['verdict']:16} {_names(line)}", flush=True)
+    with lzma.open(path, "wt", encoding="utf-8") if path.suffix == ".xz" else path.open("w", encoding="utf-8") as file:
+        file.writelines(json.dumps(done[name], separators=(",", ":")) + "\n" for name in names)
+    part.unlink()
+
+
+def _line_of(name: str) -> Line:
+    found: Line = _short(line_of(next(each for each in cases() if each.name == name)))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    for verb in ("record", "replay", "summary"):
+        one = verbs.add_parser(verb)
+        one.add_argument("table", type=Path, nargs="?", default=TABLE)
+        if verb == "record":
+            one.add_argument("--only", nargs="*", default=[], metavar="WORD", help="of the names of cases")
+            one.add_argument("--processes", type=int, default=2)
+    two = verbs.add_parser("diff")
+    two.add_argument("old", type=Path)
+    two.add_argument("new", type=Path, nargs="?", default=TABLE)
+    given = parser.parse_args()
+    if given.verb == "record":
+        recorded(given.table, given.only, given.processes)
+    elif given.verb == "replay":
+        table = read_table(given.table)
+        others = [each for line in table.values() for each in decided_again(line)]
+        rounds = sum(len(line["rounds"]) for line in table.values())
+        print(*(f"{name}: {how}" for name, how in others), sep="\n")
+        print(f"{len(others)} of {rounds} rounds of {len(table)} cases are decided otherwise")
+    elif given.verb == "summary":
+        print(*summary(read_table(given.table).values()), sep="\n")
+    else:
+        print(*difference(read_table(given.old), read_table(given.new)), sep="\n")
+
+
+if __name__ == "__main__":
+    main()
