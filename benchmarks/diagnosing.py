@@ -18,11 +18,11 @@ from collections.abc import Callable
 from typing import Any
 
 from diagnosis.diagnose import diagnose
-from diagnosis.gate import check
-from diagnosis.refit import settled
-from diagnosis.screen import screen
-from diagnosis.whitened import Whitened
-from diagnosis.workspace import Workspace, attached
+from diagnosis.fits.refit import settled
+from diagnosis.prepare.usable import check
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.score_test import screen
+from diagnosis.score.whitened import Whitened
 from estimators.identify import nominal_model, with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
 from service.vehicle_file import load

@@ -19,9 +19,9 @@ from functools import partial
 from scipy.stats import binomtest
 
 from diagnosis.diagnose import Verdict, diagnose
-from diagnosis.screen import screen
-from diagnosis.whitened import Whitened
-from diagnosis.workspace import Workspace, attached
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.score_test import screen
+from diagnosis.score.whitened import Whitened
 from estimators.identify import nominal_model, with_values
 from estimators.methods.prediction_error import fit
 from estimators.segments import after_settling

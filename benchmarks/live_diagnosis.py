@@ -29,8 +29,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 import numpy as np
 from scipy.stats import binomtest, chi2
 
-from diagnosis.live import LiveDiagnosis
-from diagnosis.live_naming import LiveFinding
+from diagnosis.live.live import LiveDiagnosis
+from diagnosis.live.naming import LiveFinding
 from estimators.identify import nominal_model
 from estimators.recursive_predictor import Seen
 from service.vehicle_file import load

@@ -30,7 +30,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from diagnosis.compare import compare
+from diagnosis.prediction.compare import compare
 from models.library import get
 from service.recorded_loop import recorded_loop
 from service.replay import live_diagnosis

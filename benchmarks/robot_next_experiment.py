@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+from diagnosis.fits.refit import full
 from diagnosis.next_experiment import Choice, suggest
-from diagnosis.refit import full
+from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import Rival, fitted_rivals
-from diagnosis.workspace import Workspace
 from estimators.identify import nominal_model, with_values
 from models.model import Model
 from service.next_experiment import experiments_of

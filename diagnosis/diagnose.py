@@ -13,27 +13,27 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
-from diagnosis.adequacy import Adequacy, adequacy, over_floor
-from diagnosis.closed_loop_error import Loop
-from diagnosis.events import Event, events, pieces
 from diagnosis.evidence import beyond_chance
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.explain import together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
-from diagnosis.gate import check
-from diagnosis.limit import prediction_limit
-from diagnosis.random_parts import RANDOM, absorbed, promised
-from diagnosis.ready import ready, unready
-from diagnosis.refit import FURTHER_FITS, FullFit, full, gained, settled
-from diagnosis.relevance import relevances
-from diagnosis.screen import Screen
-from diagnosis.sentences import explained_by_none
+from diagnosis.fits.held_out import hidden
+from diagnosis.fits.random_parts import RANDOM, absorbed, promised
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, gained, settled
+from diagnosis.lack_of_fit.adequacy import Adequacy, adequacy, over_floor
+from diagnosis.lack_of_fit.events import Event, events, pieces
+from diagnosis.prediction.closed_loop_error import Loop
+from diagnosis.prediction.limit import prediction_limit
+from diagnosis.prediction.relevance import relevances
+from diagnosis.prepare.ready import ready, unready
+from diagnosis.prepare.usable import check
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.report.sentences import explained_by_none
+from diagnosis.score.score_test import Screen
 from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
 from diagnosis.trial import FAILURES, tried
-from diagnosis.unseen import hidden
-from diagnosis.workspace import Workspace
 from estimators.budget import Budget, OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.disturbance import disturbances, in_words
@@ -77,11 +77,11 @@ def diagnose(
     A recording that begins on a support is looked at from where the model has settled (`Model.settling`).
     `support` rad: the vehicle is free where its roll is less. `candidates`: effects to look for, the whole catalogue by
     default. `most`: effects that are added at most, one after the other. `masked`: effects that parameters of
-    the model can take the place of, so that the screen alone does not decide about them (diagnosis.masked). `unasked`:
-    parameters that the recordings need not tell. `budget` s: by then the search ends with what it has, and says what it
-    left untried; by default it takes as long as it takes. `loops` tell what closed the loop on each recording, or why
-    that is not known (diagnosis.relevance). `progress` is told what is being done and the share of it that is over, 0
-    to 1.
+    the model can take the place of, so that the screen alone does not decide about them (diagnosis.fits.masked).
+    `unasked`: parameters that the recordings need not tell. `budget` s: by then the search ends with what it has, and
+    says what it left untried; by default it takes as long as it takes. `loops` tell what closed the loop on each
+    recording, or why that is not known (diagnosis.prediction.relevance). `progress` is told what is being done and the
+    share of it that is over, 0 to 1.
     Raises ModelError and EstimationError for a model or names that cannot be; data that cannot be used give a verdict.
     """
     tell = _forward(progress)

@@ -20,16 +20,16 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from diagnosis.candidates import Candidate
 from diagnosis.evidence import LEVEL, beyond_chance, likelier
 from diagnosis.findings import Finding, MadeOf
-from diagnosis.finer import is_finer
+from diagnosis.fits.finer import is_finer
+from diagnosis.fits.refit import FullFit, full, gained, with_effect
 from diagnosis.gates import NEIGHBOUR, alike
-from diagnosis.refit import FullFit, full, gained, with_effect
-from diagnosis.screen import Screen
+from diagnosis.prepare.candidates import Candidate
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.score.score_test import Screen
 from diagnosis.step import Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
 from diagnosis.trial import FAILURES
-from diagnosis.workspace import Workspace
 
 FURTHER = 0.02
 """Share of what was gained so far that a further effect has to gain: no formula is exact, and a long record tells.

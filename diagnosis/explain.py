@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from diagnosis.candidates import Candidate
-from diagnosis.instants import INSTANT
-from diagnosis.screen import Score
+from diagnosis.prepare.candidates import Candidate
+from diagnosis.score.change_points import INSTANT
+from diagnosis.score.score_test import Score
 from estimators.contract import ParameterEstimate
 from estimators.report import significant
 

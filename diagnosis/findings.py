@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from diagnosis.adequacy import Adequacy
-from diagnosis.events import Event
+from diagnosis.fits.refit import FullFit
 from diagnosis.gates import Round, Unseen
-from diagnosis.refit import FullFit
-from diagnosis.relevance import Relevance
-from diagnosis.screen import Screen
+from diagnosis.lack_of_fit.adequacy import Adequacy
+from diagnosis.lack_of_fit.events import Event
+from diagnosis.prediction.relevance import Relevance
+from diagnosis.score.score_test import Screen
 from estimators.contract import ParameterEstimate
 from estimators.disturbance import DisturbanceEstimate
 from estimators.sensor_errors import InputError, SensorError

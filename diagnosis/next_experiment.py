@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.closed_loop import Course, Experiment, simulate
+from diagnosis.prediction.closed_loop import Course, Experiment, simulate
 from diagnosis.rivals import NOTHING_MORE, Rival
 from estimators.gauss_newton import Block, Minimum, minimise
 from estimators.innovations import NoiseModel

@@ -5,8 +5,8 @@ way; a model of the actuators alone sees nothing else. Both are diagnosed, and t
 most evidence first. Effects of an input are candidates in both: of the setpoint in the actuators' model, and of the
 measured motion in the vehicle's, where they act between the motor, at which it is measured, and the vehicle.
 
-An actuator's speed loop is not known beforehand (diagnosis.speed_loop_choice). Where none is adequate nothing is said
-of the command, and the whole is not adequate either.
+An actuator's speed loop is not known beforehand (diagnosis.fits.speed_loop_choice). Where none is adequate nothing is
+said of the command, and the whole is not adequate either.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from diagnosis.actuator_rows import as_recorded_rows, at_samples, looked_at, on_time
-from diagnosis.closed_loop_error import Loop
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
 from diagnosis.explain import together
-from diagnosis.masked import LAG
-from diagnosis.speed_loop_choice import FORMULA, over_noise, small, speed_loop
+from diagnosis.fits.masked import LAG
+from diagnosis.fits.speed_loop_choice import FORMULA, over_noise, small, speed_loop
+from diagnosis.prediction.closed_loop_error import Loop
+from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.step import retold, reworded
 from diagnosis.trial import FAILURES
 from estimators.segments import DataError

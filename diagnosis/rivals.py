@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.closed_loop import causal
-from diagnosis.refit import FullFit, full, quick, with_effect
-from diagnosis.screen import screen
+from diagnosis.fits.refit import FullFit, full, quick, with_effect
+from diagnosis.prediction.closed_loop import causal
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.score_test import screen
+from diagnosis.score.whitened import Whitened
 from diagnosis.trial import FAILURES
-from diagnosis.whitened import Whitened
-from diagnosis.workspace import Workspace, attached
 from estimators.budget import UNLIMITED, Budget, OutOfTime
 from estimators.innovations import NoiseModel
 from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR

@@ -13,16 +13,15 @@ from functools import partial
 import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.candidates import Candidate
 from diagnosis.evidence import LEVEL, SURE
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
-from diagnosis.finer import finest
-from diagnosis.foresight import foresees
-from diagnosis.gates import Round, Tried, alike, decide, gated, tie
-from diagnosis.masked import fits as fits_of_masked
-from diagnosis.masked import surprise
-from diagnosis.refit import (
+from diagnosis.fits.finer import finest
+from diagnosis.fits.held_out import UnseenCheck
+from diagnosis.fits.look_ahead import foresees
+from diagnosis.fits.masked import fits as fits_of_masked
+from diagnosis.fits.masked import surprise
+from diagnosis.fits.refit import (
     CREEPING,
     FURTHER_FITS,
     FullFit,
@@ -34,12 +33,13 @@ from diagnosis.refit import (
     surety,
     with_effect,
 )
-from diagnosis.screen import Score, Screen, screen
+from diagnosis.gates import Round, Tried, alike, decide, gated, tie
+from diagnosis.prepare.candidates import Candidate
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.score_test import Score, Screen, screen
+from diagnosis.score.whitened import Whitened
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
-from diagnosis.unseen import UnseenCheck
-from diagnosis.whitened import Whitened
-from diagnosis.workspace import Workspace, attached
 from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.disturbance import disturbances, is_of_disturbance

@@ -17,7 +17,7 @@ from math import tau
 from pathlib import Path
 from typing import Any
 
-from diagnosis.method_figure import save_methods
+from diagnosis.report.method_figure import save_methods
 from estimators.identify import identify
 from service.cli.identify_page import print_methods
 from service.vehicle_file import load

@@ -4,8 +4,8 @@ A first-order random force (models.random_part) beside a joint's load; white pro
 correlation times, a drift that for long ones. Its RMS and correlation time are estimated with the parameters, by
 maximum likelihood. `disturbed` puts it into a model that is about to meet a record.
 
-A second one, where evidence asks for it (diagnosis.random_parts) or a model states it, is of a narrow band, as a mode
-of the body or rail joints at constant speed make it.
+A second one, where evidence asks for it (diagnosis.fits.random_parts) or a model states it, is of a narrow band, as a
+mode of the body or rail joints at constant speed make it.
 """
 
 from __future__ import annotations

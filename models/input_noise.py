@@ -3,7 +3,7 @@
     u_acting = u - share (u - usual),    usual' = (u - usual) / time
 
 `usual` is what a filter makes of the readings so far. With `share` 1 it is what acts, with 0 the reading is. Where a
-record asks for one is for diagnosis.input_noise to say.
+record asks for one is for diagnosis.fits.input_noise to say.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The random errors that a sensor makes beside white noise: what wanders, and what vibrates.
 
 An error of first order or of a narrow band (models.random_part) adds to what an output shows, and goes into the states
-that integrate the output's noise, as those of a filter do. Where a record asks for one is for diagnosis.random_parts to
-say.
+that integrate the output's noise, as those of a filter do. Where a record asks for one is for
+diagnosis.fits.random_parts to say.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from diagnosis.closed_loop import Experiment, simulate
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
+from diagnosis.prediction.closed_loop import Experiment, simulate
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
 from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime

@@ -17,7 +17,7 @@ from telemetry.channels import TABLES
 from telemetry.samples import Frame
 
 if TYPE_CHECKING:
-    from diagnosis.live import LiveDiagnosis
+    from diagnosis.live.live import LiveDiagnosis
 
 RECURSION = "recursive_prediction_error"
 
@@ -58,7 +58,7 @@ def _twsbr(parameters: Mapping[str, float], deviations: Mapping[str, float], sup
 def _live_diagnosis(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> LiveDiagnosis:
-    from diagnosis.live import LiveDiagnosis
+    from diagnosis.live.live import LiveDiagnosis
     from estimators.identify import nominal_model
 
     return LiveDiagnosis(

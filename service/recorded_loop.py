@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from diagnosis.closed_loop_error import Loop
+from diagnosis.prediction.closed_loop_error import Loop
 from service.monocab.recorded_loop import recorded_loop as monocab
 from service.twsbr.recorded_loop import recorded_loop as twsbr
 from service.vehicle_sections import VehicleFile

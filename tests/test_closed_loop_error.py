@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import small_vehicle
 
-from diagnosis.closed_loop_error import ClosedLoop, Loop
-from diagnosis.compare import Comparison, compare
-from diagnosis.figures import comparison_figure
+from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
+from diagnosis.prediction.compare import Comparison, compare
+from diagnosis.report.comparison_figures import comparison_figure
 from estimators.speed_loop import MODES, respond
 from estimators.speed_loop import Loop as Tuning
 from estimators.speed_loop_steps import SpeedLoopSteps

@@ -13,8 +13,8 @@ import pytest
 import small_vehicle
 import virtual_records
 
-from diagnosis.compare import Comparison, compare
-from diagnosis.figures import comparison_figure, save_comparison
+from diagnosis.prediction.compare import Comparison, compare
+from diagnosis.report.comparison_figures import comparison_figure, save_comparison
 from estimators.contract import EstimationError
 from estimators.segments import DataError
 from models import library

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diagnosis.diagnose import Verdict, diagnose
-from diagnosis.repair import repair
+from diagnosis.revise.revision import repair
 from examples import emps, quarter_drone, unbalanced_disk
 from models.model_file import load_model
 

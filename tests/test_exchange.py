@@ -12,8 +12,8 @@ from thorough import of_many
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
 from diagnosis.evidence import SURE, beyond_chance
 from diagnosis.exchange import exchange, put_together, taken_apart
-from diagnosis.refit import full, gained, surety, with_effect
-from diagnosis.workspace import Workspace
+from diagnosis.fits.refit import full, gained, surety, with_effect
+from diagnosis.prepare.workspace import Workspace
 from estimators.fit_result import inverse
 from estimators.identify import nominal_model, with_values
 from service.vehicle_file import load

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import virtual_records
 
-from diagnosis.floor import floor, innovation_ratio, sensor_noise, with_nuisances
-from diagnosis.horizons import predictions
+from diagnosis.lack_of_fit.floor import floor, innovation_ratio, sensor_noise, with_nuisances
+from diagnosis.prediction.horizons import predictions
 from estimators.contract import EstimationError
 from estimators.problem import Problem, problem
 from estimators.white_noise import white_variance

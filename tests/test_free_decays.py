@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from benchmarks.free_decays import Body, pushed
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.input_noise import not_acting
-from diagnosis.ready import ready
-from diagnosis.sentences import disturbance_sentences
+from diagnosis.fits.input_noise import not_acting
+from diagnosis.prepare.ready import ready
+from diagnosis.report.sentences import disturbance_sentences
 from estimators import innovations
 from estimators.input_noise import input_noise
 from estimators.likelihood import Likelihood

@@ -16,7 +16,7 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
-from diagnosis.adequacy import LEFT_STRUCK
+from diagnosis.lack_of_fit.adequacy import LEFT_STRUCK
 from models import library
 from service.cli import app
 from service.vehicle_file import load

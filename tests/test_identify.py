@@ -17,7 +17,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import estimators
-from diagnosis.method_figure import method_figure, save_methods
+from diagnosis.report.method_figure import method_figure, save_methods
 from estimators.contract import EstimationError
 from estimators.identify import identify, nominal_model, plan, with_values
 from estimators.method_table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from closed_loop import ClosedLoop
 
-from diagnosis.compare import compare
+from diagnosis.prediction.compare import compare
 from estimators.identify import identify, nominal_model, with_values
 from estimators.torque_balance import Method, TorqueBalance
 from simulation.config import PlantTruth

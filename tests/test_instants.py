@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.candidates import candidates_for
-from diagnosis.instants import MOST, at_instants
-from diagnosis.refit import full
-from diagnosis.whitened import Whitened, project
-from diagnosis.workspace import Workspace, attached
+from diagnosis.fits.refit import full
+from diagnosis.prepare.candidates import candidates_for
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.change_points import MOST, at_instants
+from diagnosis.score.whitened import Whitened, project
 from estimators.identify import nominal_model, with_values
 from service.vehicle_file import load
 from telemetry.recording import Recording

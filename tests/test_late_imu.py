@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.compare import compare
 from diagnosis.findings import Verdict
 from diagnosis.parts import diagnose_parts
-from diagnosis.ready import ready
+from diagnosis.prediction.compare import compare
+from diagnosis.prepare.ready import ready
 from estimators.disturbance import disturbances
 from estimators.freed import freed
 from estimators.identify import with_values

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE
 
-from diagnosis.candidates import candidates_for
-from diagnosis.line import RECENT, LineFinder, strongest
-from diagnosis.live import LiveDiagnosis
-from diagnosis.live_naming import Gathered, LiveFinding, LiveResult
-from diagnosis.workspace import attached
+from diagnosis.live.line import RECENT, LineFinder, strongest
+from diagnosis.live.live import LiveDiagnosis
+from diagnosis.live.naming import Gathered, LiveFinding, LiveResult
+from diagnosis.prepare.candidates import candidates_for
+from diagnosis.prepare.workspace import attached
 from estimators.disturbance import is_of_disturbance
 from estimators.identify import nominal_model, with_values
 from estimators.methods.prediction_error import prediction_error
@@ -286,7 +286,7 @@ def test_a_failure_ends_the_diagnosis_and_not_the_recursion(monkeypatch: pytest.
 
 def test_steps_are_made_finer_where_an_effect_moves_too_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     """A play that is crossed within a cycle: in one step a row its derivative runs away, in finer ones it does not."""
-    monkeypatch.setattr("diagnosis.live.UNSEEN", ())
+    monkeypatch.setattr("diagnosis.live.live.UNSEEN", ())
     diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
     result = course(recorded(), diagnosis)[-1][1]
     assert "backlash" in result.detectable

@@ -11,10 +11,10 @@ import virtual_records
 from axis_plant import MASS
 from scipy.linalg import solve_discrete_are
 
-from diagnosis.floor import Innovations, with_nuisances
-from diagnosis.force_bins import Binned, binned_forces, mean_forces
-from diagnosis.force_probe import Probe, probe, recurrence
-from diagnosis.missing_force import FADING, MissingForce, _settled, missing_force
+from diagnosis.lack_of_fit.floor import Innovations, with_nuisances
+from diagnosis.lack_of_fit.force_bins import Binned, binned_forces, mean_forces
+from diagnosis.lack_of_fit.force_probe import Probe, probe, recurrence
+from diagnosis.lack_of_fit.missing_force import FADING, MissingForce, _settled, missing_force
 from estimators.contract import EstimationError
 from estimators.problem import problem
 from models.model import Model

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.closed_loop import simulate
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from diagnosis.fits.refit import full
 from diagnosis.next_experiment import ENOUGH, LONGEST, Choice, expected_log_odds, suggest
-from diagnosis.refit import full
+from diagnosis.prediction.closed_loop import simulate
+from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
-from diagnosis.workspace import Workspace
 from estimators.budget import Budget, OutOfTime
 from estimators.identify import nominal_model, with_values
 from estimators.problem import problem

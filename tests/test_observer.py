@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
-from diagnosis.live import LiveDiagnosis
+from diagnosis.live.live import LiveDiagnosis
 from estimators.identify import nominal_model
 from estimators.torque_balance import make as make_plain
 from service import link, replay

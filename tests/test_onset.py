@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.live_odds import weigh
-from diagnosis.onset import BEGINNING, Amplitudes, Onset
-from diagnosis.products import Products
+from diagnosis.live.odds import weigh
+from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
+from diagnosis.live.products import Products
 
 ROWS = 200
 """Rows a second."""

@@ -19,10 +19,10 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.others_recordings import EFFECTS, OthersVehicle, right
-from diagnosis.foresight import FORESEEN, foresees, foretold_share
-from diagnosis.ready import ready
-from diagnosis.refit import FullFit, full, with_effect
-from diagnosis.workspace import Workspace
+from diagnosis.fits.look_ahead import FORESEEN, foresees, foretold_share
+from diagnosis.fits.refit import FullFit, full, with_effect
+from diagnosis.prepare.ready import ready
+from diagnosis.prepare.workspace import Workspace
 from estimators.identify import nominal_model
 from service.cli import app
 from service.cli.batch import load_recording

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from thorough import of_many
 
-from diagnosis.actuator_rows import on_time
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
+from diagnosis.prepare.actuator_samples import on_time
 from estimators.identify import nominal_model, with_values
 from estimators.segments import ramp_shortfall
 from models.effect import Place

@@ -13,10 +13,10 @@ from shaken_plant import Shaken
 from thorough import of_many
 
 from benchmarks.others_recordings import EFFECTS, SENSORS, OthersVehicle
-from diagnosis.colour import LEVEL, _blocks, signals
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.ready import ready
-from diagnosis.sentences import disturbance_sentences, to_within
+from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
+from diagnosis.prepare.ready import ready
+from diagnosis.report.sentences import disturbance_sentences, to_within
 from estimators.disturbance import DisturbanceEstimate, NarrowBandEstimate, disturbances
 from estimators.identify import nominal_model, with_values
 from estimators.methods.prediction_error import fit, prediction_error

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.ahead import errors, on, sensor_floors
-from diagnosis.drop_tests import drop_tests
-from diagnosis.effect_fit import fit_model, horizons_of
-from diagnosis.held_out import split
-from diagnosis.repair import repair
-from diagnosis.repair_figure import repair_figure
-from diagnosis.repair_result import Budget, Neighbour, Repair
-from diagnosis.repair_words import in_words, odds_text
+from diagnosis.fits.effect_fit import fit_model, horizons_of
+from diagnosis.prediction.ahead import errors, on, sensor_floors
+from diagnosis.report.repair_figure import repair_figure
+from diagnosis.report.repair_words import in_words, odds_text
+from diagnosis.revise.drop_tests import drop_tests
+from diagnosis.revise.result import Budget, Neighbour, Repair
+from diagnosis.revise.revision import repair
+from diagnosis.revise.split import split
 from estimators.contract import Status
 from estimators.problem import problem
 from estimators.segments import DataError

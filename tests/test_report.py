@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.relevance import Relevance, percent
+from diagnosis.prediction.relevance import Relevance, percent
 from diagnosis.report import Provenance, write_report
 from diagnosis.report.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
 from diagnosis.report.pictures import staircase

@@ -11,7 +11,7 @@ import pytest
 import small_vehicle
 from typer.testing import CliRunner
 
-from diagnosis.compare import Comparison, compare
+from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import Provenance, write_comparison, write_identification
 from diagnosis.report.drawing import looks
 from estimators.disturbance import DisturbanceEstimate

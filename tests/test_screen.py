@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from diagnosis.candidates import at_frequencies, candidates_for
-from diagnosis.screen import DETECTABLE, Screen, screen
-from diagnosis.whitened import Whitened, project
-from diagnosis.workspace import Workspace, attached
+from diagnosis.prepare.candidates import at_frequencies, candidates_for
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.score_test import DETECTABLE, Screen, screen
+from diagnosis.score.whitened import Whitened, project
 from estimators.identify import nominal_model, with_values
 from estimators.methods.prediction_error import fit
 from models import library

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from virtual_records import multisine
 
-from diagnosis.candidates import candidates_for
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.screen import DETECTABLE
+from diagnosis.prepare.candidates import candidates_for
+from diagnosis.score.score_test import DETECTABLE
 from estimators.as_recorded import as_recorded
 from estimators.identify import nominal_model, with_values
 from estimators.roll_filter import RollFilter, RollFilterConfig

@@ -6,12 +6,12 @@ import json
 
 import pytest
 
-from diagnosis.closed_loop_error import Loop
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.explain import together
 from diagnosis.parts import merged
-from diagnosis.relevance import Relevance, percent
-from diagnosis.sentences import (
+from diagnosis.prediction.closed_loop_error import Loop
+from diagnosis.prediction.relevance import Relevance, percent
+from diagnosis.report.sentences import (
     disturbance_sentences,
     disturbance_text,
     explained_by_none,

@@ -12,10 +12,10 @@ from scipy.stats import binom
 from shaken_plant import Shaken
 from thorough import of_many
 
-from diagnosis.compare import compare
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.events import LEVEL, _best, _by_chance
-from diagnosis.ready import ready, unready
+from diagnosis.lack_of_fit.events import LEVEL, _best, _by_chance
+from diagnosis.prediction.compare import compare
+from diagnosis.prepare.ready import ready, unready
 from estimators.budget import Budget, OutOfTime
 from estimators.disturbance import disturbances, with_error
 from estimators.identify import nominal_model, with_values

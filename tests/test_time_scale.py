@@ -13,7 +13,7 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
-from diagnosis.gate import check, needed
+from diagnosis.prepare.usable import check, needed
 from estimators.segments import DataError, segments
 from estimators.time_scale import motion_time, time_scale
 from models import library

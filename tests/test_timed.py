@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.timed import EARLIEST, LATEST, OFFSET, timed, untimed
+from diagnosis.prepare.time_offsets import EARLIEST, LATEST, OFFSET, timed, untimed
 from models import library
 from models.library.axis import axis
 from models.model import Model, Parameter

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.live import LiveDiagnosis
-from diagnosis.live_naming import LiveResult
+from diagnosis.live.live import LiveDiagnosis
+from diagnosis.live.naming import LiveResult
 from estimators.contract import EstimationError
 from estimators.frame_chunks import Chunk, FrameChunks
 from estimators.identify import nominal_model

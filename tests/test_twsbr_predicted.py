@@ -15,9 +15,9 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.robot_next_experiment import log_odds
-from diagnosis.closed_loop import simulate
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.next_experiment import ENOUGH, suggest
+from diagnosis.prediction.closed_loop import simulate
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
 from estimators.identify import nominal_model, with_values
 from models.library import get

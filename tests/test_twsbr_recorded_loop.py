@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.closed_loop_error import ClosedLoop, Loop
-from diagnosis.compare import compare
+from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
+from diagnosis.prediction.compare import compare
 from models.library import get
 from models.model import Model
 from service.cli import app

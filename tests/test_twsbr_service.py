@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from diagnosis.closed_loop_error import Loop
+from diagnosis.prediction.closed_loop_error import Loop
 from drivers.cia402.config import DriveConfig
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State

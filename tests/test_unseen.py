@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.fits.held_out import TAILS, WIDER, loss, unsure
 from diagnosis.gates import Unseen
 from diagnosis.parts import diagnose_actuators
-from diagnosis.ready import ready
-from diagnosis.unseen import TAILS, WIDER, loss, unsure
+from diagnosis.prepare.ready import ready
 from estimators.identify import nominal_model, with_values
 from estimators.likelihood import FLOOR
 from estimators.methods.prediction_error import fit

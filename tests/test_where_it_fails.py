@@ -8,8 +8,8 @@ import axis_plant
 import numpy as np
 import pytest
 
-from diagnosis.floor import with_nuisances
-from diagnosis.where_it_fails import LEVEL, VIEWS, Views, summary, views
+from diagnosis.lack_of_fit.floor import with_nuisances
+from diagnosis.lack_of_fit.where_it_fails import LEVEL, VIEWS, Views, summary, views
 from estimators.problem import problem
 from telemetry.recording import Recording
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.adequacy import CHANCE, LEFT_STRUCK, SHAPED, Adequacy
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.shapes import Shape
-from diagnosis.where_it_fails import VIEWS, Views
+from diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_STRUCK, SHAPED, Adequacy
+from diagnosis.lack_of_fit.shapes import Shape
+from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
 from estimators.identify import nominal_model, with_values
 from models import library
 from models.effect import Effect, check_names

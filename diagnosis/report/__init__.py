@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from diagnosis.report.comparison_report import write_comparison
+from diagnosis.report.diagnosis_report import write_report
 from diagnosis.report.identification_report import write_identification
 from diagnosis.report.page import Provenance
-from diagnosis.report.report import write_report
 
 __all__ = ["Provenance", "write_comparison", "write_identification", "write_report"]

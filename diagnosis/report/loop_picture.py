@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from diagnosis.closed_loop_error import ClosedLoop
-from diagnosis.compare import Comparison
+from diagnosis.prediction.closed_loop_error import ClosedLoop
+from diagnosis.prediction.compare import Comparison
 from diagnosis.report.drawing import MEASURED, WIDTH, Array, in_a_row, looks, shown, styled, svg, thinned, units
 from diagnosis.report.pictures import BAND, IN_A_ROW
 

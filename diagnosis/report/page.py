@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from diagnosis.compare import Comparison
+from diagnosis.prediction.compare import Comparison
 
 
 @dataclass(frozen=True, slots=True)

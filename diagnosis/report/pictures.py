@@ -13,9 +13,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from diagnosis.compare import Comparison
-from diagnosis.force_bins import Binned
-from diagnosis.horizons import Prediction
+from diagnosis.lack_of_fit.force_bins import Binned
+from diagnosis.lack_of_fit.where_it_fails import Energy
+from diagnosis.prediction.compare import Comparison
+from diagnosis.prediction.horizons import Prediction
 from diagnosis.report.drawing import (
     FLOOR,
     MEASURED,
@@ -30,7 +31,6 @@ from diagnosis.report.drawing import (
     svg,
     thinned,
 )
-from diagnosis.where_it_fails import Energy
 
 Array = NDArray[np.float64]
 

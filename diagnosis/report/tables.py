@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.compare import Comparison
 from diagnosis.diagnose import Diagnosis, Finding
-from diagnosis.relevance import percent
+from diagnosis.prediction.compare import Comparison
+from diagnosis.prediction.relevance import percent
 from diagnosis.report.drawing import shown
-from diagnosis.screen import Score, Screen
-from diagnosis.sentences import two_digits
+from diagnosis.report.sentences import two_digits
+from diagnosis.score.score_test import Score, Screen
 from estimators.contract import ParameterEstimate
 from estimators.disturbance import disturbances
 from estimators.methods.prediction_error import result

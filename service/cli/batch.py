@@ -85,7 +85,7 @@ def identify(
     before = (cad.values, cad.deviations) if is_of(subject, file) else ({}, {})
     known = truths(truth or [])
     if picture is not None:
-        from diagnosis.method_figure import check_suffix
+        from diagnosis.report.method_figure import check_suffix
 
         check_suffix(picture)
     check_folder(report)
@@ -103,7 +103,7 @@ def identify(
             progress=progress,
         )
     if picture is not None:
-        from diagnosis.method_figure import save_methods
+        from diagnosis.report.method_figure import save_methods
 
         save_methods(document, picture, truth=known)
     if report is not None:

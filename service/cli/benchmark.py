@@ -108,7 +108,7 @@ def hidden_effects(
 
     Ctrl-C ends it and shows what is done by then; the same command goes on from there.
     """
-    from diagnosis.method_figure import check_suffix
+    from diagnosis.report.method_figure import check_suffix
     from service.hidden_effects import results
     from service.hidden_effects.benchmark import benchmark as run
     from service.hidden_effects.spread import machines, processes

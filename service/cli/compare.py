@@ -44,7 +44,7 @@ def compare(
 
     Each recording is compared by itself. What noise alone would leave is the measure: its size is read from the record.
     """
-    from diagnosis.compare import compare as run
+    from diagnosis.prediction.compare import compare as run
     from service.cli.batch import load_recording, working
     from service.cli.compare_page import print_comparisons
     from service.machine import name_of, support_of
@@ -52,7 +52,7 @@ def compare(
     from service.vehicle_file import load
 
     if picture is not None:
-        from diagnosis.method_figure import check_suffix
+        from diagnosis.report.method_figure import check_suffix
 
         check_suffix(picture)
     check_folder(report)
@@ -70,7 +70,7 @@ def compare(
             found = run(models, [recording], support=support, loops=[loop], progress=step)
             answers.append((path, found))
             if picture is not None:
-                from diagnosis.figures import save_comparison
+                from diagnosis.report.comparison_figures import save_comparison
 
                 step(f"drawing: {path.name}")
                 target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")

@@ -10,11 +10,11 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from diagnosis.sentences import disturbance_text
+from diagnosis.report.sentences import disturbance_text
 from service.cli.output import page
 
 if TYPE_CHECKING:
-    from diagnosis.compare import Comparison
+    from diagnosis.prediction.compare import Comparison
 
 
 def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:

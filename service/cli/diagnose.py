@@ -193,7 +193,7 @@ def shown_parts(
 ) -> list[tuple[Diagnosis, Model, Sequence[Recording]]]:
     """What a report is on, with the bare model and the recordings of each: the vehicle, or else the part with the
     likeliest effect first, and the other one where it lacks something, too."""
-    from diagnosis.actuator_rows import looked_at
+    from diagnosis.prepare.actuator_samples import looked_at
 
     vehicle = (found.parts[0] if found.parts else found, nominal, loaded)
     if not found.parts or not found.parts[1].findings or not found.findings:

@@ -9,7 +9,7 @@ from rich.padding import Padding
 from rich.table import Table
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.sentences import (
+from diagnosis.report.sentences import (
     NOTHING_MATTERS,
     disturbance_sentences,
     explained_by_none,

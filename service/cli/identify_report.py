@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from diagnosis.compare import Comparison, compare
+from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import write_identification
 from models.model import Model
 from service.cli.diagnose import provenance

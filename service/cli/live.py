@@ -61,7 +61,7 @@ def demo(
     """The whole story without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
     import math
 
-    from diagnosis.compare import compare as compare_models
+    from diagnosis.prediction.compare import compare as compare_models
     from service.cli.batch import load_recording, working
     from service.cli.compare import estimates_beside, read_models
     from service.cli.compare_page import comparison_table

@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from diagnosis.repair_result import Repair
+from diagnosis.revise.result import Repair
 from estimators.report import significant
 from models.model import Model
 from models.model_history import values_of

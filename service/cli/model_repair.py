@@ -12,7 +12,7 @@ import typer
 from service.cli.output import page, print_json
 
 if TYPE_CHECKING:
-    from diagnosis.repair_result import Repair
+    from diagnosis.revise.result import Repair
     from models.effect import Effect
     from models.model_file import ModelFile
     from telemetry.recording import Recording
@@ -80,7 +80,7 @@ def add(
     if not recording and (held_out or picture):
         raise typer.BadParameter("needs a --recording to fit the model to.", param_hint="--held-out, --picture")
     if picture is not None:
-        from diagnosis.method_figure import check_suffix
+        from diagnosis.report.method_figure import check_suffix
 
         check_suffix(picture)
     before, target = _start(name, vehicle), _target(name, output)
@@ -101,7 +101,7 @@ def add(
     if own_file:
         files[added.name] = os.path.relpath(effect, target.resolve().parent)
     if found is not None and picture is not None:
-        from diagnosis.repair_figure import save_repair
+        from diagnosis.report.repair_figure import save_repair
 
         save_repair(found, picture)
     write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), target)
@@ -113,7 +113,7 @@ def add(
             "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in added.parameters},
         }
         if found is not None:
-            from diagnosis.repair_words import in_words
+            from diagnosis.report.repair_words import in_words
 
             document["repair"] = {**found.to_json(), "words": in_words(found)}
         print_json(document)
@@ -159,7 +159,7 @@ def drop_test(
     json: JsonOption = False,
 ) -> None:
     """Fit the model without each of its effects in turn: which of them are needed, and which can go."""
-    from diagnosis.drop_tests import drop_tests
+    from diagnosis.revise.drop_tests import drop_tests
     from models.model_file import read
     from models.model_history import before_fits
     from service.cli.batch import working
@@ -225,7 +225,7 @@ def _repair(
     held_out: Sequence[Path],
     vehicle: str | None,
 ) -> Repair:
-    from diagnosis.repair import repair
+    from diagnosis.revise.revision import repair
     from models.model_history import before_fits
     from service.cli.batch import working
 

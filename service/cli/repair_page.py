@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from diagnosis.drop_tests import DropTest
-from diagnosis.repair_result import Budget, FittedParameter, Repair
-from diagnosis.repair_words import in_words, odds_text, readable
-from diagnosis.sentences import disturbance_text
+from diagnosis.report.repair_words import in_words, odds_text, readable
+from diagnosis.report.sentences import disturbance_text
+from diagnosis.revise.drop_tests import DropTest
+from diagnosis.revise.result import Budget, FittedParameter, Repair
 from estimators.report import significant
 from service.cli.output import page
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from math import degrees, expm1, radians
 
-from diagnosis.closed_loop import Controller, Experiment, Limit
+from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.segments import SUPPORT_MARGIN
 from models.control_design import RollDesign
 from service.excitation import Excitation, ExcitationError, make_excitation

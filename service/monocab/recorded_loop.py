@@ -19,8 +19,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.closed_loop import Controller
-from diagnosis.closed_loop_error import Loop
+from diagnosis.prediction.closed_loop import Controller
+from diagnosis.prediction.closed_loop_error import Loop
 from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import RUN_IN
 from estimators.speed_loop_steps import SpeedLoopSteps

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from math import degrees, radians
 
-from diagnosis.closed_loop import Controller, Experiment, Limit
+from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.segments import SUPPORT_MARGIN
 from models.model import Model
 from service.excitation import Excitation, ExcitationError, make_excitation

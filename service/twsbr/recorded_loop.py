@@ -20,8 +20,8 @@ from math import degrees, radians
 
 import numpy as np
 
-from diagnosis.closed_loop import Controller, Limit
-from diagnosis.closed_loop_error import Loop
+from diagnosis.prediction.closed_loop import Controller, Limit
+from diagnosis.prediction.closed_loop_error import Loop
 from service.assembly import drive_config
 from service.excitation import InjectionPoint
 from service.sequence import Phase

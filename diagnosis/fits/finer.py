@@ -1,0 +1,69 @@
+"""Effects by a finer formula where the record asks for it, before any further name is looked for.
+
+What the usual formula of an effect leaves looks like another effect beside it. Dry friction whose contact bends before
+it slides, drawn as the sign of the rate, leaves what looks like play, like friction that falls with the rate, or like
+something without a name (tests/test_finer.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from diagnosis.evidence import likelier
+from diagnosis.fits.effect_fit import candidate_of
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, with_effect
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.side_by_side import side_by_side
+from diagnosis.trial import tried
+from estimators.budget import OutOfTime
+from models.effect import AttachedEffect
+from models.model import Model
+
+
+def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
+    """`fits`, the one with most evidence first, each by the formula of its effect that has more evidence.
+
+    The likeliest of those that have a finer one tells whether the record asks for any: all of these say the same of
+    what is finer in them.
+    """
+    able = max((each for each in fits if _attached(each).effect.finer), key=lambda each: each.evidence, default=None)
+    if able is None or (first := _likelier(able, workspace)) is able:
+        return list(fits)
+    others = [each for each in fits if each is not able]
+    found = [first, *side_by_side(lambda each: _likelier(each, workspace), others)]
+    return sorted(found, key=lambda each: -each.evidence)
+
+
+def is_finer(model: Model, workspace: Workspace) -> bool:
+    """Whether `model` has an effect of `workspace` by its finer formula."""
+    return any(each.effect is usual.effect.finer for each in model.effects for usual in workspace.candidates)
+
+
+def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
+    try:
+        finer = tried(partial(_finer, fitted, workspace.for_one))
+    except OutOfTime:
+        workspace.leave(f"the finer formula of {fitted.name}")
+        return fitted
+    if finer is None or not finer.fit.minimum.converged or not likelier(finer.evidence - fitted.evidence):
+        return fitted
+    return finer
+
+
+def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:
+    """`fitted` with the effect that was added last by its finer formula; None where it has none."""
+    attached = _attached(fitted)
+    if attached.effect.finer is None:
+        return None
+    model, values = fitted.model.remove(attached.name), fitted.fitted.values
+    candidate = candidate_of(model, model.add(attached.effect.finer, attached.at).effects[-1])
+    own = {parameter.name: values[parameter.name] for parameter in attached.parameters}
+    begun = with_effect(model, candidate, {**candidate.variants[0], **own})
+    # The noise is begun afresh: beside the coarser formula another kind of it may have stood in for what this explains.
+    return full(begun, workspace, candidate, longer=FURTHER_FITS)
+
+
+def _attached(fitted: FullFit) -> AttachedEffect:
+    """The effect that was added last."""
+    return next(each for each in fitted.model.effects if each.name == fitted.name)

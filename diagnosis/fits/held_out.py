@@ -1,0 +1,314 @@
+"""What fits say of data that they have not seen: the last of several recordings, or each third of a single one in turn.
+
+A third is every third of PIECES x THIRDS pieces, and is judged by fits of the other two. Predictors run through the
+whole recording, so that they know their state when a piece begins, as an effect with memory asks for; only what they
+predict inside it counts. Where an effect does so little that what it foretells is less than the noise of what is
+gained, nothing is said; a part whose own fits do not tell the effect cannot judge it.
+
+Where parts strike each other, a blow that is predicted a row early is an error of dozens of deviations, and a second
+with a few of them weighs more than all others. There errors have a normal distribution with tails (Box, Tiao, "A
+Bayesian approach to some outlier problems", 1968): of the right effect -3,000 +-4,000 became 1,840 +-610.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.evidence import SURE
+from diagnosis.fits.refit import FullFit, full, off_prior
+from diagnosis.gates import Unseen
+from diagnosis.prediction import ahead
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.score.whitened import whitening
+from diagnosis.trial import FAILURES
+from estimators.contract import Status
+from estimators.disturbance import SHOWN
+from estimators.fit_result import inverse
+from estimators.gauss_newton import Block, eliminate
+from estimators.innovations import NoiseModel
+from estimators.likelihood import Likelihood, Seen
+from estimators.methods.prediction_error import Fit, result
+from estimators.problem import Problem, problem
+from estimators.segments import segments
+from estimators.time_scale import horizon, time_scale
+from models.effect import AttachedEffect
+from models.model import Model
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+Pieces = tuple[tuple[float, float], ...]
+"""s of a recording, from and to."""
+
+THIRDS = 3
+PIECES = 2
+"""Of each third: what shows at one end of the recording only is both seen by fits and tried. With six, of 2 s each, a
+constant torque of 3 N m was not told from where each stretch begins."""
+SETTLING = 1.25
+"""Time scales (estimators.time_scale) at the beginning of a recording that tell of the start, not of the model: 0.5 s
+of the MONOCAB."""
+BLOCK = 2.5
+"""Time scales of held-out data that count as one piece of evidence."""
+HALVINGS = 8
+"""Of the way to the noise that is stated: how large a noise may be is found to a 256th of it."""
+NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
+TAILS = 1e-3
+"""Share of the errors that parts which strike each other make, and"""
+WIDER = 10.0
+"""by what factor these are wider."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """`seen` is fitted. Of `whole`, the rows in `pieces` are judged."""
+
+    seen: tuple[Recording, ...]
+    whole: Recording
+    pieces: Pieces
+
+    def judges(self, time: Array) -> NDArray[np.bool_]:
+        """Which of the rows at `time` (n,)."""
+        return _inside(time, self.pieces)
+
+
+class UnseenCheck:
+    """Judges effects that are added to one model, whose own fits are made once."""
+
+    def __init__(self, base: FullFit, workspace: Workspace) -> None:
+        self._base = base
+        self._workspace = workspace
+        self._few: dict[Pieces, Workspace] = {}
+        self._without: dict[Pieces, Fit] = {}
+
+    def of(self, best: FullFit) -> Unseen | None:
+        """What fits of a part of the data say of the rest; None where no part tells the effects that `best` adds."""
+        there = {each.name for each in self._base.model.effects}
+        further = [each for each in best.model.effects if each.name not in there]
+        workspace = self._workspace
+        try:
+            parts = folds(self._base.model, workspace.recordings, workspace.support)
+            amplitudes = {name for each in further for name in each.amplitudes}
+            return judge(parts, lambda part: self._fits(best, further, part), amplitudes, workspace.support)
+        except FAILURES:
+            return None
+
+    def _fits(self, best: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
+        base, workspace = self._base.model, self._workspace
+        if part.pieces not in self._few:
+            # Once each, whatever the number of its places.
+            others = tuple({each.effect.name: each.effect for each in workspace.others(base)}.values())
+            few = Workspace.of(base, part.seen, workspace.support, others)
+            self._few[part.pieces] = replace(few, budget=workspace.budget)
+        few = self._few[part.pieces]
+        with_it = unsure(full(best.model, few, begin=best.fit.end).fit)
+        told = result(with_it, 0.0).parameters
+        sizes = [told[name] for each in further for name in each.amplitudes]
+        if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
+            return None
+        # What happens once, at an instant outside the part, is nothing that the part could foretell.
+        once = [each for each in further if each.effect.follows_time]
+        instants = [p.name for each in once for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes]
+        if any(told[name].status in NOT_TOLD for name in instants):
+            return None
+        if part.pieces not in self._without:
+            self._without[part.pieces] = unsure(full(base, few, begin=self._base.fit.end).fit)
+        return self._without[part.pieces], with_it
+
+
+def unsure(fitted: Fit) -> Fit:
+    """`fitted` with the noises that do not show as large as its data do not exclude, by SURE standard deviations of a
+    likelihood ratio, but no larger than they are stated.
+
+    Data never say that there is no noise at all. A predictor without noise corrects nothing: it is a simulation, in
+    which the errors of the parameters add up to thousands of standard deviations.
+    """
+    noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
+    logarithms = fitted.minimum.common[size:]
+    deviations = np.sqrt(np.diag(inverse(fitted.minimum.information)))[size:]
+    least = (deviations > SHOWN) & (logarithms < 0.0)
+    if not least.any():
+        return fitted
+    likelihood = Likelihood(fitted.problem, noise, fitted.minimum.common, fitted.prior)
+
+    def seen(share: float) -> Seen | None:
+        """With the noises that do not show so far from where they ended to what is stated."""
+        common = fitted.minimum.common.copy()
+        common[size:] = np.where(least, (1.0 - share) * logarithms, logarithms)
+        return likelihood.of_data(common, fitted.minimum.own)
+
+    ended = seen(0.0)
+    if ended is None:
+        return fitted
+
+    def within(found: Seen | None) -> bool:
+        return found is not None and found.cost <= ended.cost + 0.5 * SURE**2
+
+    low, high = (1.0, 1.0) if within(seen(1.0)) else (0.0, 1.0)
+    for _ in range(HALVINGS if high > low else 0):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if within(seen(middle)) else (low, middle)
+    larger = seen(low)
+    return fitted if larger is None else replace(fitted, gain=larger.gain, covariance=larger.covariance)
+
+
+def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
+    """What to fit and what to judge. Raises DataError where the recordings cannot be used."""
+    whole = recordings[-1]
+    if len(recordings) > 1:
+        return [Fold(tuple(recordings[:-1]), whole, ((0.0, float("inf")),))]
+    rows = np.concatenate([segment.time for segment in segments(model, recordings, support=support)])
+    edges = np.quantile(rows, np.linspace(0.0, 1.0, THIRDS * PIECES + 1))
+    edges[-1] = np.inf
+    every = list(pairwise(edges.tolist()))
+    found = []
+    for third in range(THIRDS):
+        pieces = tuple(every[third::THIRDS])
+        found.append(Fold((hidden(model, whole, pieces),), whole, pieces))
+    return found
+
+
+def _inside(time: Array, pieces: Pieces) -> NDArray[np.bool_]:
+    return np.asarray(np.any([(time >= begin) & (time < end) for begin, end in pieces], axis=0))
+
+
+def judge(
+    parts: Sequence[Fold],
+    fits: Callable[[Fold], tuple[Fit, Fit] | None],
+    amplitudes: Collection[str],
+    support: float | None,
+) -> Unseen | None:
+    """What the second of two fits says of unseen data, against the first; None where no part has such fits, or what its
+    `amplitudes` foretell of the gain is less than the noise of that.
+
+    Raises ArithmeticError, EstimationError.
+    """
+    gains: list[Array] = []
+    energies: list[Array] = []
+    known: list[float] = []
+    promises: list[Array] = []
+    struck = False
+    for part in parts:
+        found = fits(part)
+        if found is None:
+            continue
+        without, with_it = found
+        struck = any(each.effect.strikes for each in with_it.problem.model.effects)
+        promise = _foretold(with_it, amplitudes, part, support, struck)
+        if 2.0 * np.sum(promise) < SURE**2:
+            continue
+        promises.append(promise)
+        gains.append(_log_density(with_it, part, support, struck) - _log_density(without, part, support, struck))
+        known.append(off_prior(without) - off_prior(with_it))
+        energies.append(_energies(without, with_it, part, support))
+    if not gains:
+        return None
+    differences, foretold = np.concatenate(gains), np.concatenate(promises)
+    # What is gained where it was foretold is no noise, however short the time is in which the effect shows.
+    share = float(np.clip(np.sum(differences) / np.sum(foretold), 0.0, 1.0))
+    noise = float(np.linalg.norm(differences - share * foretold))
+    if np.sum(foretold) < noise:
+        return None
+    squares = np.concatenate(energies)
+    before, after, apart = np.mean(squares, axis=0)
+    spread = float(np.std(squares[:, 0] - squares[:, 1], ddof=1) / np.sqrt(len(squares)))
+    return Unseen(
+        gain=float(np.sum(differences)),
+        std=noise,
+        closed_percent=float(100.0 * (before - after) / (before - 1.0)) if before > 1.0 else None,
+        closed_std=100.0 * spread / float(before - 1.0) if before > 1.0 else None,
+        closing_percent=float(100.0 * apart / (before - 1.0)) if before > 1.0 else None,
+        known=float(np.mean(known)),
+        struck=struck,
+    )
+
+
+def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
+    """Error energies a horizon ahead over that of the sensors' noise, under `one`, under `other`, and of what the two
+    predict apart, (m, 3)."""
+    there = ahead.on(other, problem(other.problem.model, [part.whole], support=support))
+    reach = horizon(there.problem.model, there.problem.segments)
+    floor = ahead.sensor_floors(there, (reach,))[0]
+    before = ahead.on(one, problem(one.problem.model, [part.whole], support=support))
+    errors, less = (ahead.errors(each, (reach,))[0] / floor for each in (before, there))
+    squares = np.stack([np.mean(each**2, axis=1) for each in (errors, less, errors - less)], axis=1)
+    judged = squares[part.judges(ahead.times(there, reach))]
+    return np.asarray(judged[np.isfinite(judged).all(axis=1)])
+
+
+def loss(white: Array, struck: bool) -> Array:
+    """Negative log likelihood of each row of whitened errors `white` (n, outputs), less that of no error, nats (n,).
+
+    Of a normal distribution, or, where parts of the model have `struck`, of one that is contaminated by a wider one:
+    (1 - TAILS) N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
+    """
+    normal = 0.5 * white**2
+    if struck:
+        odds = TAILS / WIDER / (1.0 - TAILS)
+        normal = normal - np.logaddexp(0.0, math.log(odds) + normal * (1.0 - WIDER**-2)) + math.log1p(odds)
+    return np.asarray(np.sum(normal, axis=1))
+
+
+def _log_density(fitted: Fit, part: Fold, support: float | None, struck: bool) -> Array:
+    """Of the judged rows, by blocks of time."""
+    task = _whole(fitted, part, support)
+    _, logarithm = np.linalg.slogdet(fitted.covariance)
+    return _by_blocks(part, task, [-loss(z, struck) - 0.5 * logarithm for z in _innovations(fitted, task)])
+
+
+def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, struck: bool) -> Array:
+    """How much the likelihood of the judged rows would rise by `amplitudes` if these are right, by blocks."""
+    task = _whole(fitted, part, support)
+    zero = [name in amplitudes for name in (parameter.name for parameter in task.parameters)]
+    without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
+    less = replace(fitted, minimum=replace(fitted.minimum, common=without))
+    both = zip(_innovations(fitted, task), _innovations(less, task), strict=True)
+    return _by_blocks(part, task, [loss(one - other, struck) for one, other in both])
+
+
+def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:
+    return problem(fitted.problem.model, [part.whole], support=support).like(fitted.problem)
+
+
+def _by_blocks(part: Fold, task: Problem, rows: Sequence[Array]) -> Array:
+    """Sums over the judged ones of `rows`, by stretch, of blocks of time."""
+    found, scale = [], time_scale(task.model, task.segments)
+    for segment, each in zip(task.segments, rows, strict=True):
+        begin = float(segment.time[0]) + SETTLING * scale
+        judged = part.judges(segment.time) & (segment.time >= begin)
+        _, number = np.unique(((segment.time[judged] - begin) / (BLOCK * scale)).astype(np.int64), return_inverse=True)
+        found.append(np.bincount(number, weights=each[judged]))
+    return np.concatenate(found)
+
+
+def _innovations(fitted: Fit, task: Problem) -> list[Array]:
+    """Whitened, by stretch (rows, outputs), with the initial state of each fitted."""
+    weights = whitening(fitted)
+    common = fitted.minimum.common[: len(fitted.problem.free)]
+    own = [part.copy() for part in task.own_start]
+    blocks: list[Block] = []
+    for _ in range(2):
+        found = task.evaluate(common, own, weights=weights, gain=fitted.gain)
+        if found is None:
+            raise ArithmeticError("the model runs away on data that it was not fitted to")
+        blocks = found
+        own = [
+            part - np.linalg.lstsq(block.own, block.residual, rcond=None)[0]
+            for part, block in zip(own, blocks, strict=True)
+        ]
+    outputs = len(task.kernel.outputs)
+    return [
+        eliminate(block)[0][: len(segment) * outputs].reshape(-1, outputs)
+        for segment, block in zip(task.segments, blocks, strict=True)
+    ]
+
+
+def hidden(model: Model, recording: Recording, pieces: Pieces) -> Recording:
+    """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
+    kept = ~_inside(recording.time, pieces)
+    hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
+    return replace(recording, values={**recording.values, **hidden})

@@ -1,0 +1,164 @@
+"""Effects that the screen does not see, or sees as what they are not: fitted from the model's own values on, whatever
+it says.
+
+A further lag makes the lag of a speed loop grow, until what is left of it no longer looks like a lag: the derivative
+there points elsewhere. How surprising such an effect's gain is, is told by blocks of time: innovations of a
+model without it are not white.
+
+Parts that strike each other do so at other instants with each size of the play between them, so that the derivative at
+none of it says nothing. Where the model alone ended, its parameters and its noise take in what the blows do, and fits
+of play from there stayed at a tenth of it, with 5 % of what it gains from the values that were known before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_likelihood, off_prior, with_effect
+from diagnosis.prepare.candidates import Candidate
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.whitened import BLOCK
+from diagnosis.side_by_side import side_by_side
+from diagnosis.trial import FAILURES
+from estimators.budget import OutOfTime
+from estimators.methods.prediction_error import Begin, fit
+from estimators.time_scale import time_scale
+from models.effect import Place, starts
+from models.model import Model
+
+Array = NDArray[np.float64]
+
+LAG = "speed_loop_lag"
+"""Parameter of an actuator's model."""
+START = 2
+"""Of the starts of an effect: between the smallest and the largest that are usual."""
+TRIED = 10
+"""Steps of a fit from each shape of an effect whose parts strike each other, and"""
+FITTED = 2
+"""how many of them, the likeliest, go on."""
+
+
+def fits(model: Model, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
+    """Full fits of `model` with each of the candidates `names` and of those whose parts strike each other, but for the
+    `known`, whose fits are."""
+    found = []
+    for candidate in workspace.others(model):
+        if candidate.name in known:
+            continue
+        if candidate.effect.strikes:
+            try:
+                found += _struck(model, candidate, workspace)
+            except OutOfTime:
+                workspace.leave(candidate.name)
+            continue
+        if candidate.effect.name not in names:
+            continue
+        own = candidate.attached
+        values = {own.qualified(each): starts(model, own, each)[START] for each in own.effect.amplitudes}
+        hurried = workspace.for_one
+        try:
+            one = full(_with(model, candidate, values), hurried, candidate, longer=FURTHER_FITS)
+            found.append(_other_way_round(one, hurried))
+        except OutOfTime:
+            workspace.leave(candidate.name)
+        except FAILURES:
+            continue
+    return found
+
+
+def _struck(model: Model, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
+    """The likeliest full fit with the candidate, from its shapes on; none where none is possible."""
+    starts = [with_effect(model, candidate, shape) for shape in candidate.variants]
+    workspace.problem(starts[0])  # compiled before two threads ask for it
+
+    def tried(start: Model) -> tuple[float, Begin] | None:
+        try:
+            found = fit(workspace.problem(start), iterations=TRIED)
+        except FAILURES:
+            return None
+        return log_likelihood(found) - off_prior(found), found.end
+
+    def fitted(end: Begin) -> FullFit | None:
+        try:
+            return full(starts[0], workspace, candidate, end, longer=FURTHER_FITS)
+        except FAILURES:
+            return None
+
+    near = sorted((each for each in side_by_side(tried, starts) if each is not None), key=lambda each: -each[0])
+    ends = side_by_side(fitted, [end for _, end in near[:FITTED]])
+    found = [each for each in ends if each is not None and each.fit.minimum.converged]
+    return [max(found, key=lambda each: each.log_likelihood)] if found else []
+
+
+def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:
+    """`one`, or the fit with the two lags that it has in a row changed about, where that is nearer to what is known of
+    the first from before: a record hardly tells which of them comes first."""
+    candidate = one.candidate
+    if candidate is None or not candidate.effect.lag or LAG not in one.model.values:
+        return one
+    own, values = candidate.attached.qualified(candidate.effect.lag), one.fitted.values
+    about = {name: float(np.clip(values[other], *_bounds(one.model, name))) for name, other in ((LAG, own), (own, LAG))}
+    end = one.fit.end
+    try:
+        other = full(one.model, workspace, candidate, replace(end, values={**end.values, **about}))
+    except FAILURES:
+        return one
+    return max(one, other, key=lambda each: each.log_likelihood)
+
+
+def _bounds(model: Model, name: str) -> tuple[float, float]:
+    return model.parameter(name).lower, model.parameter(name).upper
+
+
+def together(model: Model, workspace: Workspace, names: Collection[str]) -> list[FullFit]:
+    """One full fit with all of the candidates `names` in the model, none where there are none or none is possible."""
+    chosen = [each for each in workspace.others(model) if each.effect.name in names]
+    if not chosen:
+        return []
+    wider = attached(model, chosen)
+    try:
+        return [full(wider, workspace, chosen[-1])]
+    except FAILURES:
+        return []
+
+
+def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
+    """`model` with the effect; an offset of the input that it delays is held, since the two are one and the same."""
+    wider = with_effect(model, candidate, values)
+    if not (candidate.effect.delay and candidate.effect.place is Place.ACTUATOR):
+        return wider
+    command = next(each.command for each in model.actuators if each.name == candidate.attached.at)
+    same = next(each.delays for each in model.inputs if each.name == command)
+    return wider.change(estimated=[p.name for p in wider.parameters if p.estimated and p.name not in same])
+
+
+def surprise(base: FullFit, other: FullFit) -> float:
+    """p-value of what `other` gains over `base`, were its gain a walk of independent blocks."""
+    gained, task = [], base.fit.problem
+    block = max(1, round(BLOCK * time_scale(task.model, task.segments) / _spacing(base)))
+    for one, more in zip(_densities(base), _densities(other), strict=True):
+        rows = len(one) // max(1, len(one) // block)
+        gained.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
+    blocks = np.concatenate(gained)
+    spread = float(np.sqrt(len(blocks)) * np.std(blocks, ddof=1))
+    return float(norm.sf(np.sum(blocks) / spread)) if spread > 0.0 else 1.0
+
+
+def _spacing(fitted: FullFit) -> float:
+    return float(np.median(np.diff(fitted.fit.problem.segments[0].time)))
+
+
+def _densities(fitted: FullFit) -> list[Array]:
+    """By stretch, the log density of each row (n,) but for a constant; 0 where nothing was measured."""
+    covariance = fitted.fit.covariance
+    _, logarithm = np.linalg.slogdet(covariance)
+    found = []
+    for innovations in fitted.fit.innovations():
+        density = -0.5 * np.sum(innovations * np.linalg.solve(covariance, innovations.T).T, axis=1) - 0.5 * logarithm
+        found.append(np.where(np.isfinite(density), density, 0.0))
+    return found

@@ -1,0 +1,137 @@
+"""Random parts: does a record ask for a random force of a narrow band at a joint, or a random error of a sensor?
+
+A random part is a hypothesis as an effect is: model states, here driven by white noise, that have to gain more in log
+likelihood than their parameters cost (diagnosis.fits.refit). One that wins is absorbed: it joins the disturbance of the
+model alone, beside which effects are then looked for anew, and is no finding about the vehicle. Where effects explain
+more without it there is none: what is periodic, and goes on as it began, takes fewer numbers as an effect.
+
+The noise of a measured input is one, too: a share of it, which does not act (diagnosis.fits.input_noise).
+
+The likelihood's derivative by the RMS is zero where that is zero, so that no score test sees it. It takes full fits of
+its own, of the signals that the spectrum of the innovations says (diagnosis.lack_of_fit.colour), from their numbers on;
+where these are white nothing is fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from diagnosis.fits.input_noise import not_acting
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, full
+from diagnosis.lack_of_fit.colour import Signal, same, signals
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.trial import tried
+from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import Begin, Fit
+from estimators.problem import Problem
+from models.disturbance import narrow_at_joints, power_share, with_narrow_band
+from models.input_noise import InputNoise, with_input_noise
+from models.model import Model, NarrowBand
+from models.sensor_error import at_outputs, with_error
+
+RANDOM = "random parts beside the disturbance"
+"""What they are called where there was no time for them."""
+MOST = 2
+"""Signals that get a full fit, of those with most evidence."""
+NEAR = 1.5
+"""By which one may be off what the spectrum says: another signal beyond that is another one."""
+
+
+def promised(fitted: FullFit) -> float:
+    """By how much the log likelihood would rise by the best one, by the spectrum alone; 0 where none is asked for."""
+    return max((each.gain for each in tried(partial(signals, fitted.fit)) or []), default=0.0)
+
+
+def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
+    """The fit of `base`, the model alone, with the random part that is likelier beside the effects of `last` than none
+    is, or alone than these are; None where there is none. `last` is `base` where there is no effect."""
+    beside = _likeliest(last, workspace)
+    if beside is not None and beside.evidence > last.evidence:
+        if base is last:
+            return beside
+        model = replace(beside.fitted, effects=base.model.effects)
+        return tried(partial(full, model, workspace, longer=FURTHER_FITS))
+    alone = _likeliest(base, workspace) if base is not last else None
+    return alone if alone is not None and alone.evidence > last.evidence else None
+
+
+def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
+    """The fit with one random part more than `fitted` has that has most evidence."""
+    asked: list[Signal | InputNoise] = [*_distinct(tried(partial(signals, fitted.fit)) or [])]
+    asked += tried(partial(not_acting, fitted.fit)) or []
+    fits = [tried(partial(_with, fitted, each, workspace)) for each in asked]
+    settled = [each for each in fits if each is not None and each.fit.minimum.converged and _lasts(each)]
+    return max(settled, key=lambda each: each.evidence, default=None)
+
+
+def _distinct(asked: list[Signal]) -> list[Signal]:
+    """The first of `asked`, of which no two are one."""
+    found: list[Signal] = []
+    for each in asked:
+        if len(found) < MOST and not any(same(each, other) for other in found):
+            found.append(each)
+    return found
+
+
+def _lasts(fitted: FullFit) -> bool:
+    """Whether each random part lasts: what ends at the shortest time for which it may swing on, is no swing, and what
+    fades within two rows is white."""
+    model = fitted.model
+    places = [place for _, place in (*narrow_at_joints(model), *at_outputs(model))]
+    times = {model.base_states[place].correlation_time for place in places}
+    parameters, ended = fitted.fit.problem.parameters, fitted.fit.minimum
+    return not any(
+        each.name in times and at_bound and value <= each.lower
+        for each, value, at_bound in zip(parameters, ended.common, ended.at_bound, strict=False)
+    )
+
+
+def _with(fitted: FullFit, part: Signal | InputNoise, workspace: Workspace) -> FullFit:
+    if isinstance(part, InputNoise):
+        model = with_input_noise(fitted.model, part)
+    else:
+        model = with_signal(fitted.model, part, workspace)
+    return full(model, workspace, fitted.candidate, _begin(fitted.fit, workspace.problem(model)), longer=FURTHER_FITS)
+
+
+def with_signal(model: Model, signal: Signal, workspace: Workspace) -> Model:
+    """`model` with what `signal` says, for the record of `workspace`; its estimation starts there."""
+    longest = max(each.duration for each in workspace.segments)
+    if signal.of_sensor:
+        step = float(np.median(np.diff(workspace.segments[0].time)))
+        wider = with_error(model, signal.at, signal.frequency, step, longest)
+    else:
+        assert signal.frequency is not None
+        wider = with_narrow_band(model, signal.at, NarrowBand(signal.frequency), longest)
+    new = wider.base_states[len(model.base_states) :]
+    name = new[0].correlation_time
+    bounds = wider.parameter(name)
+    time = float(np.clip(signal.time, bounds.lower, bounds.upper))
+    driven = {new[-1].name: signal.rms / math.sqrt(power_share(new[-1]) * time)}
+    return replace(
+        wider,
+        base_states=tuple(
+            replace(each, process_noise=driven[each.name]) if each.name in driven else each
+            for each in wider.base_states
+        ),
+        base_parameters=tuple(
+            replace(each, lower=each.value / NEAR, upper=each.value * NEAR) if each.name == new[0].frequency else each
+            for each in wider.base_parameters
+        ),
+    ).change({name: time})
+
+
+def _begin(fitted: Fit, wider: Problem) -> Begin:
+    """Where `fitted` ended, with what `wider` has beside as its model says."""
+    before, noise = NoiseModel.of(fitted.problem), NoiseModel.of(wider)
+    logarithms, ended = np.zeros(noise.size), fitted.end
+    for place, number in zip(noise.noisy, noise.process_place, strict=True):
+        known = before.logarithm_of(wider.model.states[place].name)
+        if known is not None:
+            logarithms[number] = ended.noise[known]
+    logarithms[list(noise.sensor_place)] = ended.noise[list(before.sensor_place)]
+    return Begin(ended.values, logarithms)

@@ -1,0 +1,307 @@
+"""Fits of the model with one more effect, first quickly for every candidate, then fully for those in question.
+
+The quick fit holds the filter gain and the innovations' covariance of the model alone and moves parameters, amplitudes
+and shapes together, from the screen's sizes at its best shapes. The full fit estimates the noise again, too: with the
+effect in the model less noise is needed, which is what makes the difference between neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.prepare.candidates import Candidate
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.score.score_test import Score
+from diagnosis.score.whitened import whitening
+from estimators.budget import UNLIMITED
+from estimators.fit_result import inverse
+from estimators.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.methods.prediction_error import Begin, Fit, fit
+from models.effect import Place
+from models.model import Model
+from models.sensing import delayed
+from models.sensor_error import random_count
+
+Array = NDArray[np.float64]
+
+STARTS = 2
+"""Shapes that a quick fit starts from: those that the screen likes best."""
+ELSEWHERE = 1.3
+"""And the best of those whose first number is by this factor another: the screen is a line, and may like the wrong end
+of a valley twice. A mode of 5 Hz was begun at 10.7 and at 10 Hz, and ended at 11.7 with less than half of its gain."""
+ITERATIONS = 8
+LONGER = 24
+"""The same from none of the effect, where these ended above what the model alone leaves: that it is a line is true near
+zero, and there the first step moves all parameters as the screen has it."""
+FURTHER_FITS = 2
+"""Times that a fit which does not settle goes on."""
+CREEPING = 1.0
+"""Fall of the cost, of unit variance, over half of a fit's steps that is too little to decide anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class QuickFit:
+    """`values` of the effect's parameters; `gain`: rise of the log likelihood at the noise of the model alone; `end`:
+    where all parameters are with it, and that noise."""
+
+    candidate: Candidate
+    values: Mapping[str, float]
+    gain: float
+    end: Begin
+
+
+@dataclass(frozen=True, slots=True)
+class FullFit:
+    """`log_likelihood` at its own noise; `count`, of its effects' estimated parameters and of what tells a
+    random part; `rows` that were fitted."""
+
+    candidate: Candidate | None
+    model: Model
+    fit: Fit
+    log_likelihood: float
+    count: int
+    rows: int
+
+    @property
+    def name(self) -> str:
+        """Of the effect that was added last; empty for the model alone."""
+        return self.candidate.name if self.candidate else ""
+
+    @property
+    def cost(self) -> float:
+        """What its effects' parameters have to gain (Schwarz)."""
+        return 0.5 * self.count * math.log(self.rows)
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the model's posterior odds, but for a constant."""
+        return self.log_likelihood - self.cost
+
+    @property
+    def fitted(self) -> Model:
+        """The model at the fitted values."""
+        return self.model.change(dict(zip(self.fit.problem.kernel.parameters, self.fit.values.tolist(), strict=True)))
+
+
+def with_effect(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
+    """`model` with the candidate at `values`, amplitudes and shapes estimated."""
+    wider = model.add(candidate.effect, candidate.attached.at)
+    names = [p.name for p in wider.parameters if p.estimated] + list(candidate.shapes)
+    return wider.change(dict(values), estimated=names)
+
+
+def quick(base: Fit, model: Model, score: Score, workspace: Workspace) -> QuickFit:
+    """The best of several starts."""
+    starts = [*score.starts[:STARTS], *_elsewhere(score)]
+    found = [_quick(base, model, score.candidate, start, workspace) for start in starts]
+    return max(found, key=lambda each: each.gain)
+
+
+def _elsewhere(score: Score) -> list[Mapping[str, float]]:
+    """The best of the starts beyond the first STARTS that is far from these; none where there is none."""
+    if not score.candidate.shapes:
+        return []
+    first = score.candidate.shapes[0]
+    near = [abs(each[first]) for each in score.starts[:STARTS]]
+    far = (each for each in score.starts[STARTS:] if all(_apart(abs(each[first]), other) for other in near))
+    return list(islice(far, 1))
+
+
+def _apart(one: float, other: float) -> bool:
+    return max(one, other) > ELSEWHERE * min(one, other)
+
+
+def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, float], workspace: Workspace) -> QuickFit:
+    task = workspace.problem(with_effect(model, candidate, start)).like(base.problem)
+    size = len(base.problem.free)
+    gain = np.zeros((len(task.kernel.states), len(task.kernel.outputs)))
+    gain[: len(base.gain)] = base.gain
+    weights = whitening(base)
+    further = task.parameters[size:]
+    centre = np.concatenate((base.problem.start, task.start[size:]))
+    vague = [0.0 if p.name in candidate.amplitudes else 0.1 / shape_spread(p.value, p.typical) for p in further]
+    weight = np.concatenate((np.sqrt(base.prior[:size]), vague))
+
+    def evaluate(common: Array, own: Sequence[Array]) -> list[Block] | None:
+        blocks = task.evaluate(common, own[:-1], weights=weights, gain=gain)
+        if blocks is None:
+            return None
+        return [*blocks, Block((common - centre) * weight, np.diag(weight), np.zeros((len(weight), 0)))]
+
+    lower, upper = task.bounds
+    begin = np.concatenate((base.minimum.common[:size], task.start[size:]))
+    starts = zip(base.minimum.own[:-1], task.own_start, strict=True)
+    own = [*(np.concatenate((part, whole[len(part) :])) for part, whole in starts), np.zeros(0)]
+    alone = begin.copy()
+    sizes = [size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]
+    alone[sizes] = 0.0
+    before = evaluate(np.clip(alone, lower, upper), own)
+    # What a delay of the command is to take over begins where it was known to be: two of them do not add up.
+    commands = delayed(task.model, task.model.effects[-1]) if candidate.effect.place is Place.ACTUATOR else ()
+    same = {name for each in model.inputs if each.name in commands for name in each.delays}
+    taken = [place for place, p in enumerate(base.problem.parameters) if p.name in same]
+    begin[taken] = base.problem.start[taken]
+    if before is None:
+        return QuickFit(candidate, dict(start), -np.inf, base.end)
+    cost = 0.5 * sum(float(block.residual @ block.residual) for block in before)
+
+    def fitted(common: Array, own: Sequence[Array], iterations: int) -> Minimum | None:
+        return minimise(
+            evaluate,
+            common,
+            own,
+            scale=task.scale,
+            lower=lower,
+            upper=upper,
+            iterations=iterations,
+            tolerance=1e-3,
+            enough=0.05,
+        )
+
+    minimum = fitted(begin, own, ITERATIONS)
+    if minimum is not None and minimum.cost >= cost:
+        nothing = np.where(np.isin(np.arange(len(begin)), sizes), 0.0, begin)
+        minimum = fitted(nothing, own, LONGER) or minimum
+    if minimum is None:
+        return QuickFit(candidate, dict(start), -np.inf, base.end)
+    everything = dict(zip([p.name for p in task.parameters], minimum.common.tolist(), strict=True))
+    values = {p.name: everything[p.name] for p in further}
+    return QuickFit(candidate, values, cost - minimum.cost, replace(base.end, values=everything))
+
+
+def shape_spread(value: float, typical: float) -> float:
+    """How far a shape may be from where it started: an order of magnitude is no surprise."""
+    return max(abs(value), typical)
+
+
+def full(
+    model: Model,
+    workspace: Workspace,
+    candidate: Candidate | None = None,
+    begin: Begin | None = None,
+    longer: int = 0,
+) -> FullFit:
+    """The fit of `model` with its noise, from its values on, or from `begin`. `candidate` is the effect that was added
+    last. One that does not settle goes on where it ended, as often as `longer`, as long as that makes a difference."""
+    fitted = fit(workspace.problem(model), begin=begin)
+    for _ in range(longer):
+        if fitted.minimum.converged or _creeps(fitted):
+            break
+        fitted = fit(workspace.problem(model), near=fitted, begin=fitted.end)
+    return _full(model, fitted, workspace, candidate)
+
+
+def settled(model: Model, workspace: Workspace) -> FullFit:
+    """The fit of `model` alone, which all others are held against: it is begun again where it ended until that changes
+    nothing. In a narrow valley steps grow short, and from there on with fresh ones it has gone on by 1,200 nats."""
+    found = full(model, workspace, longer=FURTHER_FITS)
+    for _ in range(FURTHER_FITS):
+        fitted = fit(workspace.problem(model), near=found.fit, begin=found.fit.end)
+        again = _full(model, fitted, workspace)
+        if again.log_likelihood - found.log_likelihood < CREEPING:
+            break
+        found = again
+    return found
+
+
+def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
+    # What is looked at later is looked at whatever time the fit had.
+    fitted = replace(fitted, problem=replace(fitted.problem, budget=UNLIMITED))
+    own = {p.name for each in model.effects for p in each.parameters}
+    count = sum(p.estimated for p in model.parameters if p.name in own) + random_count(model)
+    rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
+    return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
+
+
+def _creeps(fitted: Fit) -> bool:
+    """Whether the second half of its steps decided nothing: along a valley there are hundreds more."""
+    middle, last = fitted.steps[len(fitted.steps) // 2], fitted.steps[-1]
+    return middle.cost - last.cost < CREEPING
+
+
+def gained(fitted: FullFit, base: FullFit) -> tuple[float, int]:
+    """By how much the log likelihood of `fitted` is above that of `base` (nats), whose model lacks some of its effects,
+    and by how many parameters."""
+    return fitted.log_likelihood - base.log_likelihood, fitted.count - base.count
+
+
+def surety(fitted: FullFit) -> float:
+    """By how many standard deviations the surest amplitude of the effect that was added last is away from zero, of its
+    own, or of those that it would scatter by were there none of it.
+
+    One that is not leaves all that was gained to the others, which another start would have brought there, too. Its
+    shape is taken for known: of a creep whose end the record does not show, the torque it settles at is anything, and
+    that there is one beyond doubt. Likewise where parts strike each other: derivatives through many blows grow until
+    they tell nothing of how large the play is, which gained thousands.
+    """
+    assert fitted.candidate is not None
+    names = [p.name for p in fitted.fit.problem.parameters]
+    information = fitted.fit.minimum.information
+    given = [place for place, name in enumerate(names) if name in fitted.candidate.shapes]
+    known = np.delete(np.arange(len(information)), given)
+    deviations = np.sqrt(np.diag(inverse(information[np.ix_(known, known)])))
+    std = dict(zip(known.tolist(), deviations.tolist(), strict=True))
+    places = [names.index(name) for name in fitted.candidate.amplitudes if name in names]
+    if not places:
+        return 0.0
+    own = np.array([std[place] for place in places])
+    scatter = np.minimum(own, scatter_of_none(fitted.fit, places, given))
+    return float(np.max(np.abs(fitted.fit.minimum.common[places]) / np.maximum(scatter, 1e-300)))
+
+
+def possible(fitted: FullFit) -> bool:
+    """Whether the amplitudes of the effect that was added last are inside their bounds, or absent: one that physics
+    stops short of what the record asks for stands in for another cause."""
+    assert fitted.candidate is not None
+    minimum = fitted.fit.minimum
+    return not any(
+        p.name in fitted.candidate.amplitudes and at_bound and value != 0.0
+        for p, value, at_bound in zip(fitted.fit.problem.parameters, minimum.common, minimum.at_bound, strict=False)
+    )
+
+
+def scatter_of_none(fitted: Fit, places: Sequence[int], given: Sequence[int] = ()) -> Array:
+    """Standard deviations that the amplitudes at `places` among the parameters would have, were they zero, with those
+    at `given` known; infinite where they would show nothing."""
+    task, size = fitted.problem, len(fitted.problem.free)
+    common = fitted.minimum.common[:size].copy()
+    common[list(places)] = 0.0
+    with np.errstate(all="ignore"):
+        blocks = task.evaluate(
+            common, fitted.minimum.own[: len(task.segments)], weights=whitening(fitted), gain=fitted.gain
+        )
+    if blocks is None:
+        return np.full(len(places), np.inf)
+    information = np.diag(fitted.prior[:size])
+    for block in blocks:
+        columns = eliminate(block)[1]
+        information = information + columns.T @ columns
+    known = np.delete(np.arange(size), list(given))
+    deviations = np.full(size, np.inf)
+    deviations[known] = np.sqrt(np.diag(inverse(information[np.ix_(known, known)])))
+    return np.asarray(deviations[list(places)])
+
+
+def off_prior(fitted: Fit) -> float:
+    """What the parameters, which are known to their standard deviations before, cost where they are off."""
+    size = len(fitted.problem.free)
+    off = fitted.minimum.common[:size] - fitted.problem.start
+    return 0.5 * float(np.sum(fitted.prior[:size] * off**2))
+
+
+def log_likelihood(fitted: Fit) -> float:
+    """Of the innovations under their own covariance, less the constant that all models share."""
+    _, logarithm = np.linalg.slogdet(fitted.covariance)
+    total = 0.0
+    for innovations in fitted.innovations():
+        known = innovations[np.isfinite(innovations).all(axis=1)]
+        total -= (
+            0.5 * float(np.sum(known * np.linalg.solve(fitted.covariance, known.T).T)) + 0.5 * len(known) * logarithm
+        )
+    return total

@@ -1,0 +1,197 @@
+"""Which random signal may have coloured the innovations: a force or a sensor's error, and about which frequency?
+
+A random signal of the power density phi(f) at a place adds phi h h* to the white innovations, h (ny,) what a unit there
+does to them. In the whitened periodogram z(f), with a = |h|^2 and b = |h* z|^2,
+
+    ln L = sum over f of  phi b / (1 + phi a) - ln(1 + phi a)    more than without it (Whittle)
+
+and b / a has an exponential distribution of mean 1 where there is none. Blocks of 1, 2, 4, ... lines of it are the
+test, and tell the frequencies; the likeliest numbers of each signal follow from a and b alone, without a fit.
+Source: Whittle, Arkiv foer Matematik 2 (1953) 423-434.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from diagnosis.lack_of_fit.floor import sensor_noise
+from diagnosis.lack_of_fit.reach import reach
+from diagnosis.lack_of_fit.where_it_fails import LEVEL
+from diagnosis.score.whitened import PEAKS, SLOWEST, whitening
+from estimators.innovations import NoiseModel
+from estimators.methods.prediction_error import Fit
+from estimators.time_scale import time_scale
+from models.disturbance import at_joints, narrow_at_joints
+from models.random_part import LEAST_ROWS, LEAST_TIMES, PERIODS
+from models.sensor_error import at_outputs
+
+Array = NDArray[np.float64]
+
+SIZES = np.geomspace(0.03, 30.0, 7)
+"""Of the RMS that the blocks say, from which the likeliest is looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A random force at the joint, or error of the output, called `at`: about `frequency` (Hz), or, where that is None,
+    of first order. `rms` in the unit there, in which the model tells its noise, and correlation `time` (s) are what the
+    spectrum says; `gain` is by how much the log likelihood would rise."""
+
+    at: str
+    of_sensor: bool
+    frequency: float | None
+    rms: float
+    time: float
+    gain: float
+
+    @property
+    def count(self) -> int:
+        """How many numbers it has."""
+        return 2 if self.frequency is None else 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """The joint or output called `at`, in rows every `spacing` s: at `turn` (m,), rad a row, a and b (m,) as above; s,
+    between which a correlation time is sought, the `shortest` and the `longest`."""
+
+    at: str
+    of_sensor: bool
+    spacing: float
+    turn: Array
+    a: Array
+    b: Array
+    shortest: float
+    longest: float
+
+
+def same(one: Signal, other: Signal) -> bool:
+    """Whether two signals are one: at one place, and no farther apart than each is wide (half its width at half its
+    power is 1 / (2 pi time))."""
+    if (one.at, one.of_sensor) != (other.at, other.of_sensor) or one.frequency is None or other.frequency is None:
+        return False
+    width = (1.0 / one.time + 1.0 / other.time) / (2.0 * math.pi)
+    return abs(one.frequency - other.frequency) < width
+
+
+def signals(fitted: Fit) -> list[Signal]:
+    """The likeliest signals, the one with most evidence first, none where all blocks are what chance gives white
+    innovations; at each place one of first order, of a sensor, and those about the frequencies of the blocks."""
+    places = list(_places(fitted))
+    blocks = [(*block, place) for place in places for block in _blocks(place.b / place.a)]
+    level = LEVEL / max(1, len(blocks))
+    found: list[Signal] = []
+    for place in places:
+        sure = sorted((chance, low, high) for chance, low, high, of in blocks if of is place and chance < level)
+        about = [0.5 * (place.turn[low] + place.turn[high]) for low, high in _apart(sure)]
+        if sure and place.of_sensor:
+            found += _likeliest(place, None)
+        for each in about[:PEAKS]:
+            found += _likeliest(place, float(each))
+    rows = fitted.problem.rows
+    return sorted(found, key=lambda each: 0.5 * each.count * math.log(rows) - each.gain)
+
+
+def _places(fitted: Fit) -> Iterator[_Place]:
+    task, noise = fitted.problem, NoiseModel.of(fitted.problem)
+    model, spacing, outputs = task.model, noise.spacing, len(task.model.outputs)
+    longest = int(np.argmax([len(each) for each in task.segments]))
+    whitener, rows = whitening(fitted), np.nan_to_num(fitted.innovations()[longest])
+    lines = np.fft.rfft(rows @ whitener.T, axis=0)[1:-1] / math.sqrt(len(rows))
+    turn = 2.0 * math.pi * np.arange(1, len(lines) + 1) / len(rows)
+    kept = turn >= 2.0 * math.pi * spacing * SLOWEST / time_scale(model, task.segments)
+    logarithms = fitted.minimum.common[len(task.free) :]
+    transition, output = noise.covariances(fitted.values, logarithms)[:2]
+    ahead = transition @ fitted.gain
+    closed = transition - ahead @ output
+    resolvent = np.linalg.inv(np.exp(1j * turn)[:, None, None] * np.eye(len(closed)) - closed)
+    through = whitener @ output @ resolvent
+    most = float(task.segments[longest].duration) / LEAST_TIMES
+
+    def place(at: str, of_sensor: bool, response: NDArray[Any], fastest: float) -> _Place:
+        chosen = kept & (turn <= 2.0 * math.pi * spacing * fastest)
+        size = np.sum(np.abs(response) ** 2, axis=1)[chosen]
+        seen = np.abs(np.sum(np.conj(response) * lines, axis=1))[chosen] ** 2
+        return _Place(at, of_sensor, spacing, turn[chosen], size, seen, LEAST_ROWS * spacing, most)
+
+    fastest = float(np.max(reach(task, fitted.values, sensor_noise(task)[0])))
+    narrow = {joint.name for joint, _ in narrow_at_joints(model)}
+    for joint, number in at_joints(model):
+        if joint.name not in narrow:
+            # Over a row it pushes as the disturbance that is there does.
+            pushed = transition[:, number].copy()
+            pushed[number] = 0.0
+            yield place(joint.name, False, through @ pushed, fastest)
+    wrong = {each.name for each, _ in at_outputs(model)}
+    for number, each in enumerate(model.outputs):
+        # A noise that is stated is stated too large, so that what is left of it has no power. What counts errs by that.
+        if each.name not in wrong and not (each.noise_known or each.counted):
+            direct = np.eye(outputs)[number]
+            entered = spacing * noise.integrated[:, number] - ahead @ direct
+            yield place(each.name, True, whitener @ direct + through @ entered, 0.5 / spacing)
+
+
+def _blocks(powers: Array) -> Iterator[tuple[float, int, int]]:
+    """Probability of so much power, and the first and last line, of each block; `powers` (n,) of mean 1."""
+    lines = 1
+    while 2 * lines <= len(powers):
+        sums = powers[: len(powers) // lines * lines].reshape(-1, lines).sum(axis=1)
+        # A line's power is half that of two independent parts.
+        for place, chance in enumerate(chi2.sf(2.0 * sums, 2 * lines).tolist()):
+            yield chance, place * lines, (place + 1) * lines - 1
+        lines *= 2
+
+
+def _apart(blocks: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
+    """Those of `blocks`, the surest first, that share no line with a surer one."""
+    found: list[tuple[int, int]] = []
+    for _, low, high in blocks:
+        if all(high < other_low or low > other_high for other_low, other_high in found):
+            found.append((low, high))
+    return found
+
+
+def _likeliest(place: _Place, turn: float | None) -> list[Signal]:
+    """The likeliest signal at `place`, about `turn` rad a row or of first order; none where it gains nothing."""
+    shortest = place.shortest if turn is None else PERIODS * 2.0 * math.pi * place.spacing / turn
+    longest = max(place.longest, 2.0 * shortest)
+    # As large as its share of the innovations, were it all in one line or in all.
+    size = float(np.sqrt(np.mean(place.b) / np.mean(place.a**2) * np.mean(place.a)))
+
+    def loss(unknowns: Array) -> float:
+        size, time = np.exp(unknowns[:2])
+        about = None if turn is None else turn * math.exp(unknowns[2])
+        if not (shortest <= time <= longest) or (about is not None and not 0.0 < about < math.pi):
+            return math.inf
+        density = _density(place.turn, size, math.exp(-place.spacing / time), about)
+        more = density * place.a
+        return -float(np.sum(density * place.b / (1.0 + more) - np.log1p(more)))
+
+    free = 2 if turn is None else 3
+    times = (math.sqrt(shortest * longest), min(2.0 * shortest, longest))
+    starts = [np.array([math.log(each * size), math.log(time), 0.0][:free]) for each in SIZES for time in times]
+    begin = min(starts, key=loss)
+    ended = minimize(loss, begin, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-2})
+    if not (np.isfinite(ended.fun) and ended.fun < 0.0):
+        return []
+    rms, time = np.exp(ended.x[:2]).tolist()
+    frequency = None if turn is None else turn * math.exp(ended.x[2]) / (2.0 * math.pi * place.spacing)
+    return [Signal(place.at, place.of_sensor, frequency, rms, time, -float(ended.fun))]
+
+
+def _density(turn: Array, rms: float, fading: float, about: float | None) -> Array:
+    """Power density a row at `turn` (m,) of samples whose autocorrelation fades by `fading` a row, and swings `about`
+    so many rad a row."""
+
+    def one(centre: float) -> Array:
+        return np.asarray((1.0 - fading**2) / (1.0 - 2.0 * fading * np.cos(turn - centre) + fading**2))
+
+    return rms**2 * (one(0.0) if about is None else 0.5 * (one(about) + one(-about)))

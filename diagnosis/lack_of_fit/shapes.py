@@ -1,0 +1,248 @@
+"""Would a force of any shape still help? A test for lack of fit that needs no formula.
+
+A missing force at a joint is let depend on one coordinate after the other as it likes: piecewise straight lines
+over it, the same times rate or coordinate, waves over it, and swinging or creeping in time. Beside these, which may
+have any shape and pay for it, come the first terms of Taylor's series: whatever is smooth looks like one of them. What
+each would do to the innovations is its linear response (diagnosis.lack_of_fit.force_probe), less what parameters, noise
+and initial states could do, the effects that are in the model included. So what is left is what no value of theirs
+would mend.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+from scipy.stats import chi2
+
+from diagnosis.lack_of_fit.floor import Innovations
+from diagnosis.lack_of_fit.force_probe import Probe, recurrence
+from diagnosis.score.whitened import Whitened, project, whitening
+from estimators.time_scale import time_scale
+
+Array = NDArray[np.float64]
+
+KNOTS = 8
+"""Of a piecewise straight line, with as many rows between neighbours."""
+HARMONICS = 12
+"""Of the range of a coordinate."""
+SLOWEST, FASTEST, BANDS = 0.04, 2.0, 60
+"""Over the time scale (estimators.time_scale; 0.1 and 5 Hz of the MONOCAB), between which a coefficient may swing in
+time, and how many bands' strongest lines are tried."""
+CUBES = ("{0} cubed", "{0} squared times {1}", "{0} times {1} squared", "{1} cubed")
+OVERSAMPLED = 4
+"""Lines a band of the width that a record resolves, one over its length: between two of them nothing is missed."""
+LEAST = 1e-6
+"""Share of a column's own energy that has to be left beside what is fitted anyway."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What a force of one kind of shape would gain in log likelihood, beyond what chance gains, and how likely that is.
+
+    `name` is what it goes with at `joint`, `p_value` with all kinds looked at, `share` how much of the innovations'
+    energy it explains; `std` is the gain's standard deviation. The gain is at the noise of the fit, which had to stand
+    in for what is missing: where little else is left, the share tells more.
+    """
+
+    joint: str
+    name: str
+    gain: float
+    p_value: float
+    share: float = 0.0
+    std: float = 0.0
+
+
+def shapes(found: Innovations, probed: Probe) -> list[Shape]:
+    """All kinds at all joints, the one that gains most first. `found` has the fit itself, with its own gain."""
+    white = Whitened.of(found.fit)
+    tried: list[tuple[str, str, _Gain, int]] = []
+    for place, joint in enumerate(probed.joints):
+        design = Design(white, found, probed, place)
+        for name, width, members in _kinds(found, probed, place):
+            columns = design.columns(members)
+            pieces = [columns[:, first : first + width] for first in range(0, columns.shape[1], width)]
+            best = max(map(design.gain, pieces), key=lambda each: each.beyond)
+            tried.append((joint.name, name, best, len(pieces)))
+        for name, slope in _slopes(probed, place):
+            frequencies, lines = design.strongest(slope)
+            swings = [_lines(segment.time, frequencies) for segment in found.problem.segments]
+            columns = design.columns(_times(swings, slope))
+            pieces = [columns[:, first : first + 2] for first in range(0, columns.shape[1], 2)]
+            best = max(map(design.gain, pieces), key=lambda each: each.beyond)
+            tried.append((joint.name, f"{name} swinging in time", best, lines))
+    kinds = max(len(tried), 1)
+    ranked = [
+        Shape(joint, name, best.beyond, min(1.0, kinds * pieces * best.by_chance), best.share, best.std)
+        for joint, name, best, pieces in tried
+        if best.rank
+    ]
+    return sorted(ranked, key=lambda each: -each.gain)
+
+
+def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str, int, list[Array]]]:
+    """Name, columns of one shape, and by stretch (n, m) its values: m / columns shapes of a kind."""
+    joint = probed.joints[place]
+    inner = {state.name for each in found.problem.model.effects for state in each.states}
+    values = {each.name: each.values for each in probed.coordinates if each.name not in inner}
+    time = tuple(segment.time for segment in found.problem.segments)
+    slopes = dict(_slopes(probed, place))
+    angle, rate = slopes.get(joint.coordinate), slopes.get(joint.rate)
+    hats = {name: _hats(each) for name, each in values.items()}
+    clock = _hats(time)
+    for name in values:
+        yield name, hats[name][0].shape[1], hats[name]
+    yield "time", clock[0].shape[1], clock
+    for word, slope in slopes.items():
+        for name in values:
+            if name == joint.coordinate and word == joint.rate:
+                continue  # the same as the other way round
+            yield f"{word} times {name}", 1, _times([each[:, None] for each in values[name]], slope)
+        for name in values:
+            if name != word:
+                yield f"{word} by {name}", hats[name][0].shape[1], _times(hats[name], slope)
+        yield f"{word} by time", clock[0].shape[1], _times(clock, slope)
+    if angle is not None and rate is not None:
+        for power, name in enumerate(CUBES):
+            yield (
+                name.format(joint.coordinate, joint.rate),
+                1,
+                [(one ** (3 - power) * other**power)[:, None] for one, other in zip(angle, rate, strict=True)],
+            )
+    if angle is not None:
+        whole = np.concatenate(angle)
+        span = float(np.quantile(whole, 0.999) - np.quantile(whole, 0.001))
+        waves = [_lines(each, np.arange(1, HARMONICS + 1) / span) for each in angle]
+        yield f"waves over {joint.coordinate}", 2, waves
+        if rate is not None:
+            yield f"{joint.rate} by waves over {joint.coordinate}", 2, _times(waves, rate)
+
+
+def _slopes(probed: Probe, place: int) -> list[tuple[str, tuple[Array, ...]]]:
+    """Coordinate and rate of a joint, as far as they move, with their values by stretch."""
+    joint, values = probed.joints[place], {each.name: each.values for each in probed.coordinates}
+    return [(name, values[name]) for name in (joint.coordinate, joint.rate) if name in values]
+
+
+def _hats(values: Sequence[Array]) -> list[Array]:
+    """Piecewise straight lines over a coordinate, (n, KNOTS)."""
+    knots = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, KNOTS)))
+    return [np.stack([np.interp(each, knots, row) for row in np.eye(len(knots))], axis=1) for each in values]
+
+
+def _times(columns: Sequence[Array], factor: Sequence[Array]) -> list[Array]:
+    return [each * by[:, None] for each, by in zip(columns, factor, strict=True)]
+
+
+def _lines(values: Array, frequencies: Array) -> Array:
+    """Sine and cosine of each frequency in turn, (n, 2 m)."""
+    turns = 2.0 * np.pi * values[:, None] * frequencies
+    return np.stack([np.sin(turns), np.cos(turns)], axis=2).reshape(len(values), -1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Gain:
+    """`explained` by `rank` columns, of the whole `energy` of the whitened innovations; these scatter `inflation` times
+    as much as if they were independent of each other."""
+
+    explained: float
+    energy: float
+    rank: int
+    inflation: float
+
+    @property
+    def beyond(self) -> float:
+        """Of the log likelihood, beyond what chance gains."""
+        return 0.5 * (self.explained / self.inflation - self.rank)
+
+    @property
+    def std(self) -> float:
+        """Of that: what it explains is chi squared, not central by what is there."""
+        return 0.5 * math.sqrt(2.0 * self.rank + 8.0 * max(self.beyond, 0.0))
+
+    @property
+    def share(self) -> float:
+        return self.explained / max(self.energy, self.explained, 1e-300)
+
+    @property
+    def by_chance(self) -> float:
+        return float(chi2.sf(self.explained / self.inflation, self.rank))
+
+
+class Design:
+    """What forces at one joint do to the whitened innovations."""
+
+    def __init__(self, white: Whitened, found: Innovations, probed: Probe, place: int) -> None:
+        fit, response = white.fit, probed.response
+        self.white, self.segments = white, fit.problem.segments
+        scale = time_scale(fit.problem.model, self.segments)
+        self.slowest, self.fastest = SLOWEST / scale, FASTEST / scale
+        floor = found.floor
+        predictor = floor.transition - floor.transition @ fit.gain @ floor.output
+        pushes = np.zeros((max(map(len, self.segments)), len(predictor)))
+        pushes[1:2] = response.drive[:, place]
+        impulse = recurrence(predictor, pushes) @ floor.output.T
+        impulse[0] += response.direct[:, place]
+        self.impulse = impulse @ whitening(fit).T
+        order = np.argsort(white.blocks, kind="stable")
+        self.order, self.edges = order, np.flatnonzero(np.diff(white.blocks[order], prepend=-1))
+
+    def columns(self, members: Sequence[Array]) -> Array:
+        parts = []
+        for segment, basis, inside in zip(self.segments, self.white.starts, members, strict=True):
+            shown = np.stack(
+                [fftconvolve(inside, each[:, None], axes=0)[: len(inside)] for each in self.impulse[: len(inside)].T],
+                axis=1,
+            )
+            shown = np.where(np.isfinite(segment.measured)[:, :, None], shown, 0.0).reshape(-1, inside.shape[1])
+            whole = np.zeros((len(basis), inside.shape[1]))
+            whole[: len(shown)] = shown
+            parts.append(whole - basis @ (basis.T @ whole))
+        stacked = np.concatenate(parts)
+        size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+        return project(stacked / size, self.white.nuisance)
+
+    def strongest(self, slope: Sequence[Array]) -> tuple[Array, int]:
+        """In each of BANDS, the frequency (Hz) at which a swing of `slope` goes best with what is left; then how many
+        lines the record tells apart. What a swing does to the innovations, goes with what these do to a swing."""
+        time = np.concatenate([segment.time for segment in self.segments])
+        rests = np.split(self.white.residual, np.cumsum([len(each) for each in self.white.starts])[:-1])
+        pulled = []
+        for segment, rest, inside in zip(self.segments, rests, slope, strict=True):
+            known = np.isfinite(segment.measured)
+            left = np.where(known, rest[: known.size].reshape(known.shape), 0.0)[::-1]
+            back = sum(
+                fftconvolve(each, impulse)[: len(left)]
+                for each, impulse in zip(left.T, self.impulse[: len(left)].T, strict=True)
+            )
+            pulled.append(inside * np.asarray(back)[::-1])
+        # Gathered into eighths of the fastest turn, within which a swing hardly moves.
+        width = 0.125 / self.fastest
+        places, inverse = np.unique(np.floor(time / width), return_inverse=True)
+        weights = np.bincount(inverse, weights=np.concatenate(pulled))
+        told = float(np.ptp(time)) * (self.fastest - self.slowest)
+        chosen = []
+        for low, high in pairwise(np.linspace(self.slowest, self.fastest, BANDS + 1).tolist()):
+            lines = np.linspace(low, high, max(2, math.ceil(OVERSAMPLED * told / BANDS)))
+            power = np.abs(np.exp(-2.0j * np.pi * width * np.outer(lines, places)) @ weights)
+            chosen.append(float(lines[np.argmax(power)]))
+        return np.array(chosen), max(BANDS, math.ceil(told))
+
+    def gain(self, columns: Array) -> _Gain:
+        """Of unit columns (n, m); the blocks' scatter counts where it is larger than chance has it."""
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > LEAST
+        if not kept.any():
+            return _Gain(0.0, 0.0, 0, 1.0)
+        basis = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+        residual = self.white.residual
+        sizes = basis.T @ residual
+        rest = basis * (residual - basis @ sizes)[:, None]
+        sums = np.add.reduceat(rest[self.order], self.edges, axis=0)
+        inflation = max(1.0, float(np.sum(sums**2)) / len(sizes))
+        return _Gain(float(sizes @ sizes), float(residual @ residual), len(sizes), inflation)

@@ -1,0 +1,339 @@
+"""From the products of a live diagnosis to names: which effects stand out, since when, and what they are tied with.
+
+An effect is named when its odds against none (`diagnosis.live.odds`) exceed what chance reaches where nothing is
+missing. Named with it is every effect that these odds do not tell from it yet: soon after its onset these may be
+several, later fewer. Where nothing in the catalogue explains what came, no name is given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from diagnosis.exchange import FURTHER_ALIKE
+from diagnosis.gates import SIMPLER, alike
+from diagnosis.live.odds import Weighed, weigh
+from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
+from diagnosis.live.products import Products
+from diagnosis.prepare.candidates import Candidate
+from estimators.disturbance import DisturbanceEstimate
+from estimators.problem import Problem
+from estimators.recursive_predictor import Seen
+from estimators.report import significant
+from models.effect import AttachedEffect, Effect
+from models.effects import CATALOGUE, find
+from models.model import Parameter
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.01
+"""Probability of naming an effect in the first minute, if nothing is missing; as much for each e-fold of time later."""
+LOOKS = 2.0
+"""Looks at one effect that are as good as independent, in a minute.
+
+Counted in 51 minutes of multisine with nothing missing: in a tenth of them the best of 21 effects has odds of 440, in
+a twentieth 800."""
+DETECTABLE = float(2.0 * norm.isf(0.01))
+"""Standard errors of a size that is found with 99 % probability at 1 % false alarms."""
+EXPLAINED = 0.1
+"""Share of what came since its onset that an effect must explain to be named."""
+SHORTEST = 2
+"""s that an effect must have acted to be named. What sets in is like much else at first."""
+KEPT = 32
+"""s back within which an onset is looked for, one that was found excepted."""
+MOST = 3
+"""Effects that are named at once."""
+FURTHER = 0.05
+"""Share of the statistics of those named that a further effect has to have: at one shape, and one linear step away, a
+formula fits less well than one that is refitted."""
+NEAR = 0.5
+"""Of the logarithm of the odds of a name, from which on an effect is looked at every second: what sets in passes it in
+half the time that it takes to a name, and without it every other second is looked at."""
+SUDDEN = {"static_torque": "torque_step"}
+"""What an effect is called that was not there from the beginning."""
+ALWAYS = (
+    "gravity_nonlinearity",
+    "gimbal_angle_coupling",
+    "gimbal_imbalance",
+    "torque_drift",
+    "sensor_offset",
+    "sensor_scale",
+)
+"""Effects that do not set in during a run: how the vehicle is built, and what tells its own time."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveFinding:
+    """An effect that shows. `since` s from the first cycle, 0 where it was there from the beginning."""
+
+    effect: str
+    family: str
+    sizes: Mapping[str, tuple[float, float, str]]
+    """Parameter to value, standard deviation and unit."""
+    since: float
+    probability: float
+    p_value: float
+    tied_with: tuple[str, ...]
+    explanation: str
+
+    def to_json(self) -> dict[str, Any]:
+        """One of `findings` as in `diagnose --json`, with `since`."""
+        return {
+            "effect": self.effect,
+            "family": self.family,
+            "parameters": {
+                name: {"value": value, "std": std, "unit": unit, "identifiable": True}
+                for name, (value, std, unit) in self.sizes.items()
+            },
+            "probability": self.probability,
+            "p_value": self.p_value,
+            "held_out_error_closed_percent": None,
+            "tied_with": list(self.tied_with),
+            "explanation": self.explanation,
+            "since": self.since,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class LiveResult:
+    """What is known now. `seconds` of free motion that it rests on, `detectable` by effect, in its first amplitude;
+    `disturbance`: the random force at each joint, which no effect explains."""
+
+    findings: tuple[LiveFinding, ...]
+    detectable: Mapping[str, float]
+    seconds: int
+    reason: str = ""
+    disturbance: tuple[DisturbanceEstimate, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        if self.reason:
+            return "insufficient_data"
+        return "missing_effect" if self.findings else "adequate"
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnose --json`; nothing is refitted or held out while the vehicle runs, so these are null."""
+        return {
+            "adequate": self.verdict == "adequate",
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "findings": [each.to_json() for each in self.findings],
+            "minimum_detectable": dict(self.detectable),
+            "suggested_experiment": None,
+            "innovation_ratio_before": None,
+            "innovation_ratio_after": None,
+            "disturbance": {each.joint: each.to_json() for each in self.disturbance},
+            "seconds": self.seconds,
+        }
+
+
+TOO_LITTLE = LiveResult((), {}, 0, "too little free motion yet to tell")
+
+
+class Gathered:
+    """What has come in so far, and what it tells, renewed every second or two."""
+
+    def __init__(
+        self, entries: Sequence[Entry], order: NDArray[np.int64], products: Products, about: Array, *, whole: bool
+    ) -> None:
+        self._whole = whole
+        self._entries = {each.amplitudes.name: each for each in entries}
+        self.about = about
+        """What the unknowns of the recursion count from."""
+        self.order = order
+        """The columns of the recursion in the order that `Products` wants; those of candidates follow them."""
+        self.products = products
+        self._began: list[float] = []
+        self._filled = 0.0
+        self._onsets: list[int] = []
+        self._near = True
+
+    @classmethod
+    def of(cls, base: Problem, candidates: Sequence[Candidate], seen: Seen, *, whole: bool) -> Gathered:
+        """Columns in the order that `Products` wants: nuisances, effects that the model has, candidates. `whole`: it
+        begins where the run does."""
+        free = [base.model.parameters[place].name for place in base.free]
+        there = [each for each in base.model.effects if set(each.amplitudes) <= set(free)]
+        theirs = [free.index(name) for each in there for name in each.amplitudes]
+        nuisances = [place for place in range(len(seen.prior)) if place not in theirs]
+        entries, place = [], len(nuisances)
+        for effect, scales in (
+            *((each, tuple(base.scale[[free.index(name) for name in each.amplitudes]])) for each in there),
+            *((each.attached, (1.0,) * len(each.amplitudes)) for each in candidates),
+        ):
+            entries.append(Entry.of(effect, tuple(range(place, place + len(scales))), tuple(map(float, scales))))
+            place += len(scales)
+        order = np.array([*nuisances, *theirs])
+        # Nuisances count from where they are now, as they are linear near by only; the model's own effects from none.
+        about = np.zeros(len(seen.prior))
+        about[: len(seen.z)] = seen.z
+        about[theirs] = 0.0
+        products = Products(seen.prior[nuisances], -about[nuisances], place + 1, KEPT)
+        return cls(entries, order, products, about[: len(seen.z)], whole=whole)
+
+    def completes(self, further: float, part: float) -> bool:
+        """Whether as many `further` s complete a second, where parts last `part` s."""
+        return self._filled + further >= 1.0 - 0.5 * part
+
+    def add(self, columns: Array, parts: Iterable[tuple[slice, float, float]]) -> bool:
+        """Further numbers (n, m): which of them belong together, when these began and how long they last, in s.
+
+        Whether they complete a second.
+        """
+        first = 0
+        for rows, begin, span in parts:
+            if self._filled == 0.0:
+                self._began.append(begin)
+            full = self.completes(span, span)
+            self._filled += span
+            if full:
+                self._filled = 0.0
+                self.products.add(columns[first : rows.stop])
+                self.products.end_second(self._onsets)
+                first = rows.stop
+        self.products.add(columns[first:])
+        return first > 0
+
+    def forget(self, effect: str) -> None:
+        """What was gathered of this one, whose shape is another from now on."""
+        if effect in self._entries:
+            self.products.forget(self._entries[effect].amplitudes.columns)
+
+    def is_due(self) -> bool:
+        """Whether the last complete second is looked at: every one while anything is near a name, else every other."""
+        return self._near or self.products.seconds % 2 == 0
+
+    def look(self, shapes: Mapping[str, tuple[float, float, str]], tries: Mapping[str, int]) -> LiveResult:
+        """Name what stands out, the strongest first, each with those before it taken for granted.
+
+        `shapes`: values, standard deviations and units of parameters that were picked from the data, `tries` by effect
+        among how many.
+        """
+        if self.products.seconds <= SHORTEST:
+            return TOO_LITTLE
+        amplitudes = [entry.amplitudes for entry in self._entries.values()]
+        minutes = max(1.0, self.products.seconds / 60.0)
+        looks = LOOKS * len(amplitudes) * minutes
+        least = math.log(looks / LEVEL)
+        named: list[Onset] = []
+        findings: list[LiveFinding] = []
+        detectable: dict[str, float] = {}
+        reason = ""
+        while len(named) < MOST:
+            found, errors = weigh(self.products, amplitudes, named, tries, least if named else NEAR * least)
+            if not named:
+                self._near = bool(found)
+                detectable = {name: DETECTABLE * error * self._entries[name].scale[0] for name, error in errors.items()}
+            if not found or found[0].log_odds < least or self._is_young(found[0]):
+                break
+            best = simplest(found)
+            if best.explained < EXPLAINED:
+                reason = f"since {self._began[best.onset.second]:.0f} s something acts that no effect explains yet"
+                break  # never beside another name: `explained` is 1 then
+            if best.onset.statistic < self._asked(best.onset, named):
+                break
+            findings.append(self._finding(best, found, looks, shapes))
+            named.append(best.onset)
+        self._onsets = [each.second for each in named if each.second != BEGINNING]
+        return LiveResult(tuple(findings), detectable, self.products.seconds, reason)
+
+    def _is_young(self, weighed: Weighed) -> bool:
+        second = weighed.onset.second
+        return second != BEGINNING and self.products.seconds - second < SHORTEST
+
+    def _asked(self, onset: Onset, named: Sequence[Onset]) -> float:
+        """The statistic that a further effect has to have: no formula and no onset is exact."""
+        effect = self._entries[onset.effect.name].effect
+        others = [self._entries[each.effect.name].effect for each in named]
+        share = FURTHER_ALIKE if any(alike(effect, other) for other in others) else FURTHER
+        return share * sum(each.statistic for each in named)
+
+    def _finding(
+        self,
+        named: Weighed,
+        found: Sequence[Weighed],
+        looks: float,
+        shapes: Mapping[str, tuple[float, float, str]],
+    ) -> LiveFinding:
+        best, highest = named.onset, found[0].log_odds
+        entry = self._entries[best.effect.name]
+        tied = tuple(self._called(each.onset) for each in found if each is not named and each.tied)
+        none = math.exp(-highest)
+        likely = [math.exp(each.log_odds - highest) for each in found]
+        sizes = {
+            parameter.name: (float(size) * scale, float(std) * scale, parameter.unit)
+            for parameter, size, std, scale in zip(
+                entry.parameters, best.sizes, best.standard_errors, entry.scale, strict=True
+            )
+        }
+        sizes |= {name: told for name, told in shapes.items() if name.startswith(f"{best.effect.name}.")}
+        since = 0.0 if self._from_the_beginning(best) else self._began[best.second]
+        called = self._called(best)
+        kind = called.partition("@")[0]
+        effect = find(kind) if kind in CATALOGUE else entry.effect
+        return LiveFinding(
+            effect=called,
+            family=effect.family.value,
+            sizes=sizes,
+            since=since,
+            probability=math.exp(named.log_odds - highest) / (sum(likely) + none),
+            p_value=min(1.0, looks * math.exp(-named.log_odds)),
+            tied_with=tied,
+            explanation=_explain(called, effect, sizes, since, tied),
+        )
+
+    def _from_the_beginning(self, onset: Onset) -> bool:
+        """What an effect did in the second before its onset is free: an onset in the second one says nothing of before,
+        unless something sudden came there, in which the predictor lost the vehicle."""
+        return onset.second == BEGINNING or (self._whole and onset.second == BEGINNING + 1)
+
+    def _called(self, onset: Onset) -> str:
+        """The name in a model, EFFECT or EFFECT@PLACE."""
+        effect, at, place = onset.effect.name.partition("@")
+        return onset.effect.name if self._from_the_beginning(onset) else SUDDEN.get(effect, effect) + at + place
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An effect and its columns. `scale` (k,) is the size of a unit of each column."""
+
+    effect: Effect
+    amplitudes: Amplitudes
+    parameters: tuple[Parameter, ...]
+    scale: tuple[float, ...]
+
+    @classmethod
+    def of(cls, attached_effect: AttachedEffect, columns: tuple[int, ...], scale: tuple[float, ...]) -> Entry:
+        parameters = tuple(p for p in attached_effect.parameters if p.name in attached_effect.amplitudes)
+        lower = tuple(p.lower / each for p, each in zip(parameters, scale, strict=True))
+        upper = tuple(p.upper / each for p, each in zip(parameters, scale, strict=True))
+        anytime = attached_effect.effect.name not in ALWAYS
+        amplitudes = Amplitudes(attached_effect.name, columns, lower, upper, anytime)
+        return cls(attached_effect.effect, amplitudes, parameters, scale)
+
+
+def simplest(found: Sequence[Weighed]) -> Weighed:
+    """The effect of fewest amplitudes among those that are nearly as likely as the first."""
+    near = [each for each in found if each.log_odds >= SIMPLER * found[0].log_odds]
+    return min(near, key=lambda each: len(each.onset.effect.columns))
+
+
+def _explain(
+    called: str, effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]
+) -> str:
+    told = ", ".join(
+        f"{name.split('.')[-1]} = {value:.{significant(std)}f} +-{std:.{significant(std)}f}"
+        + ("" if unit == "1" else f" {unit}")
+        for name, (value, std, unit) in sizes.items()
+    )
+    when = f", since {since:.0f} s" if since else ""
+    text = f"{called}: {effect.title} ({effect.equation}); {told}{when}."
+    if tied:
+        text += f" Tied with {', '.join(tied)}. {effect.separated_by}"
+    return text + " A first answer, in one linear step: upright diagnose RECORDING refits it."

@@ -1,0 +1,23 @@
+"""What a disturbance costs: the best possible prediction of a record, with it and without it."""
+
+from __future__ import annotations
+
+from diagnosis.findings import PredictionLimit
+from diagnosis.prediction.ahead import sensor_floors
+from estimators.contract import EstimationError
+from estimators.methods.prediction_error import Fit
+from estimators.time_scale import horizon
+
+
+def prediction_limit(fitted: Fit) -> PredictionLimit | None:
+    """Of the predictor `fitted`; None where the record is too short to say, or has no joint that is disturbed."""
+    task = fitted.problem
+    if not any(state.correlation_time for state in task.model.base_states):
+        return None
+    ahead = horizon(task.model, task.segments)
+    try:
+        with_it, without = (sensor_floors(fitted, (ahead,), disturbed=each)[0].tolist() for each in (True, False))
+    except EstimationError:
+        return None
+    channels = task.kernel.outputs
+    return PredictionLimit(ahead, dict(zip(channels, with_it, strict=True)), dict(zip(channels, without, strict=True)))

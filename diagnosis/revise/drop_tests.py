@@ -1,0 +1,90 @@
+"""Is every effect of a model still needed? Each is left out in turn, and all that is left is fitted again.
+
+An effect that was right when it was added may have become useless since another, better one came in: viscous friction
+that stood in for dry friction goes to zero once dry friction is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import exp
+from typing import Any
+
+from diagnosis.evidence import asked_for
+from diagnosis.fits.effect_fit import fit_model
+from diagnosis.prepare.ready import ready
+from estimators.resting import without_rests
+from models.model import Model
+from telemetry.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class DropTest:
+    """`likelihood_ratio`: twice the fall of the log likelihood without the effect, chi squared of `degrees` where there
+    is no such effect. `bic_difference`: BIC without it less BIC with it. `surety`: by how many standard deviations
+    its size is away from zero."""
+
+    effect: str
+    likelihood_ratio: float
+    degrees: int
+    bic_difference: float
+    surety: float
+
+    @property
+    def odds(self) -> float:
+        """For the effect."""
+        return exp(min(max(0.5 * self.bic_difference, -700.0), 700.0))
+
+    @property
+    def needed(self) -> bool:
+        """Whether the records ask for it."""
+        return asked_for(0.5 * self.likelihood_ratio, self.degrees, self.surety)
+
+    @property
+    def verdict(self) -> str:
+        return "needed" if self.needed else "can go"
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect,
+            "likelihood_ratio": self.likelihood_ratio,
+            "degrees": self.degrees,
+            "bic_difference": self.bic_difference,
+            "surety": self.surety,
+            "verdict": self.verdict,
+        }
+
+
+def drop_tests(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    support: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> list[DropTest]:
+    """One test for every effect of `model`, those that can go first. Raises DataError and EstimationError."""
+    told = progress or (lambda text, share: None)
+    if not model.effects:
+        return []
+    count = 1.0 + len(model.effects)
+    told("fitting the whole model", 0.0)
+    model = ready(model, recordings)
+    recordings = without_rests(model, recordings)
+    whole = fit_model(model, recordings, support=support)
+    found = []
+    for place, attached in enumerate(model.effects):
+        told(f"fitting without {attached.name}", (1.0 + place) / count)
+        without = fit_model(model.remove(attached.name), recordings, support=support)
+        found.append(
+            DropTest(
+                effect=attached.name,
+                # What the priors gain may cost the likelihood a little.
+                likelihood_ratio=max(0.0, 2.0 * (whole.log_likelihood - without.log_likelihood)),
+                degrees=len(whole.values) - len(without.values),
+                bic_difference=without.bic - whole.bic,
+                surety=whole.surety(attached.name),
+            )
+        )
+    told("done", 1.0)
+    return sorted(found, key=lambda each: each.bic_difference)

@@ -1,0 +1,272 @@
+"""A model with an effect added: does the error fall, on data it was not fitted to either, and does that prove anything?
+
+The model is fitted without and with the effect by prediction error, from the same CAD values, and both are held against
+the same records: those they were fitted to, and those that were held out. The error budget is that of the error half a
+second ahead, not of the innovations: from one row to the next the sensors' noise is nearly all there is, while what is
+missing in the equations adds up over time, and that is what a controller or a simulation meets. Channels count by their
+energy over what the sensors alone would make of a right model (diagnosis.prediction.ahead.sensor_floors), on held-out
+data.
+
+A falling error alone proves little: a neighbour, an effect that does almost the same to this record, makes it fall
+nearly as far. So the effect's neighbours are fitted too, and told with their odds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.fits.effect_fit import Fitted, candidate_of, fit_effect, fit_model, horizons_of
+from diagnosis.lack_of_fit.floor import floor, innovation_ratio, shaken_as
+from diagnosis.prediction.ahead import errors, on, sensor_floors
+from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, of_actuators
+from diagnosis.prepare.candidates import Candidate
+from diagnosis.prepare.ready import ready, unready
+from diagnosis.revise.drop_tests import DropTest as DropTest
+from diagnosis.revise.drop_tests import drop_tests as drop_tests
+from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
+from diagnosis.revise.split import split
+from diagnosis.score.score_test import Score, Screen, screen
+from diagnosis.score.whitened import Whitened
+from diagnosis.trial import FAILURES
+from estimators.contract import EstimationError
+from estimators.freed import freed
+from estimators.methods.prediction_error import Fit
+from estimators.problem import Problem, problem
+from estimators.resting import without_rests
+from estimators.segments import after_settling, channels_of, optional_channels
+from models.effect import Effect
+from models.effects import find
+from models.expressions import names_in
+from models.model import Model, ModelError
+from telemetry.recording import Recording
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+"""Told in words what is done, and the share that is over, 0 to 1."""
+
+NEIGHBOUR_STARTS = 1
+"""Fits of a neighbour, before its shape is estimated: its score says which shape is the most promising."""
+BLOCKS = 10
+"""Parts of the held-out data whose scatter tells how sure a difference between two models is."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """Held-out data, and a right model's RMS errors there at each of `horizons` (s), (nh, ny)."""
+
+    recordings: Sequence[Recording]
+    support: float | None
+    horizons: tuple[float, ...]
+    floor: Array
+
+    def errors(self, fitted: Fitted) -> list[Array]:
+        """(m, ny) by horizon."""
+        return errors(_on(fitted, self.recordings, self.support), self.horizons)
+
+    def energy(self, found: Sequence[Array]) -> Array:
+        """Over a right model's, at the last horizon, the mean of the channels: (m,)."""
+        return np.asarray(np.nanmean((found[-1] / self.floor[-1]) ** 2, axis=1))
+
+
+def repair(
+    model: Model,
+    effect: Effect | str,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    *,
+    at: str = "",
+    support: float | None = None,
+    progress: Progress | None = None,
+) -> Repair:
+    """Fit `model` without and with `effect` (at `at`, by default the first place), and tell what the error does.
+
+    Its parameter values and standard deviations are the prior of all fits. Without `held_out`, the last third of each
+    recording in time is held out, and everything is fitted to the first two. `support` rad: the vehicle is free where
+    its roll is less. A model of actuators alone is held against the rows from which they are diagnosed.
+
+    Raises:
+        ModelError: no such effect, or the model cannot have it.
+        DataError: the recordings cannot be used; names channel and reason.
+        EstimationError: the fit fails, so there is nothing to tell.
+    """
+    told = progress or (lambda text, share: None)
+    if of_actuators(model):
+        rows = at_samples(model)
+        there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
+        found = _repair(rows, effect, there, unseen, at, support, told)
+        return replace(found, model=as_recorded_rows(model, found.model))
+    found = _repair(ready(model, recordings), effect, recordings, held_out, at, support, told)
+    return replace(found, model=unready(model, found.model))
+
+
+def _repair(
+    model: Model,
+    effect: Effect | str,
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    at: str,
+    support: float | None,
+    told: Progress,
+) -> Repair:
+    recordings, held_out = (
+        without_rests(model, after_settling(model, each, support)) for each in (recordings, held_out)
+    )
+    candidate = candidate_of(model, model.add(effect, at).effects[-1])
+    neighbours = _neighbours(model, candidate, recordings)
+    training, tried = split(model, recordings, held_out, support)
+    count = 3.0 + len(neighbours)
+    told(f"fitting without {candidate.name}", 0.0)
+    without = fit_model(model, training, support=support)
+    if (with_more := freed(model, without.fit)) is not model:
+        model, without = with_more, fit_model(with_more, training, support=support)
+    told("screening", 1.0 / count)
+    looked_at = _screen(without.fit, model, [candidate, *neighbours])
+    told(f"fitting with {candidate.name}", 1.2 / count)
+    own_score = _score(looked_at, candidate)
+    fitted = fit_effect(model, candidate, training, without, score=own_score, support=support)
+    there = _on(fitted, tried, support)
+    horizons = horizons_of(there)
+    held = _Held(tried, support, horizons, sensor_floors(there, horizons))
+    outputs = fitted.fit.problem.kernel.outputs
+    found_before, found_after = held.errors(without), held.errors(fitted)
+    energy_before, energy_after = held.energy(found_before), held.energy(found_after)
+    rivals = []
+    for place, each in enumerate(neighbours):
+        told(f"fitting its neighbour {each.name}", (2.5 + place) / count)
+        score = _score(looked_at, each)
+        try:
+            found = fit_effect(model, each, training, without, score=score, support=support, most=NEIGHBOUR_STARTS)
+        except EstimationError:
+            continue  # it cannot explain these records at all
+        energy = held.energy(held.errors(found))
+        rivals.append(
+            Neighbour(
+                effect=each.name,
+                bic_difference=found.bic - fitted.bic,
+                fall=Budget.of(float(np.mean(energy_before)), float(np.mean(energy))).fall,
+                surety=_surety(energy_after - energy),
+                correlation=looked_at.similarity(candidate.name, each.name) if score and own_score else None,
+                separated_by=each.effect.separated_by,
+            )
+        )
+    told("done", 1.0)
+    return Repair(
+        model=fitted.model,
+        effect=candidate.name,
+        title=candidate.effect.title,
+        at=candidate.attached.at,
+        recordings=tuple(each.source for each in recordings),
+        held_out=tuple(each.source for each in held_out)
+        or tuple(f"last third of {each.source}" for each in recordings),
+        horizons=horizons,
+        before=_side(without, fitted, _rms(found_before), horizons),
+        after=_side(fitted, fitted, _rms(found_after), horizons),
+        floor_training=_by_channel(sensor_floors(fitted.fit, horizons), outputs),
+        floor_held_out=_by_channel(held.floor, outputs),
+        budget=Budget.of(float(np.mean(energy_before)), float(np.mean(energy_after))),
+        moved=_moved(without, fitted),
+        neighbours=tuple(sorted(rivals, key=lambda each: each.bic_difference)),
+        separated_by=candidate.effect.separated_by,
+        uses_time=any("time" in names_in(text) for text in candidate.effect.expressions.values()),
+        surety=fitted.surety(candidate.name),
+    )
+
+
+def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recording]) -> list[Candidate]:
+    """Those effects that leave almost the same as `candidate`, where the model can have them and has not yet, and their
+    channels are recorded."""
+    found = []
+    there = {attached.effect.name for attached in model.effects}
+    for name in candidate.effect.confused_with:
+        if name in there:
+            continue
+        try:
+            effect = find(name)
+            at = candidate.attached.at if effect.place is candidate.effect.place else ""
+            with_it = model.add(effect, at)
+        except ModelError:
+            continue
+        needed = set(channels_of(with_it)) - optional_channels(with_it)
+        if all(channel in each.values for each in recordings for channel in needed):
+            found.append(candidate_of(model, with_it.effects[-1]))
+    return found
+
+
+def _screen(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> Screen:
+    estimated = [parameter.name for parameter in fitted.problem.parameters]
+
+    def attach(group: Sequence[Candidate]) -> Problem:
+        whole = model
+        for each in group:
+            whole = whole.add(each.effect, each.attached.at)
+        return problem(whole, (), estimate=estimated, rows=fitted.problem.segments)
+
+    try:
+        with np.errstate(all="ignore"):
+            return screen(Whitened.of(fitted), attach, candidates)
+    except FAILURES:  # among these: two candidates that are one to this model: there is no direction of their own
+        return Screen((), {})
+
+
+def _score(looked_at: Screen, candidate: Candidate) -> Score | None:
+    """None where the record shows nothing of the effect at its start."""
+    return next((score for score in looked_at.scores if score.candidate.name == candidate.name), None)
+
+
+def _over_floor(fitted: Fitted, best: Fitted) -> float:
+    """Innovation energy over what a right model leaves, whose gain is that of motion: a friction linearised at rest
+    would be a wall."""
+    task, values = shaken_as(fitted.fit.problem, fitted.fit.values, best.fit)
+    moving = values.copy()
+    moving[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
+    return innovation_ratio(task, values, floor(task, moving))
+
+
+def _on(fitted: Fitted, recordings: Sequence[Recording], support: float | None) -> Fit:
+    return on(fitted.fit, problem(fitted.prior, recordings, support=support))
+
+
+def _rms(found: Sequence[Array]) -> Array:
+    return np.array([np.sqrt(np.nanmean(each**2, axis=0)) for each in found])
+
+
+def _surety(gain: Array) -> float:
+    """The mean of `gain` (m,) over its standard error: from blocks of rows, since neighbouring ones go together."""
+    means = np.array([np.mean(block) for block in np.array_split(gain, BLOCKS)])
+    return float(np.mean(means) / max(np.std(means, ddof=1) / np.sqrt(BLOCKS), 1e-300))
+
+
+def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
+    return {name: tuple(column.tolist()) for name, column in zip(outputs, rms.T, strict=True)}
+
+
+def _side(fitted: Fitted, best: Fitted, held_out: Array, horizons: Sequence[float]) -> Side:
+    """Of one model, beside the disturbance that the `best` leaves."""
+    outputs = fitted.fit.problem.kernel.outputs
+    parameters = {
+        name: FittedParameter(fitted.values[name], fitted.deviations[name], each.unit, each.status.value, each.reason)
+        for name, each in fitted.estimate.parameters.items()
+    }
+    return Side(
+        log_likelihood=fitted.log_likelihood,
+        bic=fitted.bic,
+        parameters=parameters,
+        training=_by_channel(_rms(errors(fitted.fit, horizons)), outputs),
+        held_out=_by_channel(held_out, outputs),
+        innovation_ratio=_over_floor(fitted, best),
+        disturbance=fitted.estimate.disturbance,
+    )
+
+
+def _moved(without: Fitted, fitted: Fitted) -> dict[str, Moved]:
+    return {
+        p.name: Moved(
+            p.value, p.std, (without.values[p.name] - p.value) / p.std, (fitted.values[p.name] - p.value) / p.std
+        )
+        for p in without.fit.problem.parameters
+        if p.std > 0.0
+    }
