@@ -21,7 +21,7 @@ from functools import partial
 
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.parts import diagnose_parts
-from estimators.identify import with_values
+from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from models.library import ACTUATORS
 from service.cli.diagnose import default_budget

@@ -34,7 +34,7 @@ from benchmarks import free_decays, measured_verdicts, others_recordings
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.gates import Round, Tried, Unseen, decide, gated
 from diagnosis.parts import diagnose_parts
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models.effect import Effect, Family
 from models.effects import CATALOGUE
 from models.library import ACTUATORS

@@ -23,7 +23,7 @@ from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
 from service.vehicle_file import load
 from service.virtual_run import record

@@ -31,8 +31,8 @@ from scipy.stats import binomtest, chi2
 
 from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import LiveFinding
-from estimators.identify import nominal_model
-from estimators.recursive_predictor import Seen
+from estimators.identify.run import nominal_model
+from estimators.recursive.predictor import Seen
 from service.vehicle_file import load
 from service.virtual_run import BOOT_TIME, record
 from simulation.hidden import HIDDEN, LATE, UNLISTED

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.diagnose import Diagnosis, diagnose
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from estimators.stopwatch import stopwatch
 from examples import emps, quarter_drone, unbalanced_disk
 from models.model import Disturbance, Model

@@ -158,7 +158,7 @@ def fit(method: str, path: Path) -> Fit:
 
 
 def _recursive(method: str, recording: Any, vehicle: Any) -> Any:
-    from estimators.torque_balance import Method, make
+    from estimators.recursive.torque_balance import Method, make
 
     values, deviations = (
         {**vehicle.parameters.values, **EXACT},

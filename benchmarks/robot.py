@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
 from estimators.bounded_fit import BoundedFit, bounded_fit
-from estimators.innovations import WIDEST
-from estimators.likelihood import Likelihood
+from estimators.fit.innovations import WIDEST
+from estimators.fit.likelihood import Likelihood
 from models.library import get
 from service.virtual_run import record
 

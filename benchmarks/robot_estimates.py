@@ -23,10 +23,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from estimators.combinations import combinations
-from estimators.identify import nominal_model, with_values
+from estimators.fit.problem import problem
+from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit, predicted_percent
-from estimators.problem import problem
-from estimators.recursive_prediction_error import RecursivePredictionError
+from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.validation import on_others
 from models.expressions import number
 from models.library.twsbr import TOLD_NEAR_UPRIGHT

@@ -22,7 +22,7 @@ from diagnosis.fits.refit import full
 from diagnosis.next_experiment import Choice, suggest
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import Rival, fitted_rivals
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models.model import Model
 from service.next_experiment import experiments_of
 from service.vehicle_file import load

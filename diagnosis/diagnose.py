@@ -36,12 +36,12 @@ from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_z
 from diagnosis.trial import FAILURES, tried
 from estimators.budget import Budget, OutOfTime
 from estimators.contract import ParameterEstimate, Status
-from estimators.disturbance import disturbances, in_words
-from estimators.freed import freed
+from estimators.data.segments import DataError, after_settling
+from estimators.data.time_scale import time_scale
+from estimators.fit.disturbance import disturbances, in_words
+from estimators.fit.released import freed
+from estimators.fit.sensor_errors import sensor_errors
 from estimators.methods.prediction_error import result
-from estimators.segments import DataError, after_settling
-from estimators.sensor_errors import sensor_errors
-from estimators.time_scale import time_scale
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording

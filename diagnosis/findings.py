@@ -14,8 +14,8 @@ from diagnosis.lack_of_fit.events import Event
 from diagnosis.prediction.relevance import Relevance
 from diagnosis.score.score_test import Screen
 from estimators.contract import ParameterEstimate
-from estimators.disturbance import DisturbanceEstimate
-from estimators.sensor_errors import InputError, SensorError
+from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.fit.sensor_errors import InputError, SensorError
 from models.effect import Effect
 from models.model import Model
 

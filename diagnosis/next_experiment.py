@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from diagnosis.prediction.closed_loop import Course, Experiment, simulate
 from diagnosis.rivals import NOTHING_MORE, Rival
-from estimators.gauss_newton import Block, Minimum, minimise
-from estimators.innovations import NoiseModel
-from estimators.problem import Problem, problem
+from estimators.fit.gauss_newton import Block, Minimum, minimise
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem, problem
 from models.segment import Segment
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from diagnosis.prediction.closed_loop_error import Loop
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.step import retold, reworded
 from diagnosis.trial import FAILURES
-from estimators.segments import DataError
+from estimators.data.segments import DataError
 from estimators.stopwatch import stopwatch
 from models.effect import Effect, Place
 from models.effects import CATALOGUE, find

@@ -15,10 +15,10 @@ from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
 from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime
-from estimators.innovations import NoiseModel
+from estimators.data.segments import after_settling
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.stationary import stationary
 from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
-from estimators.segments import after_settling
-from estimators.stationary import stationary
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -33,7 +33,8 @@ class Rival:
     """`model` has its values and says what is estimated.
 
     `noise`: natural logarithms of its process and sensor noise against what it states, by ("state" or "output", name),
-    as in a fit (estimators.innovations); `scale`, by output: variance of its innovations over what that makes of it.
+    as in a fit (estimators.fit.innovations); `scale`, by output: variance of its innovations over what that makes of
+    it.
     """
 
     name: str

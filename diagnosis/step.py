@@ -42,11 +42,11 @@ from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
-from estimators.disturbance import disturbances, is_of_disturbance
-from estimators.fit_result import inverse
-from estimators.innovations import WIDEST
+from estimators.fit.disturbance import disturbances, is_of_disturbance
+from estimators.fit.innovations import WIDEST
+from estimators.fit.problem import Problem
+from estimators.fit.result import inverse
 from estimators.methods.prediction_error import MUCH, Begin, noise_of, result
-from estimators.problem import Problem
 from models.disturbance import undriven
 from models.effect import Effect, Place
 

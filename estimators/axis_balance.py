@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.recursive_least_squares import RecursiveLeastSquares
-from estimators.state_variable_filter import StateVariableFilter
+from estimators.data.state_variable_filter import StateVariableFilter
+from estimators.recursive.least_squares import RecursiveLeastSquares
 from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
 

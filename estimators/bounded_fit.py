@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.contract import EstimationError
-from estimators.gauss_newton import Normal, common_information
-from estimators.innovations import WIDEST
-from estimators.likelihood import Likelihood
+from estimators.fit.gauss_newton import Normal, common_information
+from estimators.fit.innovations import WIDEST
+from estimators.fit.likelihood import Likelihood
+from estimators.fit.problem import problem
 from estimators.methods.prediction_error import Fit, fit
-from estimators.problem import problem
 from models.kernel import Progress
 from models.model import Model
 from telemetry.recording import Recording

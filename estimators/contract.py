@@ -19,7 +19,7 @@ from telemetry.errors import UprightError
 from telemetry.samples import Frame
 
 if TYPE_CHECKING:
-    from estimators.disturbance import DisturbanceEstimate
+    from estimators.fit.disturbance import DisturbanceEstimate
 
 
 class EstimationError(UprightError):

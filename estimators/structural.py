@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
 
 from estimators.contract import EstimationError
-from estimators.problem import FINEST, jacobian
+from estimators.fit.problem import FINEST, jacobian
 from models.expressions import names_in, parse
 from models.kernel import Kernel, compile_model
 from models.model import Model

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.fit.problem import Problem, problem
 from estimators.methods.prediction_error import Fit, predicted_percent
-from estimators.problem import Problem, problem
 from models.segment import Segment
 from telemetry.recording import Recording
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.report.method_figure import save_methods
-from estimators.identify import identify
+from estimators.identify.run import identify
 from service.cli.identify_page import print_methods
 from service.vehicle_file import load
 from service.virtual_run import record

@@ -15,8 +15,8 @@ import numpy as np
 
 import estimators
 from estimators.contract import Estimate
+from estimators.fit.problem import problem
 from estimators.methods import prediction_error
-from estimators.problem import problem
 from estimators.stopwatch import stopwatch
 from estimators.validation import Validation, validate
 from models.library.axis import axis

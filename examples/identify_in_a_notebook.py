@@ -9,7 +9,7 @@ Without a recording, one is made: the virtual vehicle, with a static torque of 1
 import sys
 
 import estimators
-from estimators.identify import with_values
+from estimators.identify.run import with_values
 from models import library
 from service.vehicle_file import load
 from service.virtual_run import record

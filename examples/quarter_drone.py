@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from estimators.contract import Estimate
+from estimators.fit.problem import problem
 from estimators.methods import prediction_error
-from estimators.problem import problem
 from estimators.stopwatch import stopwatch
 from estimators.validation import Validation, validate
 from models.model_file import load_model

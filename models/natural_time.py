@@ -7,7 +7,7 @@ which it usually moves, 0.4 s of the MONOCAB. With time in other units, or of th
 as everything in seconds does. The scales are known before anything is compiled or recorded, they are the same for all
 fits of a model, and a factor of two in them is a factor of two in a window, which decides nothing. Poles would not do:
 they move with every fit, those of a mass or a balanced vehicle are at zero or unstable, and which of many is the
-motion's no matrix says. What a record says of scales that are far off is in estimators.time_scale.
+motion's no matrix says. What a record says of scales that are far off is in estimators.data.time_scale.
 
 A model of actuators alone has its loops' time constants instead: what follows a command is over after ten of them.
 Their typical sizes (`scale`) count, which no fit moves.

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimators import torque_balance
+from estimators.recursive import torque_balance
 from service import assembly
 from service.demo_story import DARK, LIGHT, STORIES, Panel, Story
 from service.sequence import Phase

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
-from estimators.frame_chunks import Chunk, FrameChunks
-from estimators.identify import nominal_model, with_values
-from estimators.innovations import NoiseModel
-from estimators.problem import Problem
-from estimators.recursive_prediction_error import at_rest
-from estimators.recursive_predictor import measured_state
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
+from estimators.identify.run import nominal_model, with_values
+from estimators.recursive.frame_chunks import Chunk, FrameChunks
+from estimators.recursive.prediction_error import at_rest
+from estimators.recursive.predictor import measured_state
 from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
 

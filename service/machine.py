@@ -7,7 +7,7 @@ values, controller, experiments) is not its own, and must not be taken for it.
 from __future__ import annotations
 
 from estimators.contract import EstimationError
-from estimators.identify import nominal_model
+from estimators.identify.run import nominal_model
 from models.model import Model
 from service.vehicle_sections import VehicleFile
 

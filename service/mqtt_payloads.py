@@ -96,7 +96,7 @@ def parameters(estimates: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _disturbance(joint: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """What shakes the vehicle at `joint`, as estimators.disturbance tells it, in the shape of parameters."""
+    """What shakes the vehicle at `joint`, as estimators.fit.disturbance tells it, in the shape of parameters."""
     shown, unit = found["shown"], found["unit"]
     reason = "" if shown else f"no disturbance shows: less than {found['rms']:.2g} {unit} RMS"
     alike = {

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from estimators import torque_balance
 from estimators.contract import Estimator
+from estimators.recursive import torque_balance
 from telemetry.channels import TABLES
 from telemetry.samples import Frame
 
@@ -59,7 +59,7 @@ def _live_diagnosis(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> LiveDiagnosis:
     from diagnosis.live.live import LiveDiagnosis
-    from estimators.identify import nominal_model
+    from estimators.identify.run import nominal_model
 
     return LiveDiagnosis(
         nominal_model(kind), parameters=parameters, deviations=deviations, support=support, channels=TABLES[kind]

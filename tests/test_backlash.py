@@ -10,7 +10,7 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models.effects import find
 from models.library import get
 from service.vehicle_file import load

@@ -14,10 +14,10 @@ import pytest
 import small_vehicle
 
 from estimators.contract import Estimate, EstimationError, Status
+from estimators.data.state_variable_filter import StateVariableFilter
 from estimators.methods.balance import Pieces, split
 from estimators.methods.instrumental_variables import instrumental_variables
 from estimators.methods.least_squares import filtered, least_squares
-from estimators.state_variable_filter import StateVariableFilter
 from models.library import get
 from models.library.axis import axis
 from models.model import Model, Parameter

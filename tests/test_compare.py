@@ -16,7 +16,7 @@ import virtual_records
 from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report.comparison_figures import comparison_figure, save_comparison
 from estimators.contract import EstimationError
-from estimators.segments import DataError
+from estimators.data.segments import DataError
 from models import library
 from models.model import Model, ModelError
 from models.model_file import load_model

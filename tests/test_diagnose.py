@@ -11,7 +11,7 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models.effect import Effect, EffectParameter, Family, Place
 from service.vehicle_file import load
 from service.virtual_run import record

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.identify import nominal_model
+from estimators.identify.run import nominal_model
 from service import virtual_vehicle
 from service.cli import app
 from service.hidden_effects.answers import ADEQUATE, Answer

@@ -14,8 +14,8 @@ from diagnosis.evidence import SURE, beyond_chance
 from diagnosis.exchange import exchange, put_together, taken_apart
 from diagnosis.fits.refit import full, gained, surety, with_effect
 from diagnosis.prepare.workspace import Workspace
-from estimators.fit_result import inverse
-from estimators.identify import nominal_model, with_values
+from estimators.fit.result import inverse
+from estimators.identify.run import nominal_model, with_values
 from service.vehicle_file import load
 from service.virtual_run import record
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.frame_chunks import FrameChunks
-from estimators.segments import FORETOLD, falls_at, segments
+from estimators.data.segments import FORETOLD, falls_at, segments
+from estimators.recursive.frame_chunks import FrameChunks
 from models import library
 from models.natural_time import USUAL, natural_time
 from service import assembly

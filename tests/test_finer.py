@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diagnosis.diagnose import Verdict, diagnose
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models.effects import find
 from models.expressions import number
 from models.model_file import ModelFile, read, write

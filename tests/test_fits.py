@@ -14,7 +14,7 @@ import pytest
 
 import estimators
 from estimators.contract import Estimate, EstimationError, Status
-from estimators.segments import DataError, clipped_share, segments
+from estimators.data.segments import DataError, clipped_share, segments
 from models import library
 from models.model import Model, ModelError
 from service.virtual_run import record

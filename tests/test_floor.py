@@ -10,8 +10,8 @@ import virtual_records
 from diagnosis.lack_of_fit.floor import floor, innovation_ratio, sensor_noise, with_nuisances
 from diagnosis.prediction.horizons import predictions
 from estimators.contract import EstimationError
-from estimators.problem import Problem, problem
-from estimators.white_noise import white_variance
+from estimators.data.white_noise import white_variance
+from estimators.fit.problem import Problem, problem
 
 SUPPORT = float(np.radians(4.0))
 

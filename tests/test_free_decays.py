@@ -13,14 +13,14 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.fits.input_noise import not_acting
 from diagnosis.prepare.ready import ready
 from diagnosis.report.sentences import disturbance_sentences
-from estimators import innovations
-from estimators.input_noise import input_noise
-from estimators.likelihood import Likelihood
+from estimators.data.input_noise import input_noise
+from estimators.data.quantised import step_of
+from estimators.data.resting import without_rests
+from estimators.fit import innovations
+from estimators.fit.likelihood import Likelihood
+from estimators.fit.problem import Problem, problem, typical_motion
+from estimators.fit.sensor_errors import InputError
 from estimators.methods.prediction_error import fit
-from estimators.problem import Problem, problem, typical_motion
-from estimators.quantised import step_of
-from estimators.resting import without_rests
-from estimators.sensor_errors import InputError
 from models.input_noise import noisy_inputs
 from models.model_file import load_model
 from telemetry.recording import Recording, load

@@ -11,6 +11,7 @@ import small_vehicle
 from scipy.signal import lfilter
 
 from estimators.contract import Estimate, EstimationError, Status
+from estimators.data.segments import DataError
 from estimators.methods.balance import split
 from estimators.methods.frequency_equation_error import equation_fit, frequency_equation_error
 from estimators.methods.frequency_output_error import (
@@ -29,7 +30,6 @@ from estimators.methods.frequency_response import (
     frequency_response,
     response,
 )
-from estimators.segments import DataError
 from models.library import get
 from models.library.axis import axis
 from models.model import Model, Parameter

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.disturbance import DisturbanceEstimate
+from estimators.fit.disturbance import DisturbanceEstimate
 from models.effects import CATALOGUE
 from models.effects.validation import validate
 from models.library import get
@@ -555,7 +555,7 @@ DRY = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteres
 
 
 def test_the_library_is_the_catalogue_s_own_torque(dry: Recording) -> None:
-    from estimators.segments import segments
+    from estimators.data.segments import segments
 
     segment = segments(NOMINAL, [dry], support=SUPPORT)[0]
     names = measured(NOMINAL, segment)

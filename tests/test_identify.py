@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 import estimators
 from diagnosis.report.method_figure import method_figure, save_methods
 from estimators.contract import EstimationError
-from estimators.identify import identify, nominal_model, plan, with_values
-from estimators.method_table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
+from estimators.identify.run import identify, nominal_model, plan, with_values
+from estimators.identify.table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
 from models.model import ModelError
 from models.model_file import ModelFile, write
 from service.cli import app

@@ -7,8 +7,8 @@ import pytest
 from closed_loop import ClosedLoop
 
 from diagnosis.prediction.compare import compare
-from estimators.identify import identify, nominal_model, with_values
-from estimators.torque_balance import Method, TorqueBalance
+from estimators.identify.run import identify, nominal_model, with_values
+from estimators.recursive.torque_balance import Method, TorqueBalance
 from simulation.config import PlantTruth
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording

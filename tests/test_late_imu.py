@@ -13,12 +13,12 @@ from diagnosis.findings import Verdict
 from diagnosis.parts import diagnose_parts
 from diagnosis.prediction.compare import compare
 from diagnosis.prepare.ready import ready
-from estimators.disturbance import disturbances
-from estimators.freed import freed
-from estimators.identify import with_values
+from estimators.fit.disturbance import disturbances
+from estimators.fit.problem import problem
+from estimators.fit.released import freed
+from estimators.identify.run import with_values
 from estimators.methods.drive_lag import drive_lag
 from estimators.methods.prediction_error import fit, prediction_error
-from estimators.problem import problem
 from models.library import ACTUATORS, get
 from models.model import Model
 from service import replay

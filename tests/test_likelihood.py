@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators import innovations
-from estimators.gauss_newton import common_information
-from estimators.innovations import NoiseModel
-from estimators.likelihood import Likelihood, _at_least
-from estimators.problem import Problem, problem
+from estimators.fit import innovations
+from estimators.fit.gauss_newton import common_information
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.likelihood import Likelihood, _at_least
+from estimators.fit.problem import Problem, problem
 from models import library
 from models.kernel import ELSEWHERE
 from service.virtual_run import record

@@ -15,11 +15,11 @@ from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import Gathered, LiveFinding, LiveResult
 from diagnosis.prepare.candidates import candidates_for
 from diagnosis.prepare.workspace import attached
-from estimators.disturbance import is_of_disturbance
-from estimators.identify import nominal_model, with_values
+from estimators.fit.disturbance import is_of_disturbance
+from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import prediction_error
-from estimators.recursive_prediction_error import RecursivePredictionError
-from estimators.recursive_predictor import Seen
+from estimators.recursive.prediction_error import RecursivePredictionError
+from estimators.recursive.predictor import Seen
 from models.disturbance import disturbed
 from models.kernel import compile_model
 from models.model import ModelError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from estimators.contract import Estimate
-from estimators.problem import problem
+from estimators.fit.problem import problem
 from estimators.validation import Validation, validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

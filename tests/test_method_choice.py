@@ -13,11 +13,11 @@ import pytest
 import unstable_plant
 
 from diagnosis.report import write_identification
-from estimators.common_fit import HORIZON, CommonPredictor
-from estimators.identify import identify
-from estimators.method_choice import OWN, SHORT, Choice, choose
-from estimators.method_fits import Subject
-from estimators.method_table import METHODS
+from estimators.identify.choice import OWN, SHORT, Choice, choose
+from estimators.identify.common_fit import HORIZON, CommonPredictor
+from estimators.identify.fits import Subject
+from estimators.identify.run import identify
+from estimators.identify.table import METHODS
 from models import library
 from models.model import Model
 from service.cli.identify_page import print_methods

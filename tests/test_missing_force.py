@@ -16,7 +16,7 @@ from diagnosis.lack_of_fit.force_bins import Binned, binned_forces, mean_forces
 from diagnosis.lack_of_fit.force_probe import Probe, probe, recurrence
 from diagnosis.lack_of_fit.missing_force import FADING, MissingForce, _settled, missing_force
 from estimators.contract import EstimationError
-from estimators.problem import problem
+from estimators.fit.problem import problem
 from models.model import Model
 from telemetry.recording import Recording
 

@@ -16,7 +16,7 @@ import pytest
 from mosquitto import Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
-from estimators.disturbance import DisturbanceEstimate
+from estimators.fit.disturbance import DisturbanceEstimate
 from service import mqtt_topics
 from service.embedded_broker import EmbeddedBroker
 from service.mqtt import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher

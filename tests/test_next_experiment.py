@@ -19,8 +19,8 @@ from diagnosis.prediction.closed_loop import simulate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
 from estimators.budget import Budget, OutOfTime
-from estimators.identify import nominal_model, with_values
-from estimators.problem import problem
+from estimators.fit.problem import problem
+from estimators.identify.run import nominal_model, with_values
 from models import library
 from models.model import Model
 from service.api import ApiServer, ExitCode, Message, result

@@ -19,8 +19,8 @@ import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
 from diagnosis.live.live import LiveDiagnosis
-from estimators.identify import nominal_model
-from estimators.torque_balance import make as make_plain
+from estimators.identify.run import nominal_model
+from estimators.recursive.torque_balance import make as make_plain
 from service import link, replay
 from service.observer import Observer
 from service.observer_client import ObserverClient

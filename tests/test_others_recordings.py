@@ -23,7 +23,7 @@ from diagnosis.fits.look_ahead import FORESEEN, foresees, foretold_share
 from diagnosis.fits.refit import FullFit, full, with_effect
 from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
-from estimators.identify import nominal_model
+from estimators.identify.run import nominal_model
 from service.cli import app
 from service.cli.batch import load_recording
 from service.vehicle_file import load

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.others_robot import EFFECTS, OthersRobot, hill
-from estimators.as_recorded import as_recorded
+from estimators.data.as_recorded import as_recorded
 from models.library import get
 from service.cli import app
 from service.cli.batch import load_recording

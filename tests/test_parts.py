@@ -12,8 +12,8 @@ from thorough import of_many
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
 from diagnosis.prepare.actuator_samples import on_time
-from estimators.identify import nominal_model, with_values
-from estimators.segments import ramp_shortfall
+from estimators.data.segments import ramp_shortfall
+from estimators.identify.run import nominal_model, with_values
 from models.effect import Place
 from models.effects import CATALOGUE
 from models.library import ACTUATORS, get

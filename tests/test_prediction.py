@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import small_vehicle
 
-from estimators.identify import identify
-from estimators.prediction import free_motion, sensor_noise
+from estimators.identify.prediction import free_motion, sensor_noise
+from estimators.identify.run import identify
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 

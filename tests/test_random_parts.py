@@ -17,10 +17,10 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
 from diagnosis.prepare.ready import ready
 from diagnosis.report.sentences import disturbance_sentences, to_within
-from estimators.disturbance import DisturbanceEstimate, NarrowBandEstimate, disturbances
-from estimators.identify import nominal_model, with_values
+from estimators.fit.disturbance import DisturbanceEstimate, NarrowBandEstimate, disturbances
+from estimators.fit.problem import problem
+from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit, prediction_error
-from estimators.problem import problem
 from models.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
 from models.model import Disturbance, Model, ModelError
 from models.model import NarrowBand as KnownBand

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate, EstimationError, Status
-from estimators.recursive_least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
-from estimators.state_variable_filter import StateVariableFilter
-from estimators.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
+from estimators.data.state_variable_filter import StateVariableFilter
+from estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
+from estimators.recursive.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
 from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
 

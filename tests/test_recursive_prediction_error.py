@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from estimators.contract import Estimate, EstimationError, Status
-from estimators.frame_chunks import Chunk, FrameChunks, join
-from estimators.identify import nominal_model, with_values
+from estimators.data.segments import DataError, segments
+from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import prediction_error
-from estimators.recursive_gauss_newton import RecursiveGaussNewton
-from estimators.recursive_prediction_error import Method, RecursivePredictionError
-from estimators.segments import DataError, segments
+from estimators.recursive.frame_chunks import Chunk, FrameChunks, join
+from estimators.recursive.gauss_newton import RecursiveGaussNewton
+from estimators.recursive.prediction_error import Method, RecursivePredictionError
 from models import library
 from models.model import Hold, Model
 from service.online_estimators import STARTING, EstimatorBank, online_estimators

@@ -20,8 +20,8 @@ from diagnosis.revise.result import Budget, Neighbour, Repair
 from diagnosis.revise.revision import repair
 from diagnosis.revise.split import split
 from estimators.contract import Status
-from estimators.problem import problem
-from estimators.segments import DataError
+from estimators.data.segments import DataError
+from estimators.fit.problem import problem
 from models import library
 from models.library.axis import axis
 from models.model import Model, ModelError

@@ -17,7 +17,7 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from diagnosis.diagnose import diagnose
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from service.cli import app
 from service.vehicle_file import load
 from service.virtual_run import record

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 from estimators.bounded_fit import RISE, BoundedFit, bounded_fit, profile, with_table
 from estimators.combinations import combinations
 from estimators.contract import EstimationError, Status
+from estimators.data.segments import DataError, clipped_share, segments
+from estimators.fit.problem import problem
 from estimators.methods.prediction_error import Begin, Fit, fit, predicted_percent, prediction_error
-from estimators.problem import problem
-from estimators.segments import DataError, clipped_share, segments
 from estimators.validation import in_windows, on_others
 from models.expressions import number
 from models.library import get

@@ -14,8 +14,8 @@ from virtual_records import multisine
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.prepare.candidates import candidates_for
 from diagnosis.score.score_test import DETECTABLE
-from estimators.as_recorded import as_recorded
-from estimators.identify import nominal_model, with_values
+from estimators.data.as_recorded import as_recorded
+from estimators.identify.run import nominal_model, with_values
 from estimators.roll_filter import RollFilter, RollFilterConfig
 from models import library, rendering
 from models.effect import EffectParameter

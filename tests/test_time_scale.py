@@ -14,8 +14,8 @@ from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
 from diagnosis.prepare.usable import check, needed
-from estimators.segments import DataError, segments
-from estimators.time_scale import motion_time, time_scale
+from estimators.data.segments import DataError, segments
+from estimators.data.time_scale import motion_time, time_scale
 from models import library
 from models.effect import starts
 from models.effects import CATALOGUE

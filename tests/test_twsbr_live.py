@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from estimators.contract import Estimate, Status
-from estimators.identify import identify, nominal_model
+from estimators.identify.run import identify, nominal_model
 from estimators.methods.prediction_error import prediction_error
-from estimators.recursive_prediction_error import RecursivePredictionError
+from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
 from models.library.twsbr import COUNT, TOLD_NEAR_UPRIGHT
 from service.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators

@@ -21,9 +21,9 @@ from typer.testing import CliRunner
 from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import LiveResult
 from estimators.contract import EstimationError
-from estimators.frame_chunks import Chunk, FrameChunks
-from estimators.identify import nominal_model
-from estimators.segments import after_settling
+from estimators.data.segments import after_settling
+from estimators.identify.run import nominal_model
+from estimators.recursive.frame_chunks import Chunk, FrameChunks
 from models import library
 from models.model import Model
 from models.model_file import ModelFile, read, write

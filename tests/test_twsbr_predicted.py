@@ -19,7 +19,7 @@ from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.next_experiment import ENOUGH, suggest
 from diagnosis.prediction.closed_loop import simulate
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models.library import get
 from models.model import Model, ModelError
 from service.api import ApiServer, ExitCode, Message, result

@@ -12,11 +12,11 @@ from diagnosis.fits.held_out import TAILS, WIDER, loss, unsure
 from diagnosis.gates import Unseen
 from diagnosis.parts import diagnose_actuators
 from diagnosis.prepare.ready import ready
-from estimators.identify import nominal_model, with_values
-from estimators.likelihood import FLOOR
+from estimators.data.segments import after_settling
+from estimators.fit.likelihood import FLOOR
+from estimators.fit.problem import problem
+from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit
-from estimators.problem import problem
-from estimators.segments import after_settling
 from models.effects import find
 from models.library import ACTUATORS, get
 from service.vehicle_file import load

@@ -10,7 +10,7 @@ import pytest
 
 from diagnosis.lack_of_fit.floor import with_nuisances
 from diagnosis.lack_of_fit.where_it_fails import LEVEL, VIEWS, Views, summary, views
-from estimators.problem import problem
+from estimators.fit.problem import problem
 from telemetry.recording import Recording
 
 

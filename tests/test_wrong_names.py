@@ -11,7 +11,7 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_STRUCK, SHAPED, Adequacy
 from diagnosis.lack_of_fit.shapes import Shape
 from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
-from estimators.identify import nominal_model, with_values
+from estimators.identify.run import nominal_model, with_values
 from models import library
 from models.effect import Effect, check_names
 from models.effects import find

@@ -28,12 +28,12 @@ from diagnosis.revise.result import HORIZONS
 from diagnosis.score.score_test import Score
 from diagnosis.side_by_side import side_by_side
 from estimators.contract import Estimate, EstimationError, Status
-from estimators.fit_result import inverse
-from estimators.innovations import NoiseModel
+from estimators.data.time_scale import time_scale
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import problem
+from estimators.fit.result import inverse
 from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, result
-from estimators.problem import problem
 from estimators.stopwatch import stopwatch
-from estimators.time_scale import time_scale
 from models.disturbance import undriven
 from models.effect import AttachedEffect, starts
 from models.kernel import Progress

@@ -28,15 +28,15 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.whitened import whitening
 from diagnosis.trial import FAILURES
 from estimators.contract import Status
-from estimators.disturbance import SHOWN
-from estimators.fit_result import inverse
-from estimators.gauss_newton import Block, eliminate
-from estimators.innovations import NoiseModel
-from estimators.likelihood import Likelihood, Seen
+from estimators.data.segments import segments
+from estimators.data.time_scale import horizon, time_scale
+from estimators.fit.disturbance import SHOWN
+from estimators.fit.gauss_newton import Block, eliminate
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.likelihood import Likelihood, Seen
+from estimators.fit.problem import Problem, problem
+from estimators.fit.result import inverse
 from estimators.methods.prediction_error import Fit, result
-from estimators.problem import Problem, problem
-from estimators.segments import segments
-from estimators.time_scale import horizon, time_scale
 from models.effect import AttachedEffect
 from models.model import Model
 from telemetry.recording import Recording
@@ -50,8 +50,8 @@ PIECES = 2
 """Of each third: what shows at one end of the recording only is both seen by fits and tried. With six, of 2 s each, a
 constant torque of 3 N m was not told from where each stretch begins."""
 SETTLING = 1.25
-"""Time scales (estimators.time_scale) at the beginning of a recording that tell of the start, not of the model: 0.5 s
-of the MONOCAB."""
+"""Time scales (estimators.data.time_scale) at the beginning of a recording that tell of the start, not of the model:
+0.5 s of the MONOCAB."""
 BLOCK = 2.5
 """Time scales of held-out data that count as one piece of evidence."""
 HALVINGS = 8

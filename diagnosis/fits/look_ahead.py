@@ -7,7 +7,7 @@ as the twist of a shaft is, can make that noise of it. It then explains more tha
 where dry friction gained 640.
 
 What is foretold of a row's noise: of readings y(k) and their predictions p(k) fourth differences are taken, which leave
-hardly anything of the motion (estimators.white_noise), and
+hardly anything of the motion (estimators.data.white_noise), and
 
     d4 p(k) = sum of h_j d4 y(k - j), j = 0 .. LAGS
 
@@ -22,8 +22,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.data.white_noise import differences
 from estimators.methods.prediction_error import Fit
-from estimators.white_noise import differences
 from models.model import Hold
 
 Array = NDArray[np.float64]

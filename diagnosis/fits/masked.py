@@ -26,8 +26,8 @@ from diagnosis.score.whitened import BLOCK
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
+from estimators.data.time_scale import time_scale
 from estimators.methods.prediction_error import Begin, fit
-from estimators.time_scale import time_scale
 from models.effect import Place, starts
 from models.model import Model
 

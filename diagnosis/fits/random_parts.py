@@ -25,9 +25,9 @@ from diagnosis.fits.refit import FURTHER_FITS, FullFit, full
 from diagnosis.lack_of_fit.colour import Signal, same, signals
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.trial import tried
-from estimators.innovations import NoiseModel
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
 from estimators.methods.prediction_error import Begin, Fit
-from estimators.problem import Problem
 from models.disturbance import narrow_at_joints, power_share, with_narrow_band
 from models.input_noise import InputNoise, with_input_noise
 from models.model import Model, NarrowBand

@@ -20,8 +20,8 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Score
 from diagnosis.score.whitened import whitening
 from estimators.budget import UNLIMITED
-from estimators.fit_result import inverse
-from estimators.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.fit.result import inverse
 from estimators.methods.prediction_error import Begin, Fit, fit
 from models.effect import Place
 from models.model import Model

@@ -26,9 +26,9 @@ from diagnosis.lack_of_fit.floor import sensor_noise
 from diagnosis.lack_of_fit.reach import reach
 from diagnosis.lack_of_fit.where_it_fails import LEVEL
 from diagnosis.score.whitened import PEAKS, SLOWEST, whitening
-from estimators.innovations import NoiseModel
+from estimators.data.time_scale import time_scale
+from estimators.fit.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
-from estimators.time_scale import time_scale
 from models.disturbance import at_joints, narrow_at_joints
 from models.random_part import LEAST_ROWS, LEAST_TIMES, PERIODS
 from models.sensor_error import at_outputs

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
+from estimators.data.segments import SHORTEST
+from estimators.data.time_scale import time_scale
 from estimators.methods.prediction_error import Fit
-from estimators.segments import SHORTEST
-from estimators.time_scale import time_scale
 from models.disturbance import at_joints
 
 Array = NDArray[np.float64]

@@ -4,8 +4,8 @@
 
 R is the sensors' noise as it shows in the record itself, Q the process noise that the model states, or less where the
 record shows less (diagnosis.lack_of_fit.process_noise), P and the gain from the Riccati equation
-(estimators.innovations). The ratio is about 1 where the model is right, and large where something is missing. Fourth
-differences of a white signal have 70 times its variance, while motion below a tenth of the sampling rate all but
+(estimators.fit.innovations). The ratio is about 1 where the model is right, and large where something is missing.
+Fourth differences of a white signal have 70 times its variance, while motion below a tenth of the sampling rate all but
 vanishes in them; so the record's noise is told apart from its motion without any model. Where a vehicle moves faster
 than that, what a predictor leaves has less: no predictor leaves less than the noise.
 """
@@ -22,13 +22,13 @@ from scipy.stats import chi2
 from diagnosis.lack_of_fit.process_noise import density, shown_shares
 from diagnosis.lack_of_fit.reach import power_beyond, reach
 from estimators.contract import EstimationError
-from estimators.disturbance import stated
-from estimators.gauss_newton import Block, minimise
-from estimators.innovations import NoiseModel
+from estimators.data.white_noise import white_variance
+from estimators.fit.disturbance import stated
+from estimators.fit.gauss_newton import Block, minimise
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
+from estimators.fit.stationary import stationary
 from estimators.methods.prediction_error import Fit
-from estimators.problem import Problem
-from estimators.stationary import stationary
-from estimators.white_noise import white_variance
 from models.disturbance import parameters_of
 from models.model import State
 

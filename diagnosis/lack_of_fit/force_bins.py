@@ -22,16 +22,16 @@ from scipy.stats import t as student
 
 from diagnosis.lack_of_fit.floor import Innovations
 from diagnosis.lack_of_fit.force_probe import Coordinate, Probe
-from estimators.gauss_newton import Block, eliminate
-from estimators.time_scale import time_scale
-from estimators.white_noise import white_variance
+from estimators.data.time_scale import time_scale
+from estimators.data.white_noise import white_variance
+from estimators.fit.gauss_newton import Block, eliminate
 
 Array = NDArray[np.float64]
 
 BINS = 8
 """Of a coordinate, with as many rows each."""
 BLOCK = 1.25
-"""Time scales (estimators.time_scale) of a block, 0.5 s of the MONOCAB: longer than the predictor remembers, short
+"""Time scales (estimators.data.time_scale) of a block, 0.5 s of the MONOCAB: longer than the predictor remembers, short
 against the record."""
 RESOLVED = 4.0
 """Standard deviations of a coordinate's own error that a bin is wide at least."""

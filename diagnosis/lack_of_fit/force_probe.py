@@ -3,7 +3,7 @@
     x~+ = (A - A K C) x~ + B w,    e = C x~ + D w + v,    v white, of the covariance S of the noise floor
 
 is what a force w that the model does not know makes of the predictor's error x~ and its innovations e: linear and
-stable, on an unstable plant too. B and D are differentiated where A and C are (estimators.innovations).
+stable, on an unstable plant too. B and D are differentiated where A and C are (estimators.fit.innovations).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.lack_of_fit.floor import Floor, Innovations
-from estimators.problem import typical_motion
+from estimators.fit.problem import typical_motion
 from models.expressions import names_in
 from models.kernel import Kernel, Progress, compile_model
 from models.model import Hold, Input, Joint, Model, Output

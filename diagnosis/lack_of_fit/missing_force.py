@@ -23,8 +23,8 @@ from scipy.stats import chi2
 from diagnosis.lack_of_fit.floor import Innovations
 from diagnosis.lack_of_fit.force_probe import Probe, Response, recurrence
 from estimators.contract import EstimationError
-from estimators.gauss_newton import Block, eliminate
-from estimators.stationary import stationary
+from estimators.fit.gauss_newton import Block, eliminate
+from estimators.fit.stationary import stationary
 
 Array = NDArray[np.float64]
 

@@ -14,15 +14,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.innovations import NoiseModel
-from estimators.problem import Problem
-from estimators.time_scale import time_scale
+from estimators.data.time_scale import time_scale
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
 from models.expressions import names_in, number
 
 Array = NDArray[np.float64]
 
 SLOWEST = 8.0
-"""Over the time scale (estimators.time_scale), Hz, below which an output is never its sensor's alone: 20 Hz of the
+"""Over the time scale (estimators.data.time_scale), Hz, below which an output is never its sensor's alone: 20 Hz of the
 MONOCAB. A joint's typical force is known to its order of magnitude."""
 SHARE = 0.1
 """Of a sensor's power above which the process noise of the model is not taken for the sensor's."""

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 from diagnosis.lack_of_fit.floor import Innovations
 from diagnosis.lack_of_fit.force_probe import Probe, recurrence
 from diagnosis.score.whitened import Whitened, project, whitening
-from estimators.time_scale import time_scale
+from estimators.data.time_scale import time_scale
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ KNOTS = 8
 HARMONICS = 12
 """Of the range of a coordinate."""
 SLOWEST, FASTEST, BANDS = 0.04, 2.0, 60
-"""Over the time scale (estimators.time_scale; 0.1 and 5 Hz of the MONOCAB), between which a coefficient may swing in
-time, and how many bands' strongest lines are tried."""
+"""Over the time scale (estimators.data.time_scale; 0.1 and 5 Hz of the MONOCAB), between which a coefficient may swing
+in time, and how many bands' strongest lines are tried."""
 CUBES = ("{0} cubed", "{0} squared times {1}", "{0} times {1} squared", "{1} cubed")
 OVERSAMPLED = 4
 """Lines a band of the width that a record resolves, one over its length: between two of them nothing is missed."""

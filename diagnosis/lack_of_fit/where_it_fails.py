@@ -1,6 +1,6 @@
 """Where a model fails: by time, by frequency, by state and by equation, each with its significance.
 
-* time: energy of the innovations over the floor in windows of 5 time scales (estimators.time_scale; 2 s of the
+* time: energy of the innovations over the floor in windows of 5 time scales (estimators.data.time_scale; 2 s of the
   MONOCAB), row by row and averaged over a quarter of one, since what a vehicle lacks is slow and the noise is not.
 * frequency: the same by octaves, from the periodogram, up to where a force shows (diagnosis.lack_of_fit.reach).
 * state: the mean missing force by bins of each coordinate, beyond what other parameter values would mend, with a false
@@ -29,7 +29,7 @@ from diagnosis.lack_of_fit.floor import Innovations
 from diagnosis.lack_of_fit.force_bins import Binned, Term, binned_forces, mean_forces
 from diagnosis.lack_of_fit.force_probe import probe
 from diagnosis.lack_of_fit.missing_force import MissingForce, missing_force
-from estimators.time_scale import time_scale
+from estimators.data.time_scale import time_scale
 from models.kernel import Progress
 
 Array = NDArray[np.float64]

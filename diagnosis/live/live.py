@@ -25,12 +25,12 @@ from diagnosis.live.line import LONGEST, LineFinder
 from diagnosis.live.naming import SUDDEN, TOO_LITTLE, Gathered, LiveResult
 from diagnosis.prepare.candidates import candidates_for
 from diagnosis.prepare.workspace import attached
-from estimators.frame_chunks import Chunk, join
-from estimators.problem import FINEST as STEP
-from estimators.problem import Problem
-from estimators.problem import at_rest as moment_at_rest
-from estimators.recursive_prediction_error import CHUNK, RecursivePredictionError, as_it_runs, at_rest, known_as
-from estimators.recursive_predictor import Seen, inputs_at, measured_state, of_noise
+from estimators.fit.problem import FINEST as STEP
+from estimators.fit.problem import Problem
+from estimators.fit.problem import at_rest as moment_at_rest
+from estimators.recursive.frame_chunks import Chunk, join
+from estimators.recursive.prediction_error import CHUNK, RecursivePredictionError, as_it_runs, at_rest, known_as
+from estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
 from models.effect import Effect
 from models.effects import CATALOGUE
 from models.kernel import Kernel, Memory, Progress, compile_model
@@ -64,7 +64,7 @@ class LiveDiagnosis:
 
     What `model` has of effects already is looked for too, as that is in its recursion but not in the vehicle's own
     equations. `effects` are the candidates, the whole catalogue by default. The other arguments are those of
-    estimators.recursive_prediction_error.RecursivePredictionError, with its errors. To make one compiles two models.
+    estimators.recursive.prediction_error.RecursivePredictionError, with its errors. To make one compiles two models.
     """
 
     method = "live_diagnosis"

@@ -22,9 +22,9 @@ from diagnosis.live.odds import Weighed, weigh
 from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.live.products import Products
 from diagnosis.prepare.candidates import Candidate
-from estimators.disturbance import DisturbanceEstimate
-from estimators.problem import Problem
-from estimators.recursive_predictor import Seen
+from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.fit.problem import Problem
+from estimators.recursive.predictor import Seen
 from estimators.report import significant
 from models.effect import AttachedEffect, Effect
 from models.effects import CATALOGUE, find

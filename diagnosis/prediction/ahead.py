@@ -26,21 +26,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.lack_of_fit.floor import floor, sensor_noise
-from estimators.disturbance import densities
-from estimators.gauss_newton import Block, Minimum, minimise
-from estimators.innovations import NoiseModel
+from estimators.data.time_scale import time_scale
+from estimators.fit.disturbance import densities
+from estimators.fit.gauss_newton import Block, Minimum, minimise
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
+from estimators.fit.stationary import stationary
 from estimators.methods.prediction_error import Fit
-from estimators.problem import Problem
-from estimators.stationary import stationary
-from estimators.time_scale import time_scale
 from models.kernel import Memory
 from models.segment import Segment
 
 Array = NDArray[np.float64]
 
 BEGINNING = 0.75
-"""Time scales (estimators.time_scale; 0.3 s of the MONOCAB) in which the state that a record begins with is looked for
-first."""
+"""Time scales (estimators.data.time_scale; 0.3 s of the MONOCAB) in which the state that a record begins with is looked
+for first."""
 
 
 def on(fit: Fit, task: Problem) -> Fit:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.problem import Problem, problem
+from estimators.fit.problem import Problem, problem
 from models.kernel import Memory
 from models.model import Hold, Model
 from models.segment import Segment

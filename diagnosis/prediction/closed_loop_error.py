@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from diagnosis.lack_of_fit.floor import QUIETEST, Innovations
 from diagnosis.prediction.closed_loop import Controller, Limit, steps
-from estimators.time_scale import time_scale
-from estimators.white_noise import white_variance
+from estimators.data.time_scale import time_scale
+from estimators.data.white_noise import white_variance
 from models.kernel import Memory
 from models.segment import Segment
 
@@ -42,7 +42,7 @@ SEED = 20
 BEYOND = 5.0
 """Times the recorded range at which a simulation has run away."""
 SHORTEST = 5.0
-"""Time scales (estimators.time_scale; 2 s of the MONOCAB) of a comparison: less is the start's error alone."""
+"""Time scales (estimators.data.time_scale; 2 s of the MONOCAB) of a comparison: less is the start's error alone."""
 
 
 @dataclass(frozen=True, slots=True)

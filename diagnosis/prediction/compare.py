@@ -21,11 +21,11 @@ from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.prediction.horizons import Prediction, predictions
 from diagnosis.prepare.ready import ready
 from diagnosis.trial import FAILURES
-from estimators.disturbance import DisturbanceEstimate, disturbances, is_of_disturbance
+from estimators.data.segments import channels_of, segments
+from estimators.data.time_scale import horizon
+from estimators.fit.disturbance import DisturbanceEstimate, disturbances, is_of_disturbance
+from estimators.fit.problem import Problem, problem
 from estimators.methods.prediction_error import Fit, fit
-from estimators.problem import Problem, problem
-from estimators.segments import channels_of, segments
-from estimators.time_scale import horizon
 from models.kernel import Progress
 from models.model import Model
 from models.segment import Segment
@@ -109,7 +109,7 @@ def compare(
     loops: Sequence[Loop | str] = (),
     progress: Progress | None = None,
 ) -> list[Comparison]:
-    """Every model, by name, against all of `recordings` together; `support` as in estimators.segments.
+    """Every model, by name, against all of `recordings` together; `support` as in estimators.data.segments.
 
     `loops` tell what closed the loop on each recording, or why that is not known, for `Comparison.closed_loop`.
 

@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.lack_of_fit.floor import Innovations
-from estimators.time_scale import time_scale
+from estimators.data.time_scale import time_scale
 from models.natural_time import rounded
 
 Array = NDArray[np.float64]
 
 HORIZONS = (0.125, 0.5, 1.25, 5.0)
-"""Time scales (estimators.time_scale) ahead that predictions reach, where a stretch of the record is more than twice as
-long: 0.05, 0.2, 0.5 and 2 s of the MONOCAB."""
+"""Time scales (estimators.data.time_scale) ahead that predictions reach, where a stretch of the record is more than
+twice as long: 0.05, 0.2, 0.5 and 2 s of the MONOCAB."""
 STRIDE = 0.25
 """Time scales between the states that predictions start from."""
 

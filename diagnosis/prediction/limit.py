@@ -5,8 +5,8 @@ from __future__ import annotations
 from diagnosis.findings import PredictionLimit
 from diagnosis.prediction.ahead import sensor_floors
 from estimators.contract import EstimationError
+from estimators.data.time_scale import horizon
 from estimators.methods.prediction_error import Fit
-from estimators.time_scale import horizon
 
 
 def prediction_limit(fitted: Fit) -> PredictionLimit | None:

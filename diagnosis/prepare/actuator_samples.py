@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.segments import SUPPORT_MARGIN, channels_of, recorded_support
+from estimators.data.segments import SUPPORT_MARGIN, channels_of, recorded_support
 from models.model import Model
 from models.natural_time import USUAL, natural_time
 from models.place import Place

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from estimators.segments import channels_of, optional_channels
+from estimators.data.segments import channels_of, optional_channels
 from models.effect import AttachedEffect, Effect, places_for, starts
 from models.effects import CATALOGUE, find
 from models.model import Model, ModelError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from diagnosis.prepare.time_offsets import timed, untimed
-from estimators.as_recorded import as_recorded
+from estimators.data.as_recorded import as_recorded
 from models.disturbance import disturbed, undisturbed
 from models.input_noise import without_input_noise
 from models.model import Model

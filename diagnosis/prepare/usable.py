@@ -1,7 +1,7 @@
 """Can these recordings tell effects apart at all? What cannot is refused here, in words, before any number looks valid.
 
-A channel that is missing, stuck, clipped or in degrees is refused by estimators.segments. Here it is about what moved:
-too short a record holds too few of the slow motions, and a motion at a single frequency makes dry, viscous and
+A channel that is missing, stuck, clipped or in degrees is refused by estimators.data.segments. Here it is about what
+moved: too short a record holds too few of the slow motions, and a motion at a single frequency makes dry, viscous and
 quadratic friction one and the same (the correlation of sgn v with v is 0.90, that of v |v| with v 0.98).
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Status
-from estimators.quantised import step_of
-from estimators.segments import DataError, segments
-from estimators.time_scale import motion_time, time_scale
+from estimators.data.quantised import step_of
+from estimators.data.segments import DataError, segments
+from estimators.data.time_scale import motion_time, time_scale
 from models.expressions import names_in
 from models.model import Model
 from models.segment import Segment
@@ -24,8 +24,8 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 SHORTEST = 20.0
-"""Times the time scale of the model (estimators.time_scale) of free motion in all recordings together, at least: 8 s
-of the MONOCAB. What takes as long has not been seen often enough to be told from another."""
+"""Times the time scale of the model (estimators.data.time_scale) of free motion in all recordings together, at least: 8
+s of the MONOCAB. What takes as long has not been seen often enough to be told from another."""
 MOTIONS = 94.0
 """Motion times that are as good: those that a multisine of the MONOCAB has in 15 s. A record of 14.7 s with a thousand
 periods of a resonance is long."""

@@ -15,10 +15,10 @@ from diagnosis.gates import Round
 from diagnosis.prepare.actuator_samples import of_actuators
 from diagnosis.prepare.candidates import Candidate, candidates_for
 from estimators.budget import UNLIMITED, Budget
-from estimators.problem import Problem, problem
-from estimators.resting import without_rests
-from estimators.segments import segments
-from estimators.time_scale import time_scale
+from estimators.data.resting import without_rests
+from estimators.data.segments import segments
+from estimators.data.time_scale import time_scale
+from estimators.fit.problem import Problem, problem
 from models.effect import Effect
 from models.kernel import Progress
 from models.model import Model
@@ -26,7 +26,7 @@ from models.segment import Segment
 from telemetry.recording import Recording
 
 SETTLING = 0.5
-"""Time scales (estimators.time_scale; 0.2 s of the MONOCAB) after which an actuator has forgotten what it was told
+"""Time scales (estimators.data.time_scale; 0.2 s of the MONOCAB) after which an actuator has forgotten what it was told
 before the first row."""
 EACH = 0.25
 """Share of the time that is left which one fit may take: one effect whose equations are stiff must not keep the others

@@ -11,8 +11,8 @@ from diagnosis.report.comparison_report import Compared
 from diagnosis.report.drawing import file_name
 from diagnosis.report.page import Provenance, compared_figures, render
 from estimators.contract import EstimationError
-from estimators.method_document import CANCELLED
-from estimators.method_rows import (
+from estimators.identify.document import CANCELLED
+from estimators.identify.rows import (
     Columns,
     disturbances,
     joint_columns,
@@ -23,7 +23,7 @@ from estimators.method_rows import (
     shown_parameters,
     value_text,
 )
-from estimators.method_table import Domain
+from estimators.identify.table import Domain
 
 WIDE, LOW = 10.0, 0.75
 """in, and of its own height: the least width of the figure, and how high it is."""
@@ -48,7 +48,7 @@ def write_identification(
     provenance: Provenance | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> str:
-    """The page as text, of a `document` of `estimators.identify` for the model of this name.
+    """The page as text, of a `document` of `estimators.identify.run` for the model of this name.
 
     `truth` has true values by name. `comparisons` are of the model before and with the estimates to rely on, against
     the recordings; where there are none, `why` says so.

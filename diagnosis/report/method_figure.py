@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from estimators.contract import EstimationError
-from estimators.method_table import Domain
+from estimators.identify.table import Domain
 
 SUFFIXES = (".png", ".svg", ".pdf")
 STYLES = {
@@ -63,7 +63,7 @@ def save_methods(document: Mapping[str, Any], path: Path, *, truth: Mapping[str,
 
 
 def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | None = None) -> Figure:
-    """The figure of a document of `estimators.identify`: a panel for each parameter that is known from before.
+    """The figure of a document of `estimators.identify.run`: a panel for each parameter that is known from before.
 
     `truth`: true values by name. Raises EstimationError where no method has been asked for such a parameter.
     """

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from diagnosis.findings import Diagnosis, Finding
 from diagnosis.report.repair_words import readable
-from estimators.disturbance import DisturbanceEstimate, in_words
+from estimators.fit.disturbance import DisturbanceEstimate, in_words
 
 NOTHING_MATTERS = "nothing is missing that matters"
 """Of a model all of whose findings are negligible."""

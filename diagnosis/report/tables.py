@@ -14,7 +14,7 @@ from diagnosis.report.drawing import shown
 from diagnosis.report.sentences import two_digits
 from diagnosis.score.score_test import Score, Screen
 from estimators.contract import ParameterEstimate
-from estimators.disturbance import disturbances
+from estimators.fit.disturbance import disturbances
 from estimators.methods.prediction_error import result
 from estimators.report import significant
 from telemetry.recording import Recording

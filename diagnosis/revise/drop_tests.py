@@ -14,7 +14,7 @@ from typing import Any
 from diagnosis.evidence import asked_for
 from diagnosis.fits.effect_fit import fit_model
 from diagnosis.prepare.ready import ready
-from estimators.resting import without_rests
+from estimators.data.resting import without_rests
 from models.model import Model
 from telemetry.recording import Recording
 

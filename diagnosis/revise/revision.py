@@ -33,11 +33,11 @@ from diagnosis.score.score_test import Score, Screen, screen
 from diagnosis.score.whitened import Whitened
 from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
-from estimators.freed import freed
+from estimators.data.resting import without_rests
+from estimators.data.segments import after_settling, channels_of, optional_channels
+from estimators.fit.problem import Problem, problem
+from estimators.fit.released import freed
 from estimators.methods.prediction_error import Fit
-from estimators.problem import Problem, problem
-from estimators.resting import without_rests
-from estimators.segments import after_settling, channels_of, optional_channels
 from models.effect import Effect
 from models.effects import find
 from models.expressions import names_in

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.segments import segments
+from estimators.data.segments import segments
 from models.model import Model
 from telemetry.recording import Recording
 

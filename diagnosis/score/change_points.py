@@ -22,8 +22,8 @@ from scipy.signal import correlate
 
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.score.whitened import Whitened
-from estimators.problem import Problem
-from estimators.time_scale import time_scale
+from estimators.data.time_scale import time_scale
+from estimators.fit.problem import Problem
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,8 @@ INSTANT = "start"
 RISE = "rise"
 """What it calls the time, s, that this takes: the usual one is tried, and the shortest that it can be."""
 SPACING = 0.25
-"""Time scales (estimators.time_scale) between instants that are tried, 0.1 s of the MONOCAB: a step that takes three
-times as long is told to less. What is sharper is tried as much more densely."""
+"""Time scales (estimators.data.time_scale) between instants that are tried, 0.1 s of the MONOCAB: a step that takes
+three times as long is told to less. What is sharper is tried as much more densely."""
 APART = 2.5
 """Time scales between instants that are looked at."""
 MOST = 2

@@ -30,7 +30,7 @@ from diagnosis.score.change_points import INSTANT, at_instants
 from diagnosis.score.whitened import Whitened, peaks, project
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
-from estimators.problem import Problem
+from estimators.fit.problem import Problem
 
 Array = NDArray[np.float64]
 _Pass = tuple[Problem, int, list[Candidate]]

@@ -14,17 +14,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.gauss_newton import Block
-from estimators.innovations import NoiseModel
+from estimators.data.time_scale import time_scale
+from estimators.fit.gauss_newton import Block
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
 from estimators.methods.prediction_error import Fit
-from estimators.problem import Problem
-from estimators.time_scale import time_scale
 from models.segment import Segment
 
 Array = NDArray[np.float64]
 
 BLOCK = 1.25
-"""Time scales (estimators.time_scale) in which innovations that are not white are taken as one: 0.5 s of the
+"""Time scales (estimators.data.time_scale) in which innovations that are not white are taken as one: 0.5 s of the
 MONOCAB."""
 FINEST = 32
 """Steps a row, at most."""

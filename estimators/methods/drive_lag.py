@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.recursive_least_squares import continue_autocovariance, positive_meat
+from estimators.recursive.least_squares import continue_autocovariance, positive_meat
 from estimators.speed_loop import LONGEST, MODES, RUN_IN, SHORTEST, Loop, Modes, Window, predict, windows_of
 from estimators.stopwatch import stopwatch
 from telemetry.recording import Recording

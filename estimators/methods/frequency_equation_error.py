@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
-from estimators.fit_result import inverse
+from estimators.fit.result import inverse
 from estimators.methods.balance import split
 from estimators.methods.frequency_output_error import COHERENT, Denominator, Fit, errors, frequency_fit
 from estimators.methods.frequency_response import Detrend, FrequencyResponse

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.fit_result import asked_std, correlation, inverse, refused
+from estimators.data.segments import DataError
+from estimators.fit.result import asked_std, correlation, inverse, refused
 from estimators.methods.balance import Balance, split
 from estimators.methods.frequency_response import (
     DETRENDED,
@@ -40,7 +41,6 @@ from estimators.methods.frequency_response import (
     response,
 )
 from estimators.methods.least_squares import ASKED_SHARE, assembled, size_of
-from estimators.segments import DataError
 from estimators.stopwatch import stopwatch
 from models.model import Model, Parameter
 from telemetry.recording import Recording

@@ -28,8 +28,8 @@ import sympy
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError, Status
+from estimators.data.segments import DataError, segments
 from estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
-from estimators.segments import DataError, segments
 from models.model import Hold, Model
 from models.segment import Segment
 from telemetry.recording import Recording

@@ -23,12 +23,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.balance_rows import InstrumentBank
 from estimators.contract import Estimate, Status
-from estimators.fit_result import refused
+from estimators.data.balance_rows import InstrumentBank
+from estimators.data.segments import DataError, segments
+from estimators.fit.result import refused
 from estimators.methods.balance import Balance, channel, split
 from estimators.methods.least_squares import balance_rows, checked_bandwidth, regression
-from estimators.segments import DataError, segments
 from estimators.stopwatch import stopwatch
 from models.model import Model
 from models.segment import Segment

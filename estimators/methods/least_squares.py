@@ -6,7 +6,7 @@ The filter starts at rest with the stretch, so the balance holds for the filtere
 starts anew after every gap. Noise on a regressor biases the result: the differentiated gyro noise makes the inertia too
 small, and all the more the wider the filter (Griese et al., section IV). That belongs to this method and is not mended
 here; `instrumental_variables` and `prediction_error` do not have it. Standard deviations are honest about noise that
-is alike from row to row (estimators.recursive_least_squares), not about the bias.
+is alike from row to row (estimators.recursive.least_squares), not about the bias.
 
 Source: Griese et al., (6) and (7), with signs and solution set right and every signal filtered; Isermann and Muenchhof,
 Identification of Dynamic Systems, section 15.1.
@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.fit_result import asked_std, correlation, refused
+from estimators.data.segments import DataError, segments
+from estimators.fit.result import asked_std, correlation, refused
 from estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
-from estimators.recursive_least_squares import RecursiveLeastSquares
-from estimators.segments import DataError, segments
+from estimators.recursive.least_squares import RecursiveLeastSquares
 from estimators.stopwatch import stopwatch
 from models.model import Model, Parameter
 from models.segment import Segment
@@ -278,7 +278,7 @@ def widely_filtered(signals: Signals, position: str, bandwidth: float) -> Signal
 def filtered(pieces: Pieces, bandwidth: float, order: int, derivatives: int) -> Array:
     """`pieces` through a Butterworth low-pass from rest, and derivatives up to order - 1: (derivatives, m + 1, terms).
 
-    As estimators.state_variable_filter, for a whole stretch at once: exact for straight lines, at any spacing.
+    As estimators.data.state_variable_filter, for a whole stretch at once: exact for straight lines, at any spacing.
     """
     angles = np.pi * (2 * np.arange(order) + order + 1) / (2 * order)
     poles = bandwidth * np.exp(1j * angles)

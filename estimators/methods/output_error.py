@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from estimators.contract import Estimate, EstimationError
-from estimators.fit_result import assemble, inverse, refused, with_known
-from estimators.gauss_newton import Block, Minimum, eliminate, minimise
-from estimators.problem import Problem, jacobian, problem
-from estimators.segments import DataError
+from estimators.data.segments import DataError
+from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.fit.problem import Problem, jacobian, problem
+from estimators.fit.result import assemble, inverse, refused, with_known
 from estimators.stopwatch import stopwatch
 from models import library
 from models.kernel import Progress, compile_model

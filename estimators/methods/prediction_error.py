@@ -14,20 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.as_recorded import as_recorded
 from estimators.contract import Estimate, EstimationError
-from estimators.disturbance import disturbances, is_of_disturbance
-from estimators.fit_result import assemble, inverse, refused, with_known
-from estimators.freed import freed
-from estimators.gauss_newton import Minimum, common_information, descend
-from estimators.innovations import NoiseModel
-from estimators.likelihood import FLOOR as FLOOR
-from estimators.likelihood import Likelihood, Seen
-from estimators.logarithms import InLogarithms
-from estimators.problem import Problem, problem
-from estimators.segments import DataError
+from estimators.data.as_recorded import as_recorded
+from estimators.data.segments import DataError
+from estimators.data.time_scale import horizon
+from estimators.fit.disturbance import disturbances, is_of_disturbance
+from estimators.fit.gauss_newton import Minimum, common_information, descend
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.likelihood import FLOOR as FLOOR
+from estimators.fit.likelihood import Likelihood, Seen
+from estimators.fit.logarithms import InLogarithms
+from estimators.fit.problem import Problem, problem
+from estimators.fit.released import freed
+from estimators.fit.result import assemble, inverse, refused, with_known
 from estimators.stopwatch import stopwatch
-from estimators.time_scale import horizon
 from models import library
 from models.disturbance import disturbed
 from models.kernel import Progress

@@ -75,7 +75,7 @@ def identify(
     """
     from math import tau
 
-    from estimators.identify import identify as run
+    from estimators.identify.run import identify as run
     from service.machine import is_of, support_of
     from service.vehicle_file import load
 
@@ -130,7 +130,7 @@ def identify(
 
 def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
     """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
-    from estimators.identify import nominal_model, with_values
+    from estimators.identify.run import nominal_model, with_values
     from models.model_file import load_model
 
     if name is not None and name.endswith(".toml"):
@@ -206,8 +206,8 @@ def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Rec
     Time stamps that jitter beside samples that do not are set to their clock, but for those who run a recording again
     or pass it on, `as_stamped`.
     """
-    from estimators.identify import nominal_model
-    from estimators.segments import falls_at
+    from estimators.data.segments import falls_at
+    from estimators.identify.run import nominal_model
     from service.replay import load as load_any
     from service.vehicle_file import load
     from telemetry.clock import by_the_clock

@@ -96,7 +96,7 @@ def diagnose(
     from diagnosis.diagnose import diagnose as run
     from diagnosis.parts import diagnose_parts
     from estimators.budget import Budget, OutOfTime
-    from estimators.identify import with_values
+    from estimators.identify.run import with_values
     from models.effects import CATALOGUE
     from models.library import ACTUATORS
     from service.cli.batch import identified_model, load_recording

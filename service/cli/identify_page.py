@@ -9,8 +9,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from estimators.method_document import CANCELLED
-from estimators.method_rows import (
+from estimators.identify.document import CANCELLED
+from estimators.identify.rows import (
     Columns,
     disturbances,
     joint_columns,
@@ -20,7 +20,7 @@ from estimators.method_rows import (
     sentence,
     value_text,
 )
-from estimators.method_table import Domain
+from estimators.identify.table import Domain
 from service.cli.output import page
 
 GAP = 1

@@ -118,7 +118,7 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
     import json
     import math
 
-    from estimators.identify import identify
+    from estimators.identify.run import identify
     from service.cli.batch import fitting, identified_model, load_recording
     from service.cli.compare import estimates_beside
     from service.cli.identify_page import print_methods

@@ -184,7 +184,7 @@ def _start(name: str, vehicle: str | None) -> ModelFile:
         return read(name)
     model = load_model(name)
     if vehicle is not None:
-        from estimators.identify import with_values
+        from estimators.identify.run import with_values
         from service.vehicle_file import load
 
         parameters = load(vehicle).parameters

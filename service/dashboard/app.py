@@ -25,7 +25,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from estimators.method_table import METHODS
+from estimators.identify.table import METHODS
 from models import library
 from models.effect import places_of
 from models.effects import CATALOGUE
@@ -232,7 +232,7 @@ REPORT = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:;
 
 def assembly_model(vehicle: VehicleFile) -> str:
     """The shipped model that a vehicle of this kind starts from."""
-    from estimators.identify import NOMINAL
+    from estimators.identify.run import NOMINAL
 
     return NOMINAL[vehicle.vehicle.kind][0]
 

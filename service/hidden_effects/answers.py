@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from estimators.disturbance import DisturbanceEstimate
+from estimators.fit.disturbance import DisturbanceEstimate
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording
@@ -77,7 +77,7 @@ def diagnosis(
 ) -> Answer:
     """What `upright diagnose` says, the gimbals as a part of their own."""
     from diagnosis.parts import diagnose_parts
-    from estimators.identify import with_values
+    from estimators.identify.run import with_values
     from models.library import ACTUATORS
     from service.vehicle_file import load
 

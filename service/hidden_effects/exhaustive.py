@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from estimators.fit.problem import Problem, problem
 from estimators.methods.output_error import fit, longest_window
-from estimators.problem import Problem, problem
 from models.effect import Effect
 from models.effects import CATALOGUE
 from models.model import Model, ModelError

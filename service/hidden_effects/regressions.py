@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.stats import f as f_distribution
 
-from estimators.segments import segments
+from estimators.data.segments import segments
 from models.effect import Effect
 from models.model import Model
 from models.segment import Segment

@@ -17,10 +17,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.freed import freed
-from estimators.gauss_newton import minimise
+from estimators.fit.gauss_newton import minimise
+from estimators.fit.problem import problem
+from estimators.fit.released import freed
 from estimators.methods.prediction_error import fit
-from estimators.problem import problem
 from models.model import Model
 from telemetry.recording import Recording
 

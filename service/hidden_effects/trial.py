@@ -95,7 +95,7 @@ class Bench:
     @property
     def nominal(self) -> Model:
         """The model that lacks the hidden effects, with the vehicle file's values."""
-        from estimators.identify import with_values
+        from estimators.identify.run import with_values
 
         parameters = load("monocab").parameters
         return with_values(get(self.model), parameters.values, parameters.deviations)

@@ -7,7 +7,7 @@ from functools import partial
 from math import degrees, expm1, radians
 
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
-from estimators.segments import SUPPORT_MARGIN
+from estimators.data.segments import SUPPORT_MARGIN
 from models.control_design import RollDesign
 from service.excitation import Excitation, ExcitationError, make_excitation
 from service.monocab.controller import RollController, design

@@ -12,7 +12,7 @@ from functools import partial
 from math import degrees, radians
 
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
-from estimators.segments import SUPPORT_MARGIN
+from estimators.data.segments import SUPPORT_MARGIN
 from models.model import Model
 from service.excitation import Excitation, ExcitationError, make_excitation
 from service.sequence import DURATIONS, Phase

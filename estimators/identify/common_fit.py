@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.as_recorded import as_recorded
+from estimators.data.as_recorded import as_recorded
+from estimators.fit.problem import Problem, at_rest, linearise, problem, typical_motion
 from estimators.methods.prediction_error import fit, predicted_percent
-from estimators.problem import Problem, at_rest, linearise, problem, typical_motion
 from models.model import Model
 from telemetry.recording import Recording
 

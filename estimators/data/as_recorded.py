@@ -6,7 +6,7 @@ otherwise: its noise is then estimated as that of any other sensor, is not the i
 takes errors of the rate, or an accelerometer's, into the angle.
 
 Where the record counts in steps, and no more noise shows than these make, the output is what an encoder shows: it is
-`counted`, with the noise of a quantiser (estimators.quantised).
+`counted`, with the noise of a quantiser (estimators.data.quantised).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimators.quantised import quantisation_noise
-from estimators.white_noise import white_variance
+from estimators.data.quantised import quantisation_noise
+from estimators.data.white_noise import white_variance
 from models.model import Model
 from telemetry.recording import Recording
 

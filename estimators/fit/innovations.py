@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
-from estimators.problem import Problem, at_rest, linearise, typical_motion
-from estimators.stationary import DOUBLINGS, in_the_long_run, stationary
+from estimators.fit.problem import Problem, at_rest, linearise, typical_motion
+from estimators.fit.stationary import DOUBLINGS, in_the_long_run, stationary
 from models.model import Output, State
 from models.segment import Segment
 

@@ -1,14 +1,14 @@
 """Every method on several recordings, side by side: what `upright identify` prints, the paper's figure 3.
 
-Each method gives a joint estimate over all recordings that it takes (estimators.method_table says which) and one of
+Each method gives a joint estimate over all recordings that it takes (estimators.identify.table says which) and one of
 each by itself: the runs, whose scatter tells what one recording is worth. A method that fails, or takes none of the
 recordings, says so and does not stop the others.
 
 How well a method's values predict is measured alike for all, over all recordings. For the MONOCAB's balance with a
 static torque and no other effect: roll and roll rate half a second ahead of the measured state. For any other model:
 what is measured, ahead of the filtered state by a horizon that follows from the model's time scale
-(estimators.common_fit). A method that does not give all values keeps its own measure. estimators.method_choice chooses
-by it.
+(estimators.identify.common_fit). A method that does not give all values keeps its own measure.
+estimators.identify.choice chooses by it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from importlib import import_module
 from typing import Any
 
 import estimators
-from estimators.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
 from estimators.contract import Estimate, EstimationError, Estimator, Status
-from estimators.logarithms import is_known_roughly
-from estimators.method_document import FAILED, Results, document, nothing
-from estimators.method_fits import Subject, measure
-from estimators.method_table import METHODS, Domain, Method, experiment_of, unsuited
-from estimators.segments import DataError
+from estimators.data.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
+from estimators.data.segments import DataError
+from estimators.fit.logarithms import is_known_roughly
+from estimators.identify.document import FAILED, Results, document, nothing
+from estimators.identify.fits import Subject, measure
+from estimators.identify.table import METHODS, Domain, Method, experiment_of, unsuited
+from estimators.recursive.torque_balance import Method as BalanceMethod
+from estimators.recursive.torque_balance import TorqueBalance
 from estimators.stopwatch import stopwatch
-from estimators.torque_balance import Method as BalanceMethod
-from estimators.torque_balance import TorqueBalance
 from models import library
 from models.kernel import compile_model
 from models.model import Model
@@ -94,10 +94,10 @@ def identify(
     """The document of `identify --json`: by method its parameters, fit, status, reason, seconds, runs and their mean.
 
     `parameters` and `deviations` are the vehicle file's; `support` is in rad. `methods` are names of
-    estimators.method_table, by default all. `model` comes with its own values; by default it is that of a MONOCAB with
-    the vehicle's. With `every`, each method takes all recordings; `bandwidth` rad/s is that of the filter of
-    least_squares and instrumental_variables. `progress` is told what begins and how much is done.
-    KeyboardInterrupt ends it early: what is missing then is "cancelled". Raises EstimationError for an unknown method.
+    estimators.identify.table, by default all. `model` comes with its own values; by default it is that of a MONOCAB
+    with the vehicle's. With `every`, each method takes all recordings; `bandwidth` rad/s is that of the filter of
+    least_squares and instrumental_variables. `progress` is told what begins and how much is done. KeyboardInterrupt
+    ends it early: what is missing then is "cancelled". Raises EstimationError for an unknown method.
     """
     if model is None:
         model = with_values(nominal_model("monocab"), parameters, deviations or {})
@@ -199,7 +199,7 @@ def _recursive(name: str, subject: Subject, recorded: ChannelTable) -> tuple[Est
         support = math.inf if subject.support is None else subject.support
         estimator = TorqueBalance(subject.values, support, method=method, deviations=deviations, channels=channels)
         return estimator, channels
-    module = import_module("estimators.recursive_prediction_error")
+    module = import_module("estimators.recursive.prediction_error")
     form = module.Method(name)
     made = module.RecursivePredictionError(subject.model, support=subject.support, channels=recorded, method=form)
     return made, recorded

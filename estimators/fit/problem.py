@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from estimators.budget import UNLIMITED, Budget
 from estimators.contract import EstimationError
-from estimators.gauss_newton import Block
-from estimators.segments import segments
-from estimators.white_noise import white_variance
+from estimators.data.segments import segments
+from estimators.data.white_noise import white_variance
+from estimators.fit.gauss_newton import Block
 from models import library
 from models.disturbance import parameters_of
 from models.expressions import number

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit_result import inverse
-from estimators.innovations import NoiseModel
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.result import inverse
 from models.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
 from models.model import Joint, Model
 from models.random_part import LEAST_TIMES

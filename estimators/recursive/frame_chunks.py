@@ -1,10 +1,10 @@
 """Control cycles to the stretches a compiled model runs through, a chunk at a time.
 
 A cycle is used where every channel of the model is known and the vehicle is free of its supports, by the rules of
-estimators.segments. Chunks are cut by cycles alone, so live, replayed and simulated runs cut them alike. A measured
-input is read between its samples and may act earlier than its time stamp says, so a chunk is complete when the input is
-known that far beyond its last row; rows before it, on a support or where an output is not known too, go along for one
-that acts later.
+estimators.data.segments. Chunks are cut by cycles alone, so live, replayed and simulated runs cut them alike. A
+measured input is read between its samples and may act earlier than its time stamp says, so a chunk is complete when the
+input is known that far beyond its last row; rows before it, on a support or where an output is not known too, go along
+for one that acts later.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Status
-from estimators.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError, reading
+from estimators.data.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError, reading
 from models.model import Model
 from models.segment import Segment
 from telemetry.channels import NOTHING_RUNS, ChannelTable

@@ -1,7 +1,7 @@
 """The fits of all methods, measured alike, and the poles of the model at each method's values.
 
-For the MONOCAB's balance the predictions are in closed form from the measured state (estimators.prediction); for any
-other model they are those of a filter (estimators.common_fit).
+For the MONOCAB's balance the predictions are in closed form from the measured state (estimators.identify.prediction);
+for any other model they are those of a filter (estimators.identify.common_fit).
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from estimators.common_fit import CommonPredictor
-from estimators.method_choice import ALIKE, OWN
-from estimators.prediction import free_motion, predict, sensor_noise
+from estimators.identify.choice import ALIKE, OWN
+from estimators.identify.common_fit import CommonPredictor
+from estimators.identify.prediction import free_motion, predict, sensor_noise
 from models.model import Model
 from telemetry.errors import UprightError
 from telemetry.recording import Recording

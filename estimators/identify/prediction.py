@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from estimators.balance_rows import GRAVITY, FilterConfig
 from estimators.contract import EstimationError
+from estimators.data.balance_rows import GRAVITY, FilterConfig
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from estimators.disturbance import Found, NarrowBandEstimate, with_error
-from estimators.input_noise import input_noise
+from estimators.data.input_noise import input_noise
+from estimators.fit.disturbance import Found, NarrowBandEstimate, with_error
 from models.input_noise import SHARE, noisy_inputs
 from models.sensor_error import at_outputs
 

@@ -4,7 +4,8 @@
 
 with x0* the likeliest initial state, P its covariance before the record and D what the record tells of it. P has the
 RMS of a disturbance, which is estimated: maximised together with x0, the likelihood would grow without end as that RMS
-goes to zero. Laplace's method, exact where the model is linear; D is that of a long record (estimators.innovations).
+goes to zero. Laplace's method, exact where the model is linear; D is that of a long record
+(estimators.fit.innovations).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.innovations import NoiseModel
+from estimators.fit.innovations import NoiseModel
 from models.disturbance import parameters_of, power_share
 
 Array = NDArray[np.float64]

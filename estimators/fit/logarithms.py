@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.gauss_newton import Minimum, Normal
-from estimators.likelihood import Likelihood, Seen
+from estimators.fit.gauss_newton import Minimum, Normal
+from estimators.fit.likelihood import Likelihood, Seen
 from models.model import Parameter
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimators.fit_result import inverse
+from estimators.fit.result import inverse
 from models.model import Model
 
 if TYPE_CHECKING:

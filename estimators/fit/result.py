@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.gauss_newton import Minimum
-from estimators.problem import Problem
-from estimators.segments import DataError
+from estimators.data.segments import DataError
+from estimators.fit.gauss_newton import Minimum
+from estimators.fit.problem import Problem
 from models.disturbance import parameters_of
 from models.model import Model, Parameter
 
 if TYPE_CHECKING:
-    from estimators.disturbance import DisturbanceEstimate
+    from estimators.fit.disturbance import DisturbanceEstimate
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from statistics import fmean, stdev
 from typing import Any
 
 from estimators.contract import Estimate, ParameterEstimate, Status
-from estimators.method_choice import OWN, choose
-from estimators.method_table import METHODS, Domain, Experiment
+from estimators.identify.choice import OWN, choose
+from estimators.identify.table import METHODS, Domain, Experiment
 from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
 from telemetry.recording import Recording
 

@@ -1,9 +1,9 @@
 """Prediction error and output error while the vehicle runs: the recursion beside the batch methods of these names.
 
 The compiled model's predictor runs over the control cycles, a tenth of a second at a time, and after each chunk its
-parameters move by the Gauss-Newton recursion on the exact sensitivities (estimators.recursive_predictor). CAD values
+parameters move by the Gauss-Newton recursion on the exact sensitivities (estimators.recursive.predictor). CAD values
 with their standard deviations are the prior; whether a parameter is identified is decided by the rules of
-estimators.fit_result. The recursive output error simulates for a second at a time, each from a fitted initial state on,
+estimators.fit.result. The recursive output error simulates for a second at a time, each from a fitted initial state on,
 since errors in the simulation of an unstable plant grow without bound.
 
 Chunks depend on cycles alone, so live, replayed and simulated cycles give the same numbers bit for bit.
@@ -20,11 +20,11 @@ from enum import StrEnum
 import numpy as np
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.disturbance import DisturbanceEstimate, is_of_disturbance
-from estimators.frame_chunks import FrameChunks
-from estimators.logarithms import is_known_roughly
-from estimators.problem import Problem, substeps_of, usual_motion
-from estimators.recursive_predictor import RecursivePredictor, Seen
+from estimators.fit.disturbance import DisturbanceEstimate, is_of_disturbance
+from estimators.fit.logarithms import is_known_roughly
+from estimators.fit.problem import Problem, substeps_of, usual_motion
+from estimators.recursive.frame_chunks import FrameChunks
+from estimators.recursive.predictor import RecursivePredictor, Seen
 from models import library
 from models.disturbance import disturbed, parameters_of
 from models.kernel import Progress, compile_model
@@ -153,7 +153,7 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
     inputs, outputs = len(kernel.inputs), len(kernel.outputs)
     knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
     measured = np.zeros((3, outputs))
-    # What is not known is not alike either: outputs that are, would be given one noise (estimators.innovations).
+    # What is not known is not alike either: outputs that are, would be given one noise (estimators.fit.innovations).
     measured[-1] = np.nan
     rest = Segment(time, knots, np.zeros((3, inputs)), measured, "at rest")
     free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
@@ -176,7 +176,7 @@ def known_as(
 def as_it_runs(model: Model) -> Model:
     """`model` with the disturbances that it has while cycles come in.
 
-    Where parameters are known by their order of magnitude alone (estimators.logarithms), each is held at where its
+    Where parameters are known by their order of magnitude alone (estimators.fit.logarithms), each is held at where its
     estimation would start: in the first seconds one that is estimated takes the place of what the parameters do, and
     from there on they move to where no filter works (docs/decisions.md).
     """

@@ -12,7 +12,7 @@ A recording that does not say which experiment it is of (a CSV file) is given to
 what it cannot use.
 
 Each method also states its flaws: what makes its values deviate by more than their standard deviations say, and under
-which condition. estimators.method_choice reads them. Sources: Ljung, "System identification", 2nd ed., section 7.6
+which condition. estimators.identify.choice reads them. Sources: Ljung, "System identification", 2nd ed., section 7.6
 (noisy regressors) and chapter 13 (closed loop); docs/explanation/methods.md for
 the simulation of an unstable model.
 """

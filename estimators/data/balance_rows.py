@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
-from estimators.state_variable_filter import StateVariableFilter
+from estimators.data.state_variable_filter import StateVariableFilter
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.samples import Frame
 

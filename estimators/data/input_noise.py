@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from estimators.problem import Problem
+from estimators.fit.problem import Problem
 from models.input_noise import InputNoise
 
 Array = NDArray[np.float64]

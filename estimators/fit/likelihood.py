@@ -3,7 +3,7 @@
     V = n/2 log det S + half the squares of what differs from the prior, in standard deviations,
     S = the mean of e e' over the n rows, and a floor; of what is counted at least a quantiser's variance
 
-e are the innovations of the steady Kalman filter (estimators.innovations). This is the negative logarithm of the
+e are the innovations of the steady Kalman filter (estimators.fit.innovations). This is the negative logarithm of the
 likelihood of Gaussian noise with the covariance that makes it most likely, so that no covariance has to be guessed. Its
 derivatives are those of a sum of squares e' S^-1 e. Rows are condensed to products of their derivatives at once: what
 is weighted is a small matrix. Source: Ljung, "System identification", 2nd ed., sections 7.4 and 15.
@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.gauss_newton import Expansion, Normal
-from estimators.innovations import NoiseModel
-from estimators.long_run import LongRun, long_run
-from estimators.problem import Problem
+from estimators.fit.gauss_newton import Expansion, Normal
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.long_run import LongRun, long_run
+from estimators.fit.problem import Problem
 from models.kernel import ELSEWHERE
 
 Array = NDArray[np.float64]

@@ -4,7 +4,8 @@ The rule, "sound first, then the best prediction":
 
 1. A method has to give values: for all that is asked, or so many that its fit could be measured as the others'.
 2. One that predicts worse than the mean of what is measured (a fit below 0 %) is not chosen.
-3. A method that is not sound here (estimators.method_table states the flaws, as data) is not chosen, unless a sound one
+3. A method that is not sound here (estimators.identify.table states the flaws, as data) is not chosen, unless a sound
+one
    has run and predicts worse than the mean: then the reason states the reservation.
 4. Of those that are left and predict as well as the best, within AS_GOOD, the one with the lowest rank is chosen. Fits
    that were not measured alike are no numbers to compare: there the rank alone decides.
@@ -18,7 +19,7 @@ from statistics import fmean
 from typing import Any
 
 from estimators.contract import Status
-from estimators.method_table import METHODS, Condition, Flaw
+from estimators.identify.table import METHODS, Condition, Flaw
 
 AS_GOOD = 1.0
 """Percent of fit that are no difference: the sensors' noise at the start of each prediction makes as much."""

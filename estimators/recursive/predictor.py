@@ -1,6 +1,6 @@
 """A compiled model's predictor that runs over control cycles, a chunk at a time, and learns from how far off it is.
 
-Its unknowns are the estimated parameters and the logarithms of the noise (estimators.innovations), hence the Kalman
+Its unknowns are the estimated parameters and the logarithms of the noise (estimators.fit.innovations), hence the Kalman
 gain; with them each stretch's initial state. Innovations are weighed by their covariance, which is learned along.
 
 What the first chunks say is said at a start value that may be far off: derivatives, gain and weights there are as
@@ -9,7 +9,7 @@ through again with the unknowns held: a Gauss-Newton step of the batch fit. Fart
 go before that, since equations that were linear somewhere else lead astray, and a feedback loop at rest leads them on.
 Each time is at least a twentieth of free motion later than the one before, so the cost a cycle stays bounded.
 
-Of parameters that are known by their order of magnitude alone (estimators.logarithms) a record often tells products
+Of parameters that are known by their order of magnitude alone (estimators.fit.logarithms) a record often tells products
 only. The unknowns are then their logarithms, in which a product is a sum wherever one is, and chunks in between are
 seen from where all was seen last. Seen each from another place, they would claim to know every factor: equations of
 which each leaves a slightly different direction open leave none open together.
@@ -29,16 +29,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
-from estimators.disturbance import DisturbanceEstimate, Found, is_of_disturbance, told
-from estimators.fit_result import assemble
-from estimators.frame_chunks import Chunk, join
-from estimators.gauss_newton import Minimum
-from estimators.innovations import NoiseModel
-from estimators.logarithms import is_known_roughly
-from estimators.long_run import long_run
+from estimators.fit.disturbance import DisturbanceEstimate, Found, is_of_disturbance, told
+from estimators.fit.gauss_newton import Minimum
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.logarithms import is_known_roughly
+from estimators.fit.long_run import long_run
+from estimators.fit.problem import Problem
+from estimators.fit.result import assemble
 from estimators.methods.prediction_error import FLOOR
-from estimators.problem import Problem
-from estimators.recursive_gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
+from estimators.recursive.frame_chunks import Chunk, join
+from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.expressions import number
 from models.kernel import Memory
 from models.model import Output

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from estimators.disturbance import DisturbanceEstimate
-from estimators.method_table import Domain
+from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.identify.table import Domain
 from estimators.report import significant
 
 NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
