@@ -50,8 +50,8 @@ from scipy.optimize import least_squares
 
 import estimators
 from models import library
+from models.compiler.kernel import compile_model
 from models.effects import CATALOGUE
-from models.kernel import compile_model
 from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, State
 from models.segment import Segment
 from telemetry.channels import Channel, ChannelTable
@@ -392,7 +392,7 @@ COMPILE = """
 import json, sys, time
 from models import library
 from models.effects import CATALOGUE
-from models.kernel import compile_model
+from models.compiler.kernel import compile_model
 model = library.get("monocab_reduced")
 for name in CATALOGUE:
     model = model.add(name)

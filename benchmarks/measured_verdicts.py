@@ -1,8 +1,8 @@
 """What does a diagnosis say of records that others made? `python benchmarks/measured_verdicts.py [NAME ...]`
 
 Each record meets a model that lacks what its authors or anybody's eyes see, twice: with a random disturbance at each
-joint (models.disturbance), as all models have it, and without, in the time that `upright diagnose` takes. Told are the
-verdict, the effects, how far the one-step errors are over the floor before and after, and seconds by the clock.
+joint (models.random.disturbance), as all models have it, and without, in the time that `upright diagnose` takes. Told
+are the verdict, the effects, how far the one-step errors are over the floor before and after, and seconds by the clock.
 `--json FILE` keeps the figures.
 
     shaken     a MONOCAB of another simulator, pushed by a random torque; the name says what else is hidden
@@ -30,8 +30,8 @@ from diagnosis.diagnose import Diagnosis, diagnose
 from estimators.identify.run import nominal_model, with_values
 from estimators.stopwatch import stopwatch
 from examples import emps, quarter_drone, unbalanced_disk
+from models.file.read import load_model
 from models.model import Disturbance, Model
-from models.model_file import load_model
 from service.cli.diagnose import default_budget
 from service.vehicle_file import load as vehicle
 from telemetry.channels import Channel, ChannelTable

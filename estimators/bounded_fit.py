@@ -28,7 +28,7 @@ from estimators.fit.innovations import WIDEST
 from estimators.fit.likelihood import Likelihood
 from estimators.fit.problem import problem
 from estimators.methods.prediction_error import Fit, fit
-from models.kernel import Progress
+from models.compiler.kernel import Progress
 from models.model import Model
 from telemetry.recording import Recording
 

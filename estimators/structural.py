@@ -22,8 +22,8 @@ from scipy.linalg import null_space, qr
 
 from estimators.contract import EstimationError
 from estimators.fit.problem import FINEST, jacobian
+from models.compiler.kernel import Kernel, compile_model
 from models.expressions import names_in, parse
-from models.kernel import Kernel, compile_model
 from models.model import Model
 from models.segment import Segment
 

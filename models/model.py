@@ -3,7 +3,7 @@
     state' = derivative(states, inputs, parameters, time),    output = expression(states, inputs, parameters, time)
 
 Expressions are text (see models.expressions for what they may contain), so that a model is plain data: it can be read
-from a TOML file, hashed, compared and printed, and it costs nothing to import. `models.kernel` compiles it.
+from a TOML file, hashed, compared and printed, and it costs nothing to import. `models.compiler.kernel` compiles it.
 
 Besides states, inputs, parameters and `time` (s) an expression may use a name from `definitions`, `INPUT_slope` (the
 slope of an input that is read as a curve) and `JOINT_force`, the whole generalised force at a joint: its own
@@ -38,7 +38,7 @@ class Hold(StrEnum):
     ZERO_ORDER = "zero_order"
     """A command: each value acts until the next one comes."""
     CUBIC = "cubic"
-    """A measurement: a smooth curve through the values (models.curves)."""
+    """A measurement: a smooth curve through the values (models.compiler.curves)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +77,8 @@ class State:
     shows that no filter made it, the state fades within a second, and nothing that moves makes it. `noise_spread`:
     standard deviation of the natural logarithm of the noise about `process_noise`, before a record is seen.
     `correlation_time` names the parameter (s) with which the state fades where it is a random disturbance
-    (models.disturbance): it then begins as it is in the long run, not within `initial_std`. `frequency` names the one
-    (Hz) about which it then swings, and `driven_by` the state whose noise drives it, where that is not its own.
+    (models.random.disturbance): it then begins as it is in the long run, not within `initial_std`. `frequency` names
+    the one (Hz) about which it then swings, and `driven_by` the state whose noise drives it, where that is not its own.
     """
 
     name: str
@@ -155,7 +155,7 @@ class NarrowBand:
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What is known before of the random force at a joint, first order (models.disturbance).
+    """What is known before of the random force at a joint, first order (models.random.disturbance).
 
     `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are where their estimation starts, or, where it
     is `known`, what they are; 0: by the joint's scales. The correlation time is sought between `shortest` and `longest`

@@ -3,7 +3,8 @@
 telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    row i was measured at t0 + i * dt
             now and then with "health" (how control does) and "predictions" (what the model says)
 parameters  {NAME: {"value", "std", "unit", "status", "method", "coverage_percent", "reason"}}
-            beside the vehicle's own, disturbance.JOINT.rms and disturbance.JOINT.correlation_time (models.disturbance)
+            beside the vehicle's own, disturbance.JOINT.rms and disturbance.JOINT.correlation_time
+            (models.random.disturbance)
 """
 
 from __future__ import annotations

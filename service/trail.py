@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from diagnosis.diagnose import Diagnosis
+from models.file.read import ModelFile, write
 from models.model import Model
-from models.model_file import ModelFile, write
 
 
 def write_trail(

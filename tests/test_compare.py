@@ -18,8 +18,8 @@ from diagnosis.report.comparison_figures import comparison_figure, save_comparis
 from estimators.contract import EstimationError
 from estimators.data.segments import DataError
 from models import library
+from models.file.read import load_model
 from models.model import Model, ModelError
-from models.model_file import load_model
 from service.cli.compare import read_models
 from service.cli.compare_page import comparison_table
 from service.vehicle_file import load

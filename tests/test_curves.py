@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from models.curves import read
+from models.compiler.curves import read
 
 
 def test_it_is_hermites_with_the_slopes_of_parabolas() -> None:

@@ -6,9 +6,9 @@ import pytest
 import sympy
 
 from models import library
-from models.derivatives import Derivatives
+from models.compiler.derivatives import Derivatives
+from models.compiler.equations import Magnitude, Signum, compose
 from models.effects import CATALOGUE
-from models.equations import Magnitude, Signum, compose
 
 X, Y = sympy.symbols("x y", real=True)
 

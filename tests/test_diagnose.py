@@ -201,7 +201,7 @@ class TestDocument:
     def test_what_is_compiled_is_told(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """As on a computer that has none of its models yet."""
         monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
-        monkeypatch.setattr("models.kernel._loaded", {})
+        monkeypatch.setattr("models.compiler.kernel._loaded", {})
         told: list[str] = []
         friction = multisine("coulomb_friction")
         few = ("coulomb_friction", "viscous_friction")

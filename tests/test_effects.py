@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import sympy
 
+from models.compiler.equations import compose
+from models.compiler.kernel import Kernel, compile_model
 from models.effect import Effect, Family, Place, starts
 from models.effects import CATALOGUE, families, find
 from models.effects.custom import load_effect
 from models.effects.reference import markdown
 from models.effects.validation import validate
-from models.equations import compose
 from models.expressions import number
-from models.kernel import Kernel, compile_model
 from models.library import get
 from models.library.axis import axis
 from models.model import Model, ModelError, Sensor

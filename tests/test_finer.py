@@ -10,7 +10,7 @@ from diagnosis.diagnose import Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
 from models.effects import find
 from models.expressions import number
-from models.model_file import ModelFile, read, write
+from models.file.read import ModelFile, read, write
 from service.vehicle_file import load
 from service.virtual_run import record
 from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION

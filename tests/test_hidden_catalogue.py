@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from benchmarks.beside_disturbance import LEARNED, LEVELS
 from models.effect import Place
 from models.effects import CATALOGUE
-from models.model_file import read
+from models.file.read import read
 from service.cli import app
 from service.virtual_run import record
 from simulation.hidden import HIDDEN

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from small_model import GAIN, INITIAL, PLANT, ROWS, SHIFTED, segment
 
-from models.curves import read
+from models.compiler.curves import read
+from models.compiler.kernel import Kernel, compile_model
 from models.expressions import number
-from models.kernel import Kernel, compile_model
 from models.model import Hold, Input, Model, ModelError, Output, Parameter, State
 from models.segment import Segment
 

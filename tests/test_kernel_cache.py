@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from small_model import GAIN, INITIAL, PLANT, SHIFTED, segment
 
-from models import kernel as kernels
-from models import machine_code
-from models.kernel import LOOPS, Kernel, compile_model
+from models.compiler import kernel as kernels
+from models.compiler import machine_code
+from models.compiler.kernel import LOOPS, Kernel, compile_model
 from models.model import Hold
 
 
@@ -106,7 +106,7 @@ START = """
 import json, sys
 import numpy as np
 from models import library
-from models.kernel import compile_model
+from models.compiler.kernel import compile_model
 from models.segment import Segment
 told = []
 kernel = compile_model(library.get("monocab_roll"), progress=told.append)

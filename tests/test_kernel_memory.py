@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from models import library
+from models.compiler.kernel import compile_model
 from models.effects import CATALOGUE
-from models.kernel import compile_model
 from models.model import Model, ModelError
 from models.segment import Segment
 
@@ -19,7 +19,7 @@ UNTOUCHED = 77.0
 
 
 class Guarded:
-    """Stands for numpy in models.kernel: what it allocates has a guard behind it."""
+    """Stands for numpy in models.compiler.kernel: what it allocates has a guard behind it."""
 
     def __init__(self) -> None:
         self.guards: list[np.ndarray] = []
@@ -68,7 +68,7 @@ def test_no_pass_writes_beyond_its_arrays(model: Model, monkeypatch: pytest.Monk
         gain = 1e-2 * random.standard_normal((states, outputs))
         for count in (0, 1, 3, 4, 5, columns):
             numpy = Guarded()
-            monkeypatch.setattr("models.kernel.np", numpy)
+            monkeypatch.setattr("models.compiler.kernel.np", numpy)
             active = random.permutation(columns)[:count].tolist()
             memory = kernel.memory(numpy.zeros((states,)), active)
             predicted, sensitivity = numpy.zeros((rows, outputs)), numpy.zeros((rows, outputs, len(active)))

@@ -20,9 +20,9 @@ from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.recursive.predictor import Seen
-from models.disturbance import disturbed
-from models.kernel import compile_model
+from models.compiler.kernel import compile_model
 from models.model import ModelError
+from models.random.disturbance import disturbed
 from models.segment import Segment
 from service.cli.output import missing_effects
 from service.news import News

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from models.file.history import before_fits, undone
+from models.file.read import read
 from models.model import ModelError
-from models.model_file import read
-from models.model_history import before_fits, undone
 from service import cli
 from telemetry.channels import Channel, ChannelTable
 from telemetry.errors import UprightError

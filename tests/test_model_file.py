@@ -20,13 +20,14 @@ import pytest
 import sympy
 from typer.testing import CliRunner
 
-from models import library, model_sections, rendering
+from models import library, rendering
+from models.compiler.fingerprint import fingerprint
 from models.effect import Place
 from models.effects import CATALOGUE
 from models.expressions import number
-from models.fingerprint import fingerprint
+from models.file import sections as model_sections
+from models.file.read import ModelFile, load_model, parse, read, write
 from models.model import Actuator, Disturbance, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
-from models.model_file import ModelFile, load_model, parse, read, write
 from service import cli
 from service.vehicle_file import load
 
@@ -540,7 +541,7 @@ def crowded() -> Model:
 
 
 def test_the_lines_compute_what_the_kernel_computes(crowded: Model) -> None:
-    from models.equations import Magnitude, Signum, compose
+    from models.compiler.equations import Magnitude, Signum, compose
 
     draw = random.Random(2)
     names = [each.name for each in (*crowded.states, *crowded.inputs, *crowded.parameters)]
@@ -567,7 +568,7 @@ def test_the_lines_compute_what_the_kernel_computes(crowded: Model) -> None:
 
 
 def test_sensors_on_an_actuator_show_how_far_it_is_ahead_of_its_joint() -> None:
-    from models.equations import compose
+    from models.compiler.equations import compose
 
     robot = library.get("twsbr").add("backlash")
     composed = compose(robot)

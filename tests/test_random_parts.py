@@ -21,11 +21,11 @@ from estimators.fit.disturbance import DisturbanceEstimate, NarrowBandEstimate, 
 from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit, prediction_error
-from models.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
+from models.file.read import parse, read
+from models.file.read import write as write_model
 from models.model import Disturbance, Model, ModelError
 from models.model import NarrowBand as KnownBand
-from models.model_file import parse, read
-from models.model_file import write as write_model
+from models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
 from service.replay import load as load_recording
 from service.vehicle_file import load
 from service.virtual_run import record

@@ -18,15 +18,15 @@ from estimators.data.as_recorded import as_recorded
 from estimators.identify.run import nominal_model, with_values
 from estimators.roll_filter import RollFilter, RollFilterConfig
 from models import library, rendering
+from models.compiler.equations import compose
+from models.compiler.fingerprint import fingerprint
+from models.compiler.kernel import compile_model
 from models.effect import EffectParameter
 from models.effects import find
 from models.effects.validation import validate
-from models.equations import compose
-from models.fingerprint import fingerprint
-from models.kernel import compile_model
+from models.file.read import ModelFile, read, write
 from models.library.axis import axis
 from models.model import Filter, Input, Model, ModelError, Output, Parameter, Sensor, State
-from models.model_file import ModelFile, read, write
 from models.segment import Segment
 from models.sensing import FILTERED
 from service.vehicle_file import load

@@ -23,10 +23,10 @@ from estimators.fit.likelihood import Likelihood
 from estimators.fit.problem import Problem, problem
 from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, prediction_error
-from models.disturbance import disturbed, undisturbed
 from models.effect import Effect, EffectParameter, EffectState, Family, Place
 from models.library.axis import axis
 from models.model import Disturbance, Model, State
+from models.random.disturbance import disturbed, undisturbed
 from service.vehicle_file import load
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording

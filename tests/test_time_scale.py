@@ -19,8 +19,8 @@ from estimators.data.time_scale import motion_time, time_scale
 from models import library
 from models.effect import starts
 from models.effects import CATALOGUE
+from models.file.read import load_model
 from models.model import Model, ModelError
-from models.model_file import load_model
 from models.natural_time import natural_time
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording

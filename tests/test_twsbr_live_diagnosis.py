@@ -25,8 +25,8 @@ from estimators.data.segments import after_settling
 from estimators.identify.run import nominal_model
 from estimators.recursive.frame_chunks import Chunk, FrameChunks
 from models import library
+from models.file.read import ModelFile, read, write
 from models.model import Model
-from models.model_file import ModelFile, read, write
 from service.cli import app
 from service.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.replay import live_diagnosis

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, RigidBody, dynamicsymbols, inertia
 
-from models.equations import compose
+from models.compiler.equations import compose
+from models.compiler.kernel import Kernel, compile_model
 from models.expressions import number
-from models.kernel import Kernel, compile_model
 from models.library import get
 from models.library.twsbr import GRAVITY
 from models.model import Model

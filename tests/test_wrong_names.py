@@ -13,9 +13,9 @@ from diagnosis.lack_of_fit.shapes import Shape
 from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
 from estimators.identify.run import nominal_model, with_values
 from models import library
+from models.compiler.kernel import compile_model
 from models.effect import Effect, check_names
 from models.effects import find
-from models.kernel import compile_model
 from models.model import ModelError
 from models.segment import Segment
 from service.vehicle_file import load

@@ -34,11 +34,11 @@ from estimators.fit.problem import problem
 from estimators.fit.result import inverse
 from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, result
 from estimators.stopwatch import stopwatch
-from models.disturbance import undriven
+from models.compiler.kernel import Progress
 from models.effect import AttachedEffect, starts
-from models.kernel import Progress
 from models.model import Model
 from models.natural_time import rounded
+from models.random.disturbance import undriven
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from diagnosis.lack_of_fit.shapes import Design
 from diagnosis.score.whitened import Whitened
 from estimators.data.input_noise import input_noise, rough
 from estimators.methods.prediction_error import Fit
-from models.input_noise import InputNoise, noisy_inputs
+from models.random.input_noise import InputNoise, noisy_inputs
 
 
 def not_acting(fitted: Fit) -> list[InputNoise]:

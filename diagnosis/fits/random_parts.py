@@ -28,10 +28,10 @@ from diagnosis.trial import tried
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.problem import Problem
 from estimators.methods.prediction_error import Begin, Fit
-from models.disturbance import narrow_at_joints, power_share, with_narrow_band
-from models.input_noise import InputNoise, with_input_noise
 from models.model import Model, NarrowBand
-from models.sensor_error import at_outputs, with_error
+from models.random.disturbance import narrow_at_joints, power_share, with_narrow_band
+from models.random.input_noise import InputNoise, with_input_noise
+from models.random.sensor_error import at_outputs, with_error
 
 RANDOM = "random parts beside the disturbance"
 """What they are called where there was no time for them."""

@@ -25,8 +25,8 @@ from estimators.fit.result import inverse
 from estimators.methods.prediction_error import Begin, Fit, fit
 from models.effect import Place
 from models.model import Model
+from models.random.sensor_error import random_count
 from models.sensing import delayed
-from models.sensor_error import random_count
 
 Array = NDArray[np.float64]
 

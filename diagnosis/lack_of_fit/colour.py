@@ -29,9 +29,9 @@ from diagnosis.score.whitened import PEAKS, SLOWEST, whitening
 from estimators.data.time_scale import time_scale
 from estimators.fit.innovations import NoiseModel
 from estimators.methods.prediction_error import Fit
-from models.disturbance import at_joints, narrow_at_joints
-from models.random_part import LEAST_ROWS, LEAST_TIMES, PERIODS
-from models.sensor_error import at_outputs
+from models.random.disturbance import at_joints, narrow_at_joints
+from models.random.part import LEAST_ROWS, LEAST_TIMES, PERIODS
+from models.random.sensor_error import at_outputs
 
 Array = NDArray[np.float64]
 

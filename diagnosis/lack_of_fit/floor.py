@@ -29,8 +29,8 @@ from estimators.fit.innovations import NoiseModel
 from estimators.fit.problem import Problem
 from estimators.fit.stationary import stationary
 from estimators.methods.prediction_error import Fit
-from models.disturbance import parameters_of
 from models.model import State
+from models.random.disturbance import parameters_of
 
 Array = NDArray[np.float64]
 

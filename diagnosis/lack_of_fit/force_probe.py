@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from diagnosis.lack_of_fit.floor import Floor, Innovations
 from estimators.fit.problem import typical_motion
+from models.compiler.kernel import Kernel, Progress, compile_model
 from models.expressions import names_in
-from models.kernel import Kernel, Progress, compile_model
 from models.model import Hold, Input, Joint, Model, Output
 from models.segment import Segment
 

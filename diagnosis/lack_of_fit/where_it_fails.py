@@ -30,7 +30,7 @@ from diagnosis.lack_of_fit.force_bins import Binned, Term, binned_forces, mean_f
 from diagnosis.lack_of_fit.force_probe import probe
 from diagnosis.lack_of_fit.missing_force import MissingForce, missing_force
 from estimators.data.time_scale import time_scale
-from models.kernel import Progress
+from models.compiler.kernel import Progress
 
 Array = NDArray[np.float64]
 Entry = dict[str, Any]

@@ -31,9 +31,9 @@ from estimators.fit.problem import at_rest as moment_at_rest
 from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.prediction_error import CHUNK, RecursivePredictionError, as_it_runs, at_rest, known_as
 from estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
+from models.compiler.kernel import Kernel, Memory, Progress, compile_model
 from models.effect import Effect
 from models.effects import CATALOGUE
-from models.kernel import Kernel, Memory, Progress, compile_model
 from models.model import Model, ModelError
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.samples import Frame

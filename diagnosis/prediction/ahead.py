@@ -13,7 +13,7 @@ filtered state, and what a roll filter integrates of it on the way, Q,
     covariance(h) = R + D_h P D_h' + sum over 0 < j < h of  D_j Q D_j'.
 
 There process noise, by which a model admits that something is missing, has no part but in the filter's gain: only that
-of a disturbance (models.disturbance), which no model predicts, is in Q and P as the fit found it.
+of a disturbance (models.random.disturbance), which no model predicts, is in Q and P as the fit found it.
 Source: Ljung, "System identification", 2nd ed., section 3.2.
 """
 
@@ -33,7 +33,7 @@ from estimators.fit.innovations import NoiseModel
 from estimators.fit.problem import Problem
 from estimators.fit.stationary import stationary
 from estimators.methods.prediction_error import Fit
-from models.kernel import Memory
+from models.compiler.kernel import Memory
 from models.segment import Segment
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.fit.problem import Problem, problem
-from models.kernel import Memory
+from models.compiler.kernel import Memory
 from models.model import Hold, Model
 from models.segment import Segment
 

@@ -30,7 +30,7 @@ from diagnosis.lack_of_fit.floor import QUIETEST, Innovations
 from diagnosis.prediction.closed_loop import Controller, Limit, steps
 from estimators.data.time_scale import time_scale
 from estimators.data.white_noise import white_variance
-from models.kernel import Memory
+from models.compiler.kernel import Memory
 from models.segment import Segment
 
 Array = NDArray[np.float64]

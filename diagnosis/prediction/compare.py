@@ -26,7 +26,7 @@ from estimators.data.time_scale import horizon
 from estimators.fit.disturbance import DisturbanceEstimate, disturbances, is_of_disturbance
 from estimators.fit.problem import Problem, problem
 from estimators.methods.prediction_error import Fit, fit
-from models.kernel import Progress
+from models.compiler.kernel import Progress
 from models.model import Model
 from models.segment import Segment
 from telemetry.recording import Recording

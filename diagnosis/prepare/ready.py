@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from diagnosis.prepare.time_offsets import timed, untimed
 from estimators.data.as_recorded import as_recorded
-from models.disturbance import disturbed, undisturbed
-from models.input_noise import without_input_noise
 from models.model import Model
+from models.random.disturbance import disturbed, undisturbed
+from models.random.input_noise import without_input_noise
 from telemetry.recording import Recording
 
 

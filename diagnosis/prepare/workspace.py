@@ -19,8 +19,8 @@ from estimators.data.resting import without_rests
 from estimators.data.segments import segments
 from estimators.data.time_scale import time_scale
 from estimators.fit.problem import Problem, problem
+from models.compiler.kernel import Progress
 from models.effect import Effect
-from models.kernel import Progress
 from models.model import Model
 from models.segment import Segment
 from telemetry.recording import Recording

@@ -7,8 +7,8 @@ innovations and nuisances at all shifts are correlations. The screen then looks 
 shape.
 
 What sets in takes as long as is usual, or is as sharp as the effect can be. A predictor that knows a random force at
-the joint (models.disturbance) follows a step within a few rows: only these show it, and a slow step that is tried at
-another instant than theirs explains next to nothing of a sudden one.
+the joint (models.random.disturbance) follows a step within a few rows: only these show it, and a slow step that is
+tried at another instant than theirs explains next to nothing of a sudden one.
 """
 
 from __future__ import annotations

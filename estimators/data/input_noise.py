@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from estimators.fit.problem import Problem
-from models.input_noise import InputNoise
+from models.random.input_noise import InputNoise
 
 Array = NDArray[np.float64]
 

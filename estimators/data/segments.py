@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import EstimationError, Status
-from models.curves import read
+from models.compiler.curves import read
 from models.expressions import names_in
 from models.model import Hold, Input, Model, Output
 from models.natural_time import USUAL, natural_time

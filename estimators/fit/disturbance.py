@@ -1,4 +1,4 @@
-"""The random disturbance that a fit found at each joint (models.disturbance): its RMS and its correlation time.
+"""The random disturbance that a fit found at each joint (models.random.disturbance): its RMS and its correlation time.
 
     std = q sqrt(correlation_time / 2)
 
@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.result import inverse
-from models.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
 from models.model import Joint, Model
-from models.random_part import LEAST_TIMES
+from models.random.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
+from models.random.part import LEAST_TIMES
 
 if TYPE_CHECKING:
     from estimators.methods.prediction_error import Fit

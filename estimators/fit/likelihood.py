@@ -21,7 +21,7 @@ from estimators.fit.gauss_newton import Expansion, Normal
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.long_run import LongRun, long_run
 from estimators.fit.problem import Problem
-from models.kernel import ELSEWHERE
+from models.compiler.kernel import ELSEWHERE
 
 Array = NDArray[np.float64]
 

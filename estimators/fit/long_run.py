@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.fit.innovations import NoiseModel
-from models.disturbance import parameters_of, power_share
+from models.random.disturbance import parameters_of, power_share
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from estimators.data.segments import segments
 from estimators.data.white_noise import white_variance
 from estimators.fit.gauss_newton import Block
 from models import library
-from models.disturbance import parameters_of
+from models.compiler.kernel import Kernel, Progress, Run, compile_model
 from models.expressions import number
-from models.kernel import Kernel, Progress, Run, compile_model
 from models.model import Model, Parameter
+from models.random.disturbance import parameters_of
 from models.segment import Segment
 from telemetry.recording import Recording
 

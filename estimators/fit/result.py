@@ -17,8 +17,8 @@ from estimators.contract import Estimate, ParameterEstimate, Status
 from estimators.data.segments import DataError
 from estimators.fit.gauss_newton import Minimum
 from estimators.fit.problem import Problem
-from models.disturbance import parameters_of
 from models.model import Model, Parameter
+from models.random.disturbance import parameters_of
 
 if TYPE_CHECKING:
     from estimators.fit.disturbance import DisturbanceEstimate

@@ -1,5 +1,6 @@
 """The random errors of a fit's sensors beside the white noise of outputs, with their standard deviations: what wanders
-or vibrates in an output (models.sensor_error), and white noise of a measured input (models.input_noise)."""
+or vibrates in an output (models.random.sensor_error), and white noise of a measured input
+(models.random.input_noise)."""
 
 from __future__ import annotations
 
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from estimators.data.input_noise import input_noise
 from estimators.fit.disturbance import Found, NarrowBandEstimate, with_error
-from models.input_noise import SHARE, noisy_inputs
-from models.sensor_error import at_outputs
+from models.random.input_noise import SHARE, noisy_inputs
+from models.random.sensor_error import at_outputs
 
 if TYPE_CHECKING:
     from estimators.methods.prediction_error import Fit

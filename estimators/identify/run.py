@@ -31,7 +31,7 @@ from estimators.recursive.torque_balance import Method as BalanceMethod
 from estimators.recursive.torque_balance import TorqueBalance
 from estimators.stopwatch import stopwatch
 from models import library
-from models.kernel import compile_model
+from models.compiler.kernel import compile_model
 from models.model import Model
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError, UprightError

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
 from models import library
-from models.equations import Equations, Magnitude, Signum, compose
+from models.compiler.equations import Equations, Magnitude, Signum, compose
 from models.expressions import parse
 from models.model import Hold, Joint, Model
 from models.segment import Segment

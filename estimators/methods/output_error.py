@@ -29,7 +29,7 @@ from estimators.fit.problem import Problem, jacobian, problem
 from estimators.fit.result import assemble, inverse, refused, with_known
 from estimators.stopwatch import stopwatch
 from models import library
-from models.kernel import Progress, compile_model
+from models.compiler.kernel import Progress, compile_model
 from models.model import Model
 from telemetry.recording import Recording
 

@@ -29,9 +29,9 @@ from estimators.fit.released import freed
 from estimators.fit.result import assemble, inverse, refused, with_known
 from estimators.stopwatch import stopwatch
 from models import library
-from models.disturbance import disturbed
-from models.kernel import Progress
+from models.compiler.kernel import Progress
 from models.model import Model
+from models.random.disturbance import disturbed
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -26,9 +26,9 @@ from estimators.fit.problem import Problem, substeps_of, usual_motion
 from estimators.recursive.frame_chunks import FrameChunks
 from estimators.recursive.predictor import RecursivePredictor, Seen
 from models import library
-from models.disturbance import disturbed, parameters_of
-from models.kernel import Progress, compile_model
+from models.compiler.kernel import Progress, compile_model
 from models.model import Model, Parameter
+from models.random.disturbance import disturbed, parameters_of
 from models.segment import Segment
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.samples import Frame

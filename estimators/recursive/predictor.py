@@ -39,8 +39,8 @@ from estimators.fit.result import assemble
 from estimators.methods.prediction_error import FLOOR
 from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
+from models.compiler.kernel import Memory
 from models.expressions import number
-from models.kernel import Memory
 from models.model import Output
 from models.segment import Segment
 

@@ -50,7 +50,7 @@ def show(
     that an effect replaces.
     """
     from models import rendering
-    from models.model_file import ModelFile, load_model, read
+    from models.file.read import ModelFile, load_model, read
 
     file = read(name) if name.endswith(".toml") else ModelFile(load_model(name))
     shown = file.model
@@ -135,8 +135,8 @@ def new(
     from dataclasses import replace
 
     from models import library
+    from models.file.read import ModelFile, parse, write
     from models.model import ModelError
-    from models.model_file import ModelFile, parse, write
 
     if file.suffix != ".toml":
         raise ModelError(str(file), "is no name for a model file", remedy="let it end in .toml.")
@@ -167,7 +167,7 @@ def remove(
     """Remove an effect from a model file, with a history entry."""
     from dataclasses import replace
 
-    from models.model_file import read, write
+    from models.file.read import read, write
 
     before = read(file)
     changed = before.model.remove(effect)

@@ -9,8 +9,8 @@ from typing import Any
 
 from diagnosis.revise.result import Repair
 from estimators.report import significant
+from models.file.history import values_of
 from models.model import Model
-from models.model_history import values_of
 
 
 def rounded(found: Repair) -> Model:

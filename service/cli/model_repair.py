@@ -14,7 +14,7 @@ from service.cli.output import page, print_json
 if TYPE_CHECKING:
     from diagnosis.revise.result import Repair
     from models.effect import Effect
-    from models.model_file import ModelFile
+    from models.file.read import ModelFile
     from telemetry.recording import Recording
 
 FileArgument = Annotated[Path, typer.Argument(help="A model file, .toml.")]
@@ -75,7 +75,7 @@ def add(
     import os
 
     from models.effects.custom import load_effect
-    from models.model_file import write
+    from models.file.read import write
 
     if not recording and (held_out or picture):
         raise typer.BadParameter("needs a --recording to fit the model to.", param_hint="--held-out, --picture")
@@ -137,8 +137,8 @@ def undo(file: FileArgument, json: JsonOption = False) -> None:
 
     A parameter that was changed by hand since keeps its value.
     """
-    from models.model_file import read, write
-    from models.model_history import undone
+    from models.file.history import undone
+    from models.file.read import read, write
 
     before = read(file)
     after, effect, kept = undone(before)
@@ -160,8 +160,8 @@ def drop_test(
 ) -> None:
     """Fit the model without each of its effects in turn: which of them are needed, and which can go."""
     from diagnosis.revise.drop_tests import drop_tests
-    from models.model_file import read
-    from models.model_history import before_fits
+    from models.file.history import before_fits
+    from models.file.read import read
     from service.cli.batch import working
 
     model, support = before_fits(read(file)), _support(vehicle)
@@ -178,7 +178,7 @@ def drop_test(
 
 def _start(name: str, vehicle: str | None) -> ModelFile:
     """What to add to: a model file, or a shipped model with the CAD values of the vehicle."""
-    from models.model_file import ModelFile, load_model, read
+    from models.file.read import ModelFile, load_model, read
 
     if name.endswith(".toml"):
         return read(name)
@@ -226,7 +226,7 @@ def _repair(
     vehicle: str | None,
 ) -> Repair:
     from diagnosis.revise.revision import repair
-    from models.model_history import before_fits
+    from models.file.history import before_fits
     from service.cli.batch import working
 
     support = _support(vehicle)

@@ -143,7 +143,7 @@ class Dashboard:
         return JSONResponse({"model": await asyncio.to_thread(self._read_model)})
 
     def _read_model(self) -> dict[str, Any] | None:
-        from models.model_file import read
+        from models.file.read import read
 
         if not self._model_file.is_file():
             return None

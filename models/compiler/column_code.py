@@ -10,7 +10,7 @@ outputs by the states, K the gain, S the state's sensitivities, each k x width:
     correct  S = S - K shown
     steer    S = S + K' error, K' the gain's derivative by each column
 
-Entries of A and C that are always zero take no time. Called by models.kernel_loops.
+Entries of A and C that are always zero take no time. Called by models.compiler.loops.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from models.machine_code import LANES
+from models.compiler.machine_code import LANES
 
 COLUMN_FUNCTIONS = ("begin", "middle", "finish", "show", "correct", "steer")
 NOTHING = 1e-150

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models import library
+from models.file.own_equations import base_model, given
+from models.file.sections import EffectSection, HistorySection, sections
 from models.model import Model, ModelError
-from models.model_sections import EffectSection, HistorySection, sections
-from models.own_equations import base_model, given
 
 if TYPE_CHECKING:
     from models.effect import AttachedEffect, Effect
@@ -86,7 +86,7 @@ def write(file: ModelFile, path: str | Path) -> None:
     Raises:
         ModelError: `file` cannot be said in a model file (an own effect without a file), or it cannot be written.
     """
-    from models import model_writing
+    from models.file import write as model_writing
 
     path = Path(os.path.realpath(path))
     for attached in file.model.effects:

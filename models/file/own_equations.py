@@ -1,7 +1,7 @@
 """The model that the tables of a model file describe: a shipped one with other values, or equations of the user's own.
 
 Own equations are checked here, so that whatever is wrong is named by file and key: names that are taken or unknown,
-references that lead nowhere, values out of bounds. Effects come after it (models.model_file).
+references that lead nowhere, values out of bounds. Effects come after it (models.file.read).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from models import library
 from models.expressions import check, length, name_problem, names_in
+from models.file.sections import JointSection, ModelSection, ParameterSection, Section, one_of
 from models.model import (
     Actuator,
     Disturbance,
@@ -27,8 +28,7 @@ from models.model import (
     Sensor,
     State,
 )
-from models.model_sections import JointSection, ModelSection, ParameterSection, Section, one_of
-from models.random_part import MOST_DAMPED
+from models.random.part import MOST_DAMPED
 
 Build = TypeVar("Build")
 

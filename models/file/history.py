@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from models.file.read import ModelFile
 from models.model import Model, ModelError
-from models.model_file import ModelFile
 
 
 def values_of(before: Model, after: Model) -> dict[str, dict[str, dict[str, float]]]:

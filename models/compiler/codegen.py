@@ -2,7 +2,7 @@
 
 SymPy derives and finds common subexpressions. The products, sums and functions that are left are written down directly,
 which takes a hundredth of the time that numba's front end does. These functions come out, called by
-models.kernel_loops, and those of models.column_code:
+models.compiler.loops, and those of models.compiler.column_code:
 
     prepare    what depends on parameters alone, once a pass
     slopes     the states' derivatives; where asked, how these depend on states, parameters, inputs, then the inputs'
@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 
 import sympy
 
-from models.column_code import Lines, column_functions, number
-from models.derivatives import Derivatives
-from models.equations import Equations, Magnitude, Signum, compose
+from models.compiler.column_code import Lines, column_functions, number
+from models.compiler.derivatives import Derivatives
+from models.compiler.equations import Equations, Magnitude, Signum, compose
 from models.model import Hold, Model, ModelError
 
 FUNCTIONS = {

@@ -1,6 +1,6 @@
 """A model file as text: written anew, or as small changes to the text that is there.
 
-What is written is read again before it is used (models.model_file.write), so a change of an unusual file may go wrong
+What is written is read again before it is used (models.file.read.write), so a change of an unusual file may go wrong
 here without harm.
 """
 
@@ -17,7 +17,7 @@ from models.effect import AttachedEffect, attach
 from models.model import Disturbance, Filter, Model, NarrowBand, Parameter
 
 if TYPE_CHECKING:
-    from models.model_file import ModelFile
+    from models.file.read import ModelFile
 
 _VALUES = ("value", "std", "lower", "upper", "estimated", "scale")
 _INTRODUCTION = """\

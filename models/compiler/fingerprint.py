@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from models import machine_code
+from models.compiler import machine_code
 from models.model import Model
 
 
@@ -38,18 +38,10 @@ def digest(*parts: Any) -> str:
 def _sources() -> str:
     """Changes with any change of the code that makes machine code."""
     here = Path(__file__).parent
-    names = (
-        "codegen",
-        "column_code",
-        "derivatives",
-        "equations",
-        "expressions",
-        "expression_syntax",
-        "kernel_loops",
-        "machine_code",
-        "sensing",
-    )
-    return hashlib.sha256(b"".join((here / f"{name}.py").read_bytes() for name in names)).hexdigest()
+    compiler = ("codegen", "column_code", "derivatives", "equations", "loops", "machine_code")
+    above = ("expressions", "expression_syntax", "sensing")
+    files = [*(here / f"{name}.py" for name in compiler), *(here.parent / f"{name}.py" for name in above)]
+    return hashlib.sha256(b"".join(each.read_bytes() for each in files)).hexdigest()
 
 
 SOURCES = _sources()

@@ -2,8 +2,8 @@
 
 With no gain it is a simulation; with a Kalman gain the state is corrected row by row and the errors are innovations.
 A model's equations become machine code in a fraction of a second, the loops around them in seconds, once on a computer.
-Both are kept on disk (models.machine_code), named by the model's structure and all the code that makes them: a later
-start compiles nothing and imports neither numba nor SymPy. Parameter values are no part of the structure.
+Both are kept on disk (models.compiler.machine_code), named by the model's structure and all the code that makes them: a
+later start compiles nothing and imports neither numba nor SymPy. Parameter values are no part of the structure.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from models import machine_code
-from models.column_code import COLUMN_FUNCTIONS
-from models.fingerprint import SOURCES, digest, fingerprint
+from models.compiler import machine_code
+from models.compiler.column_code import COLUMN_FUNCTIONS
+from models.compiler.fingerprint import SOURCES, digest, fingerprint
 from models.model import Model, ModelError
 from models.segment import Segment
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
-"""What the code of a model consists of (models.codegen, models.column_code)."""
+"""What the code of a model consists of (models.compiler.codegen, models.compiler.column_code)."""
 LOOPS = "upright_run"
 LARGEST = 1e30
 LINE = 64
@@ -309,7 +309,7 @@ def compile_model(model: Model, *, neutral: Sequence[str] = (), progress: Progre
         _loops(progress)
         found = machine_code.recall(name)
         if found is None:
-            from models.codegen import generate
+            from models.compiler.codegen import generate
 
             progress(f"model {model.name}: compiling")
             made = generate(model, neutral)
@@ -334,14 +334,14 @@ def compile_model(model: Model, *, neutral: Sequence[str] = (), progress: Progre
 
 
 def _loops(progress: Progress | None = None) -> Any:
-    """models.kernel_loops.run, compiled."""
+    """models.compiler.loops.run, compiled."""
     if LOOPS not in _loaded:
         name = f"loops-{digest(SOURCES, machine_code.processor())}"
         found = machine_code.recall(name)
         if found is None:
             if progress is not None:
                 progress("compiling the integrator, once on this computer")
-            from models.kernel_loops import intermediate_code
+            from models.compiler.loops import intermediate_code
 
             found = machine_code.assemble(intermediate_code(LOOPS), {}, optimise=True)
             machine_code.keep(name, found)

@@ -1,6 +1,6 @@
 """The random disturbance at the joints of a machine: wind, rail, cables and people push every real one.
 
-A first-order random force (models.random_part) beside a joint's load; white process noise is its limit for short
+A first-order random force (models.random.part) beside a joint's load; white process noise is its limit for short
 correlation times, a drift that for long ones. Its RMS and correlation time are estimated with the parameters, by
 maximum likelihood. `disturbed` puts it into a model that is about to meet a record.
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from models.expressions import names_in
 from models.model import Disturbance, Joint, Model, NarrowBand, State
-from models.random_part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
+from models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
 from telemetry.recording import Recording
 
 SMALL = 0.02

@@ -1,6 +1,6 @@
 """The random errors that a sensor makes beside white noise: what wanders, and what vibrates.
 
-An error of first order or of a narrow band (models.random_part) adds to what an output shows, and goes into the states
+An error of first order or of a narrow band (models.random.part) adds to what an output shows, and goes into the states
 that integrate the output's noise, as those of a filter do. Where a record asks for one is for
 diagnosis.fits.random_parts to say.
 """
@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from models.disturbance import narrow_at_joints
 from models.expressions import names_in
-from models.input_noise import noisy_inputs
 from models.model import Model, NarrowBand, Output
-from models.random_part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
+from models.random.disturbance import narrow_at_joints
+from models.random.input_noise import noisy_inputs
+from models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
 
 PREFIX = "error_of_"
 FIRST = 5.0

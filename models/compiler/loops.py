@@ -9,8 +9,8 @@ exact response to a straight line over each piece, and is exactly neutral at lag
 was held before the first row.
 
 numba translates this file once on a computer, not once a model: sizes are arguments and a model's equations
-(models.codegen) are called by address. Arrays are bare pointers, row by row; nothing is allocated and nothing can
-raise. models.kernel, the only caller, sees to the sizes.
+(models.compiler.codegen) are called by address. Arrays are bare pointers, row by row; nothing is allocated and nothing
+can raise. models.compiler.kernel, the only caller, sees to the sizes.
 """
 
 # mypy: ignore-errors
@@ -23,7 +23,7 @@ from llvmlite import ir
 from numba import cfunc, config, njit, types
 from numba.extending import intrinsic
 
-from models.machine_code import LANES
+from models.compiler.machine_code import LANES
 
 NUMBER, INTEGER = types.float64, types.int64
 NUMBERS, INTEGERS = types.CPointer(NUMBER), types.CPointer(INTEGER)
@@ -53,7 +53,7 @@ def _equations(typing, address, t, x, u, slope, p, constants, column, width, der
 
 @intrinsic
 def _stage(typing, address, width, A, B, S, stage_S, total_S, ahead, weight):
-    """The sensitivities' part of a stage: begin, middle or finish of models.column_code."""
+    """The sensitivities' part of a stage: begin, middle or finish of models.compiler.column_code."""
     kinds = (INTEGER, INTEGER, *[NUMBERS] * 5, NUMBER, NUMBER)
     return types.void(*kinds), lambda context, builder, _, values: _call(builder, context, values)
 
@@ -66,7 +66,7 @@ def _show(typing, address, width, C, D, S, shown):
 
 @intrinsic
 def _correct(typing, address, width, first, second, S):
-    """correct or steer of models.column_code."""
+    """correct or steer of models.compiler.column_code."""
     return types.void(INTEGER, INTEGER, *[NUMBERS] * 3), lambda context, builder, _, v: _call(builder, context, v)
 
 
@@ -225,8 +225,8 @@ def run(
     x, given_S (NX, na), memory, given_memory_S (NU, na) and pointer are taken over and left as they are after the last
     row's correction. `skip`: the first row was predicted and corrected already. `active`: by column the parameter's
     number, others where it is none; gain_S (NX * NY, na), read where `moving_gain`, are the gain's derivatives by the
-    columns. `functions` are the addresses of models.kernel.FUNCTIONS, `structure` is that of models.codegen.Code;
-    `work` and `places` are space, all zero.
+    columns. `functions` are the addresses of models.compiler.kernel.FUNCTIONS, `structure` is that of
+    models.compiler.codegen.Code; `work` and `places` are space, all zero.
     """
     prepare, slopes, observe = functions[0], functions[1], functions[2]
     begin_stage, middle_stage, finish_stage = functions[3], functions[4], functions[5]
