@@ -26,8 +26,8 @@ from estimators.methods.prediction_error import prediction_error
 from models.library import ACTUATORS
 from service.cli.diagnose import default_budget
 from service.hidden_effects.trial import Bench
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.hidden import HIDDEN
 from telemetry.errors import UprightError
 

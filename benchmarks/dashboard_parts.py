@@ -18,9 +18,9 @@ from typing import Any
 import uvicorn
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from service.api import ApiError, call
+from service.control.api import ApiError, call
 from service.dashboard.app import Dashboard, Settings
-from service.vehicle_sections import VehicleFile
+from service.vehicle_file.sections import VehicleFile
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import paho.mqtt.client as mqtt
 
-from service.mqtt_payloads import TelemetryBatches
-from service.vehicle_sections import VehicleFile
+from service.mqtt.payloads import TelemetryBatches
+from service.vehicle_file.sections import VehicleFile
 from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
 

@@ -25,9 +25,9 @@ from dashboard_story import Teller
 from scipy.stats import t as student
 
 from drivers.bus_address import connect
-from service.assembly import imu_config
-from service.vehicle_file import load
-from service.vehicle_sections import VehicleFile
+from service.control.assembly import imu_config
+from service.vehicle_file.file import load
+from service.vehicle_file.sections import VehicleFile
 
 BUS = "udp_multicast:239.74.163.91"
 PAGES = 10

@@ -40,8 +40,8 @@ from models.effects import CATALOGUE
 from models.library import ACTUATORS
 from service.hidden_effects.cases import pairs
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.hidden import HIDDEN, UNLISTED
 from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
 from telemetry.clock import by_the_clock

@@ -25,8 +25,8 @@ from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
 from estimators.identify.run import nominal_model, with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.recording import Recording
 
 VEHICLE = load("monocab")

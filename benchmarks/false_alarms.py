@@ -28,9 +28,9 @@ from estimators.methods.prediction_error import fit
 from models.model import Model
 from service.hidden_effects.disturbances import DRAWN, Disturbances, parse_disturbances, sensor_floor
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file import load
-from service.virtual_run import record
-from service.virtual_vehicle import TWINS
+from service.vehicle_file.file import load
+from service.virtual.run import record
+from service.virtual.vehicle import TWINS
 from simulation.config import ImuNode, Truth
 from telemetry.recording import Recording
 

@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from service.api import ApiError, call
+from service.control.api import ApiError, call
 
 BUS = "udp_multicast:239.74.163.77"
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]

@@ -33,7 +33,7 @@ from examples import emps, quarter_drone, unbalanced_disk
 from models.file.read import load_model
 from models.model import Disturbance, Model
 from service.cli.diagnose import default_budget
-from service.vehicle_file import load as vehicle
+from service.vehicle_file.file import load as vehicle
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording, load
 

@@ -36,8 +36,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.config import PlantTruth
 from telemetry.recording import load as load_recording
 

@@ -22,7 +22,7 @@ from estimators.bounded_fit import BoundedFit, bounded_fit
 from estimators.fit.innovations import WIDEST
 from estimators.fit.likelihood import Likelihood
 from models.library import get
-from service.virtual_run import record
+from service.virtual.run import record
 
 Array = NDArray[np.float64]
 

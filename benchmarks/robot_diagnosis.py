@@ -32,10 +32,10 @@ from typing import Any
 
 from diagnosis.prediction.compare import compare
 from models.library import get
-from service.recorded_loop import recorded_loop
-from service.replay import live_diagnosis
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.offline.recorded_loop import recorded_loop
+from service.offline.replay import live_diagnosis
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 from simulation.twsbr.truth import TwsbrTruth
 

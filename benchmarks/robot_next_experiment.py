@@ -24,9 +24,9 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import Rival, fitted_rivals
 from estimators.identify.run import nominal_model, with_values
 from models.model import Model
-from service.next_experiment import experiments_of
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.offline.next_experiment import experiments_of
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.recording import Recording
 
 VEHICLE = load("twsbr")

@@ -29,7 +29,7 @@ from estimators.methods.prediction_error import Fit, fit, predicted_percent
 from estimators.validation import in_windows, on_others
 from models.library import get
 from models.library.twsbr import TOLD_NEAR_UPRIGHT
-from service.virtual_run import record
+from service.virtual.run import record
 from telemetry.recording import Recording
 
 MODEL = get("twsbr")

@@ -11,8 +11,8 @@ import sys
 import estimators
 from estimators.identify.run import with_values
 from models import library
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.recording import Recording
 
 if len(sys.argv) > 1:

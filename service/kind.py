@@ -18,8 +18,8 @@ from typing import Any, Protocol, TypeVar
 
 from drivers.cia402.states import State
 from estimators.roll_filter import RollState
-from service.excitation import Excitation
-from service.safety import Bound
+from service.control.excitation import Excitation
+from service.control.safety import Bound
 from telemetry.channels import ChannelTable
 
 

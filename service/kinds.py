@@ -2,7 +2,8 @@
 
     kind = kinds.of(vehicle, io)
 
-A further kind is an entry here, one in `service.vehicle_file`, a channel table, and a package like `service.twsbr`.
+A further kind is an entry here, one in `service.vehicle_file.file`, a channel table, and a package like
+`service.twsbr`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from drivers.vehicle_io import VehicleIo
 from service.kind import Kind
 from service.monocab.kind import Monocab
 from service.twsbr.kind import Twsbr
-from service.vehicle_file import VehicleFile
+from service.vehicle_file.file import VehicleFile
 
 KINDS: dict[str, Callable[[Any, VehicleIo], Kind[Any]]] = {"monocab": Monocab, "twsbr": Twsbr}
 """What makes a kind of its own vehicle file and drivers."""

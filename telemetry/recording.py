@@ -1,7 +1,7 @@
 """A recording: the channels of one experiment over time, in SI units, with where they come from as metadata.
 
 Files: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv` (column names = channel names).
-A raw `.log` needs the vehicle file to become a recording, see `service.replay`.
+A raw `.log` needs the vehicle file to become a recording, see `service.offline.replay`.
 """
 
 from __future__ import annotations

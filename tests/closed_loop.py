@@ -1,4 +1,4 @@
-"""The control loop and the virtual vehicle without a bus between them (service.virtual_run), and what tests do to it.
+"""The control loop and the virtual vehicle without a bus between them (service.virtual.run), and what tests do to it.
 
 Fast and deterministic, for tests of what the loop decides. The same two meet on real buses in the other tests.
 """
@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivers.bus import BusDown
-from service import virtual_run
-from service.vehicle_file import VehicleFile, load
+from service.vehicle_file.file import VehicleFile, load
+from service.virtual import run as virtual_run
 from telemetry.samples import CanFrame
 
 

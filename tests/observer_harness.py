@@ -11,8 +11,8 @@ from typing import Any
 
 import small_vehicle
 
-from service.observer_client import ObserverClient
-from service.vehicle_file import load
+from service.observer.client import ObserverClient
+from service.vehicle_file.file import load
 from telemetry.samples import Frame
 
 VEHICLE = load("monocab")
@@ -20,7 +20,7 @@ VEHICLE = load("monocab")
 
 def hello(data: Path, broker: str = "", **mqtt: Any) -> dict[str, Any]:
     """What control says of the shipped vehicle, with in-process buses."""
-    from service.assembly import observer_hello
+    from service.control.assembly import observer_hello
 
     return {
         **observer_hello(VEHICLE, data, []),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.api import ApiError, call
+from service.control.api import ApiError, call
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 

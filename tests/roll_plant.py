@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from models.control_design import RollDesign
-from service.excitation import Excitation, InjectionPoint
+from service.control.excitation import Excitation, InjectionPoint
 from service.monocab.controller import RollController, design
 from service.monocab.rise import Lowering, RiseFromRest, rise_rate
-from service.vehicle_file import VehicleFile, load
+from service.vehicle_file.file import VehicleFile, load
 
 RATES = (100, 250, 500)
 SUBSTEP = 0.001

@@ -10,11 +10,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from service.control_loop import Mode
-from service.daemon import Daemon, Places
-from service.vehicle_file import load
-from service.vehicle_sections import VehicleFile
-from service.virtual_serving import virtual_vehicle_beside
+from service.control.daemon import Daemon, Places
+from service.control.loop import Mode
+from service.vehicle_file.file import load
+from service.vehicle_file.sections import VehicleFile
+from service.virtual.serving import virtual_vehicle_beside
 
 
 def steady() -> VehicleFile:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from service.api import ApiError, ApiServer, ExitCode, Message, call, result
+from service.control.api import ApiError, ApiServer, ExitCode, Message, call, result
 
 
 async def answer(request: Message) -> AsyncIterator[Message]:

@@ -13,8 +13,8 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
 from models.effects import find
 from models.library import get
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.config import PlantTruth
 from simulation.gimbal import LOAD_SHARE, PLAY_STIFFNESS
 from simulation.hidden import HIDDEN

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import broad
-from service import vehicle_file
+from service.vehicle_file import file as vehicle_file
 
 
 @pytest.fixture(scope="module")

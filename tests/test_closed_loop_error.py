@@ -21,9 +21,9 @@ from estimators.speed_loop_steps import SpeedLoopSteps
 from models import library
 from models.model import Model
 from service.cli.compare_page import closed_loop_lines
-from service.recorded_loop import recorded_loop
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.offline.recorded_loop import recorded_loop
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 

@@ -22,7 +22,7 @@ from models.file.read import load_model
 from models.model import Model, ModelError
 from service.cli.compare import read_models
 from service.cli.compare_page import comparison_table
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording

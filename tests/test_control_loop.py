@@ -8,11 +8,12 @@ import pytest
 from closed_loop import ClosedLoop
 
 from drivers.cia402.states import State
-from service import assembly, kinds
-from service.control_loop import Mode
-from service.rows import rows_from_frames
-from service.sequence import Phase
-from service.vehicle_file import VehicleFile, load
+from service import kinds
+from service.control import assembly
+from service.control.loop import Mode
+from service.control.rows import rows_from_frames
+from service.control.sequence import Phase
+from service.vehicle_file.file import VehicleFile, load
 from telemetry.channels import MONOCAB
 
 ROLL = MONOCAB.index_of("roll")

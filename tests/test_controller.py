@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from models.control_design import LqiGains
 from models.monocab import MonocabParameters
 from service.monocab.controller import PrecessionReturn, RollController, SetpointLimits, design
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 
 GAINS = LqiGains((100.0, 16.0, 1.0), 0.1, 180.0, 0.004)
 LIMITS = SetpointLimits(rate=1.0, acceleration=40.0)

@@ -29,7 +29,7 @@ from topology import LEASE, Topology, topology, vehicle_text
 
 from service.dashboard.app import Dashboard, Settings
 from service.dashboard.units import AMPLITUDE, LIMITS
-from service.vehicle_file import FILES, load
+from service.vehicle_file.file import FILES, load
 from telemetry.recording import Recording
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]

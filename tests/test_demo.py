@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from service import api
+from service.control import api
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}

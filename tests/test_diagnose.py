@@ -13,8 +13,8 @@ from thorough import of_many
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
 from models.effect import Effect, EffectParameter, Family, Place
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.hidden import HIDDEN
 from telemetry.recording import Recording
 from tests.virtual_records import multisine

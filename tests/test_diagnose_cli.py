@@ -16,7 +16,7 @@ from models.file.read import read
 from service.cli import app
 from service.cli.diagnose import default_budget
 from service.cli.diagnose_page import print_diagnosis
-from service.virtual_run import record
+from service.virtual.run import record
 from tests.test_report import of_little_matter
 from tests.virtual_records import multisine
 

@@ -14,7 +14,6 @@ import pytest
 from typer.testing import CliRunner
 
 from estimators.identify.run import nominal_model
-from service import virtual_vehicle
 from service.cli import app
 from service.hidden_effects.answers import ADEQUATE, Answer
 from service.hidden_effects.by_disturbance import thirds
@@ -24,8 +23,9 @@ from service.hidden_effects.summary import summarise
 from service.hidden_effects.trial import SUBJECT, Bench, virtual
 from service.hidden_effects.trial import run as run_case
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual import vehicle as virtual_vehicle
+from service.virtual.run import record
 from simulation.closed_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from simulation.disturbance import Disturbance, RandomTorque

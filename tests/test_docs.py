@@ -11,7 +11,7 @@ import typer
 from pydantic import BaseModel
 
 from service.cli import app
-from service.vehicle_file import FILES
+from service.vehicle_file.file import FILES
 from telemetry.channels import TABLES
 
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -15,8 +15,8 @@ from estimators.contract import Estimate, EstimationError, ParameterEstimate, St
 from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
 from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import MODES, Loop, predict, windows_of
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.config import PlantTruth
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording, describe

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.excitation import (
+from service.control.excitation import (
     Doublet,
     Excitation,
     ExcitationError,
@@ -18,7 +18,7 @@ from service.excitation import (
     Sweep,
     make_excitation,
 )
-from service.vehicle_file import ExperimentSection, load
+from service.vehicle_file.file import ExperimentSection, load
 
 SHIPPED = load("monocab").experiments
 RATE = 250.0

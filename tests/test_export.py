@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.replay import convert
+from service.offline.replay import convert
 from telemetry.channels import MONOCAB
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording

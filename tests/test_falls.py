@@ -18,11 +18,11 @@ from estimators.data.segments import FORETOLD, falls_at, segments
 from estimators.recursive.frame_chunks import FrameChunks
 from models import library
 from models.natural_time import USUAL, natural_time
-from service import assembly
 from service.cli import app
-from service.sequence import Phase
-from service.vehicle_file import load
-from service.virtual_run import VirtualRunError, record
+from service.control import assembly
+from service.control.sequence import Phase
+from service.vehicle_file.file import load
+from service.virtual.run import VirtualRunError, record
 from telemetry.recording import Recording
 
 MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}

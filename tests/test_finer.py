@@ -11,8 +11,8 @@ from estimators.identify.run import nominal_model, with_values
 from models.effects import find
 from models.expressions import number
 from models.file.read import ModelFile, read, write
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION
 
 VEHICLE = load("monocab")

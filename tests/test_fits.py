@@ -17,7 +17,7 @@ from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.segments import DataError, clipped_share, segments
 from models import library
 from models.model import Model, ModelError
-from service.virtual_run import record
+from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 

@@ -19,8 +19,8 @@ from benchmarks.robot_diagnosis import vehicle as vehicle_file
 from diagnosis.lack_of_fit.adequacy import LEFT_STRUCK
 from models import library
 from service.cli import app
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 
 SEED = 74

@@ -19,9 +19,9 @@ import pytest
 import rig as shared
 from rig import HEARTBEAT_TIMEOUT, UPRIGHT, Rig
 
-from service.api import ApiError
-from service.online_estimators import online_estimators
-from service.vehicle_file import load
+from service.control.api import ApiError
+from service.observer.online_estimators import online_estimators
+from service.vehicle_file.file import load
 from telemetry.candump import CandumpReader
 from telemetry.recording import load as load_recording
 

@@ -20,7 +20,7 @@ from models.effect import Place
 from models.effects import CATALOGUE
 from models.file.read import read
 from service.cli import app
-from service.virtual_run import record
+from service.virtual.run import record
 from simulation.hidden import HIDDEN
 
 pytestmark = pytest.mark.patient

@@ -39,7 +39,7 @@ from service.hidden_effects.terms import measured, regression
 from service.hidden_effects.trial import SUBJECT, Bench, run, virtual
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from simulation.config import PlantTruth
 from simulation.hidden import HIDDEN, UNLISTED, UnknownEffectError, sizes_of
 from simulation.roll_effects import roll_effects

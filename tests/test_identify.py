@@ -25,7 +25,7 @@ from models.file.read import ModelFile, write
 from models.model import ModelError
 from service.cli import app
 from service.cli.identify_page import print_methods
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 

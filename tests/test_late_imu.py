@@ -21,14 +21,14 @@ from estimators.methods.drive_lag import drive_lag
 from estimators.methods.prediction_error import fit, prediction_error
 from models.library import ACTUATORS, get
 from models.model import Model
-from service import replay
 from service.hidden_effects.cases import Case
 from service.hidden_effects.disturbances import DRAWN
 from service.hidden_effects.trial import Bench, disturbance_of
 from service.hidden_effects.vehicles import drawn
-from service.recorded_loop import recorded_loop
-from service.vehicle_file import VehicleFile, load
-from service.virtual_run import record
+from service.offline import replay
+from service.offline.recorded_loop import recorded_loop
+from service.vehicle_file.file import VehicleFile, load
+from service.virtual.run import record
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from simulation.imu_node import SensorPath
 from telemetry.recording import Recording

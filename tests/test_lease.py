@@ -17,10 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from serving import connect, serving, until
 
-from service.api import RENEWAL_PERIOD, call
-from service.control_loop import Mode
-from service.daemon import Daemon
-from service.lease import LOOK, Lease
+from service.control.api import RENEWAL_PERIOD, call
+from service.control.daemon import Daemon
+from service.control.lease import LOOK, Lease
+from service.control.loop import Mode
 
 LENGTH = 0.3
 SLACK = 1.0

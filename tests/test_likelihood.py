@@ -14,7 +14,7 @@ from estimators.fit.likelihood import Likelihood, _at_least
 from estimators.fit.problem import Problem, problem
 from models import library
 from models.compiler.kernel import ELSEWHERE
-from service.virtual_run import record
+from service.virtual.run import record
 from telemetry.recording import Recording
 
 

@@ -25,9 +25,9 @@ from models.model import ModelError
 from models.random.disturbance import disturbed
 from models.segment import Segment
 from service.cli.output import missing_effects
-from service.news import News
-from service.online_estimators import online_estimators
-from service.virtual_run import BOOT_TIME, record
+from service.observer.news import News
+from service.observer.online_estimators import online_estimators
+from service.virtual.run import BOOT_TIME, record
 from simulation.vehicle import START_NS
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording

@@ -29,7 +29,7 @@ from models.file import sections as model_sections
 from models.file.read import ModelFile, load_model, parse, read, write
 from models.model import Actuator, Disturbance, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
 from service import cli
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 
 OWN = """
 title = "Pendulum on a motor"    # my own

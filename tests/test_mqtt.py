@@ -17,12 +17,12 @@ from mosquitto import Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
 from estimators.fit.disturbance import DisturbanceEstimate
-from service import mqtt_topics
-from service.embedded_broker import EmbeddedBroker
-from service.mqtt import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
-from service.mqtt_payloads import TelemetryBatches, parameters
-from service.observer_client import ObserverClient
-from service.vehicle_sections import MqttSection
+from service.mqtt import topics as mqtt_topics
+from service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
+from service.mqtt.embedded_broker import EmbeddedBroker
+from service.mqtt.payloads import TelemetryBatches, parameters
+from service.observer.client import ObserverClient
+from service.vehicle_file.sections import MqttSection
 from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
 

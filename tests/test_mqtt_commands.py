@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from mosquitto import OPERATOR, WATCHER, Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
-from service.home_assistant import discovery
-from service.mqtt_commands import LARGEST, MOST_A_SECOND, MOST_CLIENTS, OLDEST, CommandGate, Passed, Refused
-from service.mqtt_topics import ARGUMENTS, TOPICS, Parameter, schemas
-from service.observer_client import ObserverClient
+from service.mqtt.commands import LARGEST, MOST_A_SECOND, MOST_CLIENTS, OLDEST, CommandGate, Passed, Refused
+from service.mqtt.home_assistant import discovery
+from service.mqtt.topics import ARGUMENTS, TOPICS, Parameter, schemas
+from service.observer.client import ObserverClient
 from telemetry.samples import Frame
 
 REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference"
@@ -139,7 +139,7 @@ def test_the_shipped_schemas_are_those_of_the_models() -> None:
     shipped = {
         file.name.removesuffix(".schema.json"): json.loads(file.read_text()) for file in (REFERENCE / "mqtt").iterdir()
     }
-    assert shipped == schemas(), "write them anew: python -m service.mqtt_topics docs/reference/mqtt"
+    assert shipped == schemas(), "write them anew: python -m service.mqtt.topics docs/reference/mqtt"
 
 
 def test_the_reference_names_every_topic_verb_and_schema() -> None:

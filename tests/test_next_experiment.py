@@ -23,12 +23,12 @@ from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
 from models import library
 from models.model import Model
-from service.api import ApiServer, ExitCode, Message, result
 from service.cli import app
-from service.next_experiment import experiments_of, separating, suggest_for
-from service.sequence import Phase
-from service.vehicle_file import VehicleFile, load
-from service.virtual_run import record
+from service.control.api import ApiServer, ExitCode, Message, result
+from service.control.sequence import Phase
+from service.offline.next_experiment import experiments_of, separating, suggest_for
+from service.vehicle_file.file import VehicleFile, load
+from service.virtual.run import record
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 
@@ -271,7 +271,7 @@ def test_a_part_of_the_recordings_is_looked_at(tmp_path: Path, monkeypatch: pyte
         seen.extend(recordings)
         raise UprightError("enough was seen.", remedy="")
 
-    monkeypatch.setattr("service.next_experiment.separating", separating)
+    monkeypatch.setattr("service.offline.next_experiment.separating", separating)
     arguments = ["experiment", "--separate", *PAIR, str(path), "--from", "0.5", "--to", "1.5"]
     assert CliRunner().invoke(app, arguments).exit_code == 1
     (part,) = seen

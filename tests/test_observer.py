@@ -21,11 +21,11 @@ from observer_harness import VEHICLE, cycles, hello, record, until
 from diagnosis.live.live import LiveDiagnosis
 from estimators.identify.run import nominal_model
 from estimators.recursive.torque_balance import make as make_plain
-from service import link, replay
-from service.observer import Observer
-from service.observer_client import ObserverClient
-from service.observer_pipe import MOST_WAITING
-from service.online_estimators import EstimatorBank, online_estimators
+from service.observer.client import ObserverClient
+from service.observer.online_estimators import EstimatorBank, online_estimators
+from service.observer.pipe import MOST_WAITING
+from service.observer.process import Observer, link
+from service.offline import replay
 from telemetry.candump import CandumpReader
 from telemetry.channels import MONOCAB
 from telemetry.recording import load
@@ -89,7 +89,7 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
 
         return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
 
-    monkeypatch.setattr("service.observer.online_estimators", slowly)
+    monkeypatch.setattr("service.observer.process.online_estimators", slowly)
     own, other = link.pair()
     loop = asyncio.get_running_loop()
     running = asyncio.create_task(Observer(other, hello(tmp_path)).run())
@@ -309,7 +309,7 @@ import asyncio, os, sys, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from observer_harness import cycles, hello
-from service.observer_client import ObserverClient
+from service.observer.client import ObserverClient
 
 async def main():
     client = ObserverClient(hello(Path({data!r})))

@@ -26,7 +26,7 @@ from diagnosis.prepare.workspace import Workspace
 from estimators.identify.run import nominal_model
 from service.cli import app
 from service.cli.batch import load_recording
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 
 pytestmark = pytest.mark.patient
 

@@ -15,7 +15,7 @@ from estimators.data.as_recorded import as_recorded
 from models.library import get
 from service.cli import app
 from service.cli.batch import load_recording
-from service.virtual_run import record
+from service.virtual.run import record
 
 pytestmark = pytest.mark.patient
 

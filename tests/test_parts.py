@@ -18,7 +18,7 @@ from models.effect import Place
 from models.effects import CATALOGUE
 from models.library import ACTUATORS, get
 from models.model import Model
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from simulation.hidden import HIDDEN
 from telemetry.channels import TABLES
 from telemetry.recording import Recording

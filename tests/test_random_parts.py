@@ -26,9 +26,9 @@ from models.file.read import write as write_model
 from models.model import Disturbance, Model, ModelError
 from models.model import NarrowBand as KnownBand
 from models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
-from service.replay import load as load_recording
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.offline.replay import load as load_recording
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.hidden import MONOCAB, UnknownEffectError, parse_narrow_band
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
 from telemetry.recording import Recording

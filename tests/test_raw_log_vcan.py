@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from observer_harness import until
 
-from service.raw_log_process import RawLogProcess
+from service.observer.raw_log_client import RawLogProcess
 from telemetry.candump import CandumpReader
 from telemetry.samples import CanFrame
 
@@ -219,7 +219,7 @@ async def test_killed_it_leaves_whole_lines_and_is_missed(
 
 MASTER = """
 import subprocess, sys, time
-log = subprocess.Popen([sys.executable, "-m", "service.raw_log", "vcan0"], stdin=subprocess.PIPE, bufsize=0)
+log = subprocess.Popen([sys.executable, "-m", "service.observer.raw_log", "vcan0"], stdin=subprocess.PIPE, bufsize=0)
 log.stdin.write(b"open 0 {path}\\n")
 print(log.pid, flush=True)
 time.sleep(60)

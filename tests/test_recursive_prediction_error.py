@@ -24,9 +24,9 @@ from estimators.recursive.gauss_newton import RecursiveGaussNewton
 from estimators.recursive.prediction_error import Method, RecursivePredictionError
 from models import library
 from models.model import Hold, Model
-from service.online_estimators import STARTING, EstimatorBank, online_estimators
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.recording import Recording
 from telemetry.samples import Frame

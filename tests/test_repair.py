@@ -25,7 +25,7 @@ from estimators.fit.problem import problem
 from models import library
 from models.library.axis import axis
 from models.model import Model, ModelError
-from service.virtual_run import record
+from service.virtual.run import record
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

@@ -9,10 +9,10 @@ import pytest
 from closed_loop import ClosedLoop
 from scipy.io import loadmat
 
-from service import replay
-from service.recorder import Recorder
-from service.sequence import Phase
-from service.vehicle_file import load
+from service.control.sequence import Phase
+from service.observer.recorder import Recorder
+from service.offline import replay
+from service.vehicle_file.file import load
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording

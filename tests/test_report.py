@@ -20,7 +20,7 @@ from diagnosis.report.tables import p_text
 from diagnosis.report.words import headline
 from estimators.fit.disturbance import disturbances, rms
 from estimators.identify.run import nominal_model, with_values
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
 

@@ -18,7 +18,7 @@ from estimators.fit.disturbance import DisturbanceEstimate
 from estimators.identify.run import identify
 from models import library
 from service.cli import app
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from telemetry.recording import Recording
 from tests.test_report import HASH, HOSTILE, Page
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
 from models.library import get
 from service.cli import app
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 
 pytestmark = pytest.mark.patient

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from diagnosis.diagnose import diagnose
 from estimators.identify.run import nominal_model, with_values
 from service.cli import app
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR
 
 SEED = 83

@@ -23,7 +23,7 @@ from models.expressions import number
 from models.library import get
 from models.library.twsbr import TOLD_NEAR_UPRIGHT
 from service.cli import app
-from service.virtual_run import record
+from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 

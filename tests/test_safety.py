@@ -9,10 +9,10 @@ from dataclasses import replace
 import pytest
 
 from drivers.imu import ImuHealth
+from service.control.safety import OK, Code, DriveObservation, Observation, Reaction, Safety
 from service.monocab.axes import GimbalMeasurement
 from service.monocab.kind import bounds
-from service.safety import OK, Code, DriveObservation, Observation, Reaction, Safety
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 
 VEHICLE = load("monocab")
 SAFETY = Safety(bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period)

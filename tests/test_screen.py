@@ -18,7 +18,7 @@ from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit
 from models import library
 from models.effects import CATALOGUE
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from tests.virtual_records import multisine
 
 VEHICLE = load("monocab")

@@ -29,8 +29,8 @@ from models.library.axis import axis
 from models.model import Filter, Input, Model, ModelError, Output, Parameter, Sensor, State
 from models.segment import Segment
 from models.sensing import FILTERED
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.recording import Recording
 from telemetry.samples import ImuSample
 

@@ -27,7 +27,7 @@ from models.effect import Effect, EffectParameter, EffectState, Family, Place
 from models.library.axis import axis
 from models.model import Disturbance, Model, State
 from models.random.disturbance import disturbed, undisturbed
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import pytest
 
-from service import api
-from service.control_loop import Mode
+from service.control import api
+from service.control.loop import Mode
 
 pytestmark = [pytest.mark.systemd, pytest.mark.timeout(90)]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rig import rig
 
-from service.sequence import Phase
-from service.vehicle_file import load
+from service.control.sequence import Phase
+from service.vehicle_file.file import load
 from telemetry.recording import load as load_recording
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(120)]

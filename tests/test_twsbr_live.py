@@ -14,10 +14,10 @@ from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
 from models.library.twsbr import COUNT, TOLD_NEAR_UPRIGHT
-from service.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
-from service.replay import replay
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from service.offline.replay import replay
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import TWSBR
 from telemetry.recording import Recording

@@ -28,10 +28,10 @@ from models import library
 from models.file.read import ModelFile, read, write
 from models.model import Model
 from service.cli import app
-from service.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
-from service.replay import live_diagnosis
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
+from service.offline.replay import live_diagnosis
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 

@@ -22,12 +22,12 @@ from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
 from estimators.identify.run import nominal_model, with_values
 from models.library import get
 from models.model import Model, ModelError
-from service.api import ApiServer, ExitCode, Message, result
 from service.cli import app
-from service.next_experiment import experiments_of, separating, suggest_for
-from service.sequence import Phase
-from service.vehicle_file import VehicleFile, load
-from service.virtual_run import record
+from service.control.api import ApiServer, ExitCode, Message, result
+from service.control.sequence import Phase
+from service.offline.next_experiment import experiments_of, separating, suggest_for
+from service.vehicle_file.file import VehicleFile, load
+from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 

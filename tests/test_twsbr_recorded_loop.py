@@ -17,10 +17,10 @@ from diagnosis.prediction.compare import compare
 from models.library import get
 from models.model import Model
 from service.cli import app
-from service.recorded_loop import recorded_loop
-from service.sequence import Phase
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.control.sequence import Phase
+from service.offline.recorded_loop import recorded_loop
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording

@@ -26,21 +26,24 @@ from drivers.cia402.config import DriveConfig
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State
 from models.library.twsbr import TWSBR as MODEL
-from service import api, assembly, kinds, replay, virtual_vehicle
+from service import kinds
 from service.cli import app
-from service.control_loop import Mode
-from service.daemon import Daemon, Places
-from service.online_estimators import online_estimators
-from service.recorded_loop import recorded_loop
-from service.rows import rows_from_frames
-from service.safety import OK, Code, Observation, Reaction, Safety
-from service.sequence import Phase
+from service.control import api, assembly
+from service.control.daemon import Daemon, Places
+from service.control.loop import Mode
+from service.control.rows import rows_from_frames
+from service.control.safety import OK, Code, Observation, Reaction, Safety
+from service.control.sequence import Phase
+from service.observer.online_estimators import online_estimators
+from service.offline import replay
+from service.offline.recorded_loop import recorded_loop
 from service.twsbr.axes import WheelMeasurement
 from service.twsbr.controller import GRAVITY, TiltController, WheelReturn
 from service.twsbr.handling import RISE_TIMEOUT
 from service.twsbr.kind import bounds
-from service.vehicle_file import VehicleFileError, load
-from service.virtual_run import VirtualRunError, record
+from service.vehicle_file.file import VehicleFileError, load
+from service.virtual import vehicle as virtual_vehicle
+from service.virtual.run import VirtualRunError, record
 from simulation.hidden import UnknownEffectError
 from simulation.twsbr.plant import TwsbrPlant
 from telemetry.channels import TWSBR

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from serving import connect, serving, until
 
-from service.api import RENEWAL_PERIOD, ExitCode
-from service.control_loop import Mode
+from service.control.api import RENEWAL_PERIOD, ExitCode
+from service.control.loop import Mode
 from telemetry.recording import load
 
 pytestmark = pytest.mark.timeout(120)

@@ -19,8 +19,8 @@ from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit
 from models.effects import find
 from models.library import ACTUATORS, get
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.hidden import HIDDEN
 
 VEHICLE = load("monocab")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from service.vehicle_file import VehicleFileError, load, shipped
+from service.vehicle_file.file import VehicleFileError, load, shipped
 
 MONOCAB = (Path(__file__).parent.parent / "vehicles" / "monocab.toml").read_text()
 

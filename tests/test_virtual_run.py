@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service import assembly
-from service.recorder import Recorder
-from service.sequence import Phase
-from service.vehicle_file import load
-from service.virtual_run import ClosedLoop, VirtualRunError, record
+from service.control import assembly
+from service.control.sequence import Phase
+from service.observer.recorder import Recorder
+from service.vehicle_file.file import load
+from service.virtual.run import ClosedLoop, VirtualRunError, record
 from simulation.config import PlantTruth
 from simulation.hidden import UnknownEffectError
 from telemetry.recording import Recording

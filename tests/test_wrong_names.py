@@ -18,8 +18,8 @@ from models.effect import Effect, check_names
 from models.effects import find
 from models.model import ModelError
 from models.segment import Segment
-from service.vehicle_file import load
-from service.virtual_run import record
+from service.vehicle_file.file import load
+from service.virtual.run import record
 from simulation.hidden import HIDDEN
 
 VEHICLE = load("monocab")

@@ -6,7 +6,7 @@ from functools import cache
 
 from models import library
 from models.model import Model
-from service.virtual_run import record
+from service.virtual.run import record
 from telemetry.recording import Recording
 
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}

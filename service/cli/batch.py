@@ -15,7 +15,7 @@ from service.cli.output import check_folder, page, parameter_table, people, prin
 
 if TYPE_CHECKING:
     from models.model import Model
-    from service.vehicle_file import VehicleFile
+    from service.vehicle_file.file import VehicleFile
     from telemetry.recording import Recording
 
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
@@ -76,8 +76,8 @@ def identify(
     from math import tau
 
     from estimators.identify.run import identify as run
-    from service.machine import is_of, support_of
-    from service.vehicle_file import load
+    from service.offline.machine import is_of, support_of
+    from service.vehicle_file.file import load
 
     file = load(vehicle)
     subject = identified_model(model, file)
@@ -170,8 +170,8 @@ def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
 
 def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again: the same numbers, bit for bit."""
-    from service.replay import replay as run
-    from service.vehicle_file import load
+    from service.offline.replay import replay as run
+    from service.vehicle_file.file import load
 
     file = load(vehicle)
     results = {}
@@ -192,7 +192,7 @@ def convert(
     vehicle: VehicleOption = "monocab",
 ) -> None:
     """Write a recording in another format. From a raw CAN log, all measured channels are rebuilt."""
-    from service.replay import convert as run
+    from service.offline.replay import convert as run
 
     with working() as step:
         step(f"writing {target.name}")
@@ -208,8 +208,8 @@ def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Rec
     """
     from estimators.data.segments import falls_at
     from estimators.identify.run import nominal_model
-    from service.replay import load as load_any
-    from service.vehicle_file import load
+    from service.offline.replay import load as load_any
+    from service.vehicle_file.file import load
     from telemetry.clock import by_the_clock
 
     file = load(vehicle)

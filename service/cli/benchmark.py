@@ -161,7 +161,7 @@ def _grid(
 ) -> Grid:
     """The grid that the options ask for. Raises UnknownEffectError, and BadParameter for what cannot be."""
     from service.hidden_effects.cases import QUICK, Grid
-    from service.vehicle_file import load
+    from service.vehicle_file.file import load
 
     base = QUICK if quick else Grid()
     if excitations is not None:

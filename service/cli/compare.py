@@ -12,7 +12,7 @@ from service.cli.output import check_folder, page, people, print_json
 
 if TYPE_CHECKING:
     from models.model import Model
-    from service.vehicle_file import VehicleFile
+    from service.vehicle_file.file import VehicleFile
 
 CAD = "CAD"
 
@@ -47,9 +47,9 @@ def compare(
     from diagnosis.prediction.compare import compare as run
     from service.cli.batch import load_recording, working
     from service.cli.compare_page import print_comparisons
-    from service.machine import name_of, support_of
-    from service.recorded_loop import recorded_loop
-    from service.vehicle_file import load
+    from service.offline.machine import name_of, support_of
+    from service.offline.recorded_loop import recorded_loop
+    from service.vehicle_file.file import load
 
     if picture is not None:
         from diagnosis.report.method_figure import check_suffix
@@ -104,7 +104,7 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
     """
     from estimators.contract import EstimationError
     from service.cli.batch import identified_model
-    from service.machine import is_of
+    from service.offline.machine import is_of
 
     models: dict[str, Model] = {}
     try:

@@ -42,7 +42,7 @@ def dashboard(
     import uvicorn
 
     from service.dashboard.app import Dashboard, Settings
-    from service.vehicle_file import load
+    from service.vehicle_file.file import load
 
     if not websocket.startswith(("ws://", "wss://")) or any(sign in websocket for sign in " ;,'\""):
         raise typer.BadParameter("is ws://HOST:PORT or wss://HOST:PORT", param_hint="--websocket")

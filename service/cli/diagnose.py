@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from estimators.budget import Budget
     from models.effect import Effect
     from models.model import Model
-    from service.vehicle_file import VehicleFile
+    from service.vehicle_file.file import VehicleFile
     from telemetry.recording import Recording
 
 
@@ -100,10 +100,10 @@ def diagnose(
     from models.effects import CATALOGUE
     from models.library import ACTUATORS
     from service.cli.batch import identified_model, load_recording
-    from service.machine import is_of, name_of, support_of
-    from service.next_experiment import suggest_for
-    from service.recorded_loop import recorded_loop
-    from service.vehicle_file import load
+    from service.offline.machine import is_of, name_of, support_of
+    from service.offline.next_experiment import suggest_for
+    from service.offline.recorded_loop import recorded_loop
+    from service.vehicle_file.file import load
 
     for target in (auto, report):
         if target is not None and not target.absolute().parent.is_dir():
@@ -171,7 +171,7 @@ def diagnose(
                 )
                 path.write_text(text, encoding="utf-8")
     if auto is not None and found.repaired is not None:
-        from service.trail import write_trail
+        from service.offline.trail import write_trail
 
         write_trail(auto, found, nominal, origin.hashes, from_files)
     if json:
@@ -219,7 +219,7 @@ def sets_in(loaded: Sequence[Recording], paths: Sequence[Path], file: VehicleFil
 
     Raises OutOfTime.
     """
-    from service.replay import live_diagnosis
+    from service.offline.replay import live_diagnosis
     from telemetry.errors import RecordingError
 
     told = ""

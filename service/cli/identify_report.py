@@ -10,9 +10,9 @@ from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import write_identification
 from models.model import Model
 from service.cli.diagnose import provenance
-from service.machine import name_of, support_of
-from service.recorded_loop import recorded_loop
-from service.vehicle_file import VehicleFile
+from service.offline.machine import name_of, support_of
+from service.offline.recorded_loop import recorded_loop
+from service.vehicle_file.file import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 

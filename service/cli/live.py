@@ -11,7 +11,7 @@ import typer
 from service.cli.output import page, people
 
 if TYPE_CHECKING:
-    from service.vehicle_file import VehicleFile
+    from service.vehicle_file.file import VehicleFile
     from simulation.disturbance import Disturbance
 
 VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
@@ -66,12 +66,12 @@ def demo(
     from service.cli.compare import estimates_beside, read_models
     from service.cli.compare_page import comparison_table
     from service.cli.talk import follow
-    from service.demo import run_demo
-    from service.demo_figure import save_run
-    from service.demo_story import STORIES
-    from service.online_estimators import online_estimators
-    from service.vehicle_file import load
-    from service.virtual_vehicle import asked_disturbance
+    from service.demo.figure import save_run
+    from service.demo.run import run_demo
+    from service.demo.story import STORIES
+    from service.observer.online_estimators import online_estimators
+    from service.vehicle_file.file import load
+    from service.virtual.vehicle import asked_disturbance
 
     file = load(vehicle)
     given, story = file.parameters, STORIES[file.vehicle.kind]
@@ -154,8 +154,8 @@ def simulate(
     """
     import threading
 
-    from service import virtual_vehicle
-    from service.vehicle_file import load
+    from service.vehicle_file.file import load
+    from service.virtual import vehicle as virtual_vehicle
     from simulation.faults import parse_faults
 
     file = load(vehicle)
@@ -198,11 +198,11 @@ def serve(
     # A drive that does not answer is told once, by the set-up, and not by canopen twice a second.
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
-    from service.api import default_socket
-    from service.daemon import Daemon, Places
-    from service.vehicle_file import load
-    from service.virtual_serving import BUS, virtual_vehicle_beside
-    from service.virtual_vehicle import asked_disturbance
+    from service.control.api import default_socket
+    from service.control.daemon import Daemon, Places
+    from service.vehicle_file.file import load
+    from service.virtual.serving import BUS, virtual_vehicle_beside
+    from service.virtual.vehicle import asked_disturbance
 
     file = load(vehicle)
     if mqtt is not None:

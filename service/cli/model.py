@@ -145,7 +145,7 @@ def new(
     start = library.get(base)
     entry = {"action": "new", "date": _now()}
     if vehicle is not None:
-        from service.vehicle_file import load
+        from service.vehicle_file.file import load
 
         parameters = load(vehicle).parameters
         known = {parameter.name for parameter in start.parameters}

@@ -185,7 +185,7 @@ def _start(name: str, vehicle: str | None) -> ModelFile:
     model = load_model(name)
     if vehicle is not None:
         from estimators.identify.run import with_values
-        from service.vehicle_file import load
+        from service.vehicle_file.file import load
 
         parameters = load(vehicle).parameters
         model = with_values(model, parameters.values, parameters.deviations)
@@ -246,7 +246,7 @@ def _repair(
 def _support(vehicle: str | None) -> float | None:
     if vehicle is None:
         return None
-    from service.vehicle_file import load
+    from service.vehicle_file.file import load
 
     return load(vehicle).support
 

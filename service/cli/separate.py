@@ -25,8 +25,8 @@ def chosen_experiment(
     """
     from service.cli.batch import identified_model, load_recording
     from service.cli.diagnose import share_done
-    from service.next_experiment import separating
-    from service.vehicle_file import load
+    from service.offline.next_experiment import separating
+    from service.vehicle_file.file import load
 
     file = load(vehicle)
     loaded = [load_recording(Path(path), vehicle).between(begin, end) for path in recordings]

@@ -25,9 +25,10 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 
     Exit code 1 names the first key that is wrong and the remedy.
     """
-    from service import assembly, kinds
-    from service.sequence import plan
-    from service.vehicle_file import load
+    from service import kinds
+    from service.control import assembly
+    from service.control.sequence import plan
+    from service.vehicle_file.file import load
 
     vehicle = load(file)
     kind = kinds.of(vehicle, assembly.vehicle_io(vehicle))
@@ -58,7 +59,7 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config show monocab --json`")
 def show(file: FileArgument, json: JsonOption = False) -> None:
     """Show a vehicle file as it was understood, defaults filled in."""
-    from service.vehicle_file import load
+    from service.vehicle_file.file import load
 
     vehicle = load(file)
     if json:
@@ -74,6 +75,6 @@ def show(file: FileArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config schema > vehicle.schema.json`")
 def schema() -> None:
     """Print the JSON Schema of vehicle files: every key, its meaning and unit."""
-    from service import vehicle_file
+    from service.vehicle_file import file as vehicle_file
 
     print_json(vehicle_file.schema())

@@ -29,12 +29,12 @@ from estimators.identify.table import METHODS
 from models import library
 from models.effect import places_of
 from models.effects import CATALOGUE
-from service import assembly
+from service.control import assembly
 from service.dashboard.charts import CHARTS
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording
 from service.dashboard.units import AMPLITUDE, LIMITS
-from service.vehicle_file import VehicleFile
+from service.vehicle_file.file import VehicleFile
 from telemetry.channels import TABLES
 from telemetry.errors import UprightError
 

@@ -22,7 +22,7 @@ from service.hidden_effects.repair import Yardstick, closed, fitted
 from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import Vehicle, drawn
-from service.vehicle_file import load
+from service.vehicle_file.file import load
 from simulation.config import ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance
 from simulation.roll_effects import EVENT_TIME
@@ -51,7 +51,7 @@ def virtual(
     disturbance: Disturbance | None = None,
 ) -> Recording:
     """A record of the virtual MONOCAB, its IMU `noise` times as noisy as the data sheet says."""
-    from service.virtual_run import record
+    from service.virtual.run import record
 
     def configured(configuration: SimulationConfig) -> SimulationConfig:
         louder = noisy(configuration.imu, noise)
@@ -303,7 +303,7 @@ class _Judge:
 
 def _event(recording: Recording) -> float:
     """s from the first row on at which the plant's torque step begins: so long after the first SYNC."""
-    from service.virtual_run import BOOT_TIME
+    from service.virtual.run import BOOT_TIME
     from simulation.vehicle import START_NS
 
     begin = (int(recording.metadata.get("start_ns", START_NS)) - START_NS) * 1e-9

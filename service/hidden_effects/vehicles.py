@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.library import get
-from service.vehicle_file import VehicleFile, load
+from service.vehicle_file.file import VehicleFile, load
 from simulation.config import PlantTruth, SimulationConfig
 
 LATENCY = 0.006

@@ -9,14 +9,14 @@ from typing import Any
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_design import RollDesign
-from service.excitation import Excitation, InjectionPoint
+from service.control.excitation import Excitation, InjectionPoint
+from service.control.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
 from service.kind import Command, Lean
 from service.monocab.axes import GimbalMeasurement, Gimbals
 from service.monocab.controller import RollController, design
 from service.monocab.file import MonocabFile
 from service.monocab.handling import GimbalHandling
 from service.monocab.rise import RiseFromRest, rise_rate
-from service.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
 from telemetry.channels import MONOCAB, ChannelTable
 
 RATE_MARGIN = 1.5

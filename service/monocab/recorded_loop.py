@@ -25,10 +25,10 @@ from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import RUN_IN
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models.control_design import RollDesign
-from service.excitation import InjectionPoint
+from service.control.excitation import InjectionPoint
+from service.control.sequence import Phase
 from service.monocab.controller import RollController, design
 from service.monocab.file import MonocabFile
-from service.sequence import Phase
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 

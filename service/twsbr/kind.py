@@ -8,9 +8,9 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from service.excitation import Excitation
+from service.control.excitation import Excitation
+from service.control.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
 from service.kind import Command, Lean
-from service.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
 from service.twsbr.axes import WheelMeasurement, Wheels
 from service.twsbr.controller import TiltController
 from service.twsbr.file import TwsbrFile

@@ -14,11 +14,11 @@ from math import degrees, radians
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
 from models.model import Model
-from service.excitation import Excitation, ExcitationError, make_excitation
-from service.sequence import DURATIONS, Phase
+from service.control.excitation import Excitation, ExcitationError, make_excitation
+from service.control.sequence import DURATIONS, Phase
 from service.twsbr.controller import TiltController
 from service.twsbr.file import TwsbrFile
-from service.vehicle_sections import ExperimentSection
+from service.vehicle_file.sections import ExperimentSection
 
 NEEDS = frozenset({"tilt", "tilt_rate", "left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate"})
 """Outputs of a model that the controller needs."""

@@ -22,9 +22,9 @@ import numpy as np
 
 from diagnosis.prediction.closed_loop import Controller, Limit
 from diagnosis.prediction.closed_loop_error import Loop
-from service.assembly import drive_config
-from service.excitation import InjectionPoint
-from service.sequence import Phase
+from service.control.assembly import drive_config
+from service.control.excitation import InjectionPoint
+from service.control.sequence import Phase
 from service.twsbr.controller import TiltController
 from service.twsbr.file import TwsbrFile
 from telemetry.recording import Recording

@@ -1,0 +1,142 @@
+"""From the checked vehicle file to the objects that do the work: one place where sections become configurations.
+
+Drivers, estimators, models and the simulation know nothing of vehicle files; each takes a configuration of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from drivers.cia402.config import DriveConfig, find_eds
+from drivers.cia402.drive import Drive
+from drivers.imu import Imu
+from drivers.imu_layout import ImuConfig
+from drivers.vehicle_io import VehicleIo
+from estimators.roll_filter import RollFilter, RollFilterConfig
+from service.vehicle_file.sections import DriveSection, VehicleFile
+from telemetry.channels import TABLES, ChannelTable
+
+
+@cache
+def version() -> str:
+    """Of this software."""
+    return metadata.version("upright")
+
+
+def channels(vehicle: VehicleFile) -> ChannelTable:
+    """The channel table of a vehicle."""
+    return TABLES[vehicle.vehicle.kind]
+
+
+def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:
+    """The driver's configuration of one drive."""
+    return DriveConfig(
+        name=drive.name,
+        role=drive.role,
+        node=drive.node,
+        direction=drive.direction,
+        axis_per_turn=drive.axis_per_turn,
+        mode=drive.mode,
+        increments_per_turn=drive.increments_per_turn,
+        velocity_unit_rpm=drive.velocity_unit_rpm,
+        rated_torque=drive.rated_torque,
+        setpoint_resolution=drive.setpoint_resolution,
+        eds=str(find_eds(drive.eds, drive=drive.name, folder=Path(vehicle.path).parent)),
+        vendor_id=drive.vendor_id,
+        product_code=drive.product_code,
+        stop_reaction=drive.stop_reaction,
+        rpdo=tuple(tuple(pdo) for pdo in drive.rpdo),
+        tpdo=tuple(tuple(pdo) for pdo in drive.tpdo),
+        target_velocity_fine_index=drive.target_velocity_fine_index,
+    )
+
+
+def imu_config(vehicle: VehicleFile) -> ImuConfig:
+    """The driver's configuration of the IMU."""
+    imu = vehicle.imu
+    return ImuConfig(
+        protocol=imu.protocol,
+        base_id=imu.base_id,
+        precision=imu.precision,
+        slots=tuple(imu.slots),
+        rate=float(vehicle.control.rate),
+        axes=imu.axes,
+        acceleration_sign=imu.acceleration_sign,
+        angular_rate_unit=imu.angular_rate_unit,
+        acceleration_range=imu.acceleration_range,
+        angular_rate_range=math.radians(imu.angular_rate_range_deg),
+        latency=imu.latency,
+    )
+
+
+def vehicle_io(vehicle: VehicleFile) -> VehicleIo:
+    """The IMU and the drives of a vehicle, nothing measured yet."""
+    return VehicleIo(Imu(imu_config(vehicle)), [Drive(drive_config(vehicle, drive)) for drive in vehicle.drive])
+
+
+def roll_filter(vehicle: VehicleFile) -> RollFilter:
+    """The roll Kalman filter of a vehicle, not started yet."""
+    section = vehicle.imu.filter
+    return RollFilter(
+        RollFilterConfig(
+            rate=float(vehicle.control.rate),
+            acceleration_std=section.acceleration_std,
+            angular_rate_density=section.angular_rate_density,
+            bias_random_walk=section.bias_random_walk,
+            position=vehicle.imu.position,
+        )
+    )
+
+
+def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str]) -> dict[str, Any]:
+    """What the observer process must know of the vehicle."""
+    return {
+        "vehicle": vehicle.vehicle.id,
+        "kind": vehicle.vehicle.kind,
+        "version": version(),
+        "configuration_hash": vehicle.configuration_hash,
+        "rate": vehicle.control.rate,
+        "support": vehicle.support,
+        "parameters": {name: getattr(vehicle.parameters, name).model_dump() for name in vehicle.parameters.values},
+        "mqtt": vehicle.mqtt.model_dump(),
+        "data": str(data),
+        "raw_log_buses": raw_log_buses,
+    }
+
+
+def recording_metadata(vehicle: VehicleFile, experiment: str) -> dict[str, str]:
+    """What goes with a recording: enough to read it, replay it and compare it without asking anybody."""
+    return {
+        "vehicle": vehicle.vehicle.id,
+        "kind": vehicle.vehicle.kind,
+        "experiment": experiment,
+        "experiment_definition": vehicle.experiments[experiment].model_dump_json(exclude_none=True),
+        "parameters": json.dumps(vehicle.parameters.values),
+        "configuration_hash": vehicle.configuration_hash,
+        "vehicle_file": Path(vehicle.path).name,
+        "version": version(),
+        "rate": str(vehicle.control.rate),
+        "support": repr(vehicle.support),
+    }
+
+
+def bus_load(vehicle: VehicleFile) -> dict[str, float]:
+    """Percent of the bit rate that one second of operation takes on each bus, worst-case bit stuffing."""
+    rate, bits = vehicle.control.rate, dict.fromkeys((vehicle.bus.drives, vehicle.bus.imu), 0.0)
+    bits[vehicle.bus.imu] += rate * len(imu_config(vehicle).can_ids) * _frame_bits(8)
+    bits[vehicle.bus.drives] += rate * _frame_bits(0) + _frame_bits(1) / vehicle.control.heartbeat_period
+    for section in vehicle.drive:
+        config = drive_config(vehicle, section)
+        for codec in (*config.rpdo_codecs.values(), *config.tpdo_codecs.values()):
+            bits[vehicle.bus.drives] += rate * _frame_bits(codec.size)
+    return {bus: 100.0 * load / vehicle.bus.bitrate for bus, load in bits.items()}
+
+
+def _frame_bits(length: int) -> int:
+    """Bits of a classical CAN frame with an 11-bit id and `length` data bytes, stuffed as badly as can be."""
+    return 47 + 8 * length + (34 + 8 * length - 1) // 4

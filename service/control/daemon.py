@@ -1,0 +1,269 @@
+"""The daemon: opens the buses, sets up the drives, runs the control loop, answers the control socket.
+
+It comes up disarmed, and after any fault it stays disarmed until a person says `upright reset`. Everything here is
+slow and may wait; what must not wait is `service.control.loop`, which the buses call.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.bus import Bus, BusDown, BusError, BusGroup
+from drivers.canopen_link import CanopenLink
+from drivers.cia402.nmt import NmtCommand, command_frame
+from drivers.cia402.setup import DriveReport, Supervision, configure
+from drivers.imu_format import check_format
+from service.control import assembly
+from service.control.api import ApiServer
+from service.control.commands import Commands
+from service.control.health import HealthReports
+from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode
+from service.control.notify import Notifier
+from service.control.readiness import drive_states
+from service.mqtt.replies import MqttReplies
+from service.observer.client import ObserverClient
+from service.vehicle_file.file import VehicleFile
+from telemetry.errors import UprightError
+from telemetry.samples import CanFrame
+
+RECONNECT_PERIOD = 0.5
+"""s between attempts to open a bus that went down, and to set up drives that did not answer."""
+
+LISTENING = 1.0
+"""s of bus traffic from which the IMU's format is told."""
+
+ORDERLY_END = 20.0
+"""s that an experiment gets to lower the vehicle when the daemon is told to end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where the daemon reads and writes: one or two bus addresses, the recordings' folder and the control socket."""
+
+    drives_bus: str
+    imu_bus: str
+    data: Path
+    socket: Path
+
+
+class Daemon:
+    """One vehicle, served until `stop()`.
+
+    `lock_step` is for a simulated bus whose time is not the wall's: no wall-clock deadline is then held against it.
+    """
+
+    def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False) -> None:
+        self.vehicle = vehicle
+        self.places = places
+        self._notifier = Notifier.from_environment()
+        self._stopping = asyncio.Event()
+        self._bus_down = asyncio.Event()
+        self._buses: BusGroup | None = None
+        self._link: CanopenLink | None = None
+        self.reports: list[DriveReport] = []
+        self._published: dict[str, Any] = {}
+        hello = assembly.observer_hello(vehicle, places.data, self._raw_log_buses())
+        self.observer = ObserverClient(hello, lossless=lock_step)
+        self.loop = ControlLoop(
+            vehicle,
+            send=self._send,
+            observer=self.observer,
+            notifier=self._notifier,
+            unclaimed=self._on_unclaimed_frame,
+            deadline=None if lock_step else vehicle.limits.missed_cycles * vehicle.period,
+        )
+        self.commands = Commands(vehicle, self.loop, self.observer, self.status)
+        self._replies = MqttReplies(self.commands, self.observer.reply)
+        self.observer.on_command = self._replies.take
+        self._health = HealthReports(vehicle)
+        self._api = ApiServer(places.socket, self.commands.answer, self.commands.sign)
+
+    def stop(self) -> None:
+        """End in order: a running experiment first lowers the vehicle."""
+        self._stopping.set()
+
+    async def run(self) -> None:
+        """Serve until stopped.
+
+        Raises:
+            BusError: a bus could not be opened at the start.
+            ApiError: the control socket could not be opened.
+        """
+        self._open_buses()
+        self.observer.on_exit = self._on_observer_exit
+        self.loop.on_change = self._publish_state
+        try:
+            await self.observer.start()
+            self._publish_state()
+            await self._api.start()
+            self.loop.start()
+            gc.collect()
+            gc.freeze()
+            keeper = asyncio.create_task(self._keep_vehicle_ready(), name="keep vehicle ready")
+            self._notifier.ready(f"serving {self.vehicle.vehicle.id} on {self.places.drives_bus}, disarmed")
+            stopping = asyncio.create_task(self._stopping.wait(), name="wait for stop")
+            await asyncio.wait({keeper, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            self._notifier.stopping("ending in order")
+            await self._end_in_order()
+            keeper.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await keeper  # Raises here, with the vehicle down, what it may have failed on.
+        finally:
+            await self._api.close()
+            await self.observer.stop()
+            self._close_buses()
+
+    # Buses and drives
+
+    def _open_buses(self) -> None:
+        vehicle, places = self.vehicle, self.places
+        one_bus = places.imu_bus == places.drives_bus
+        drives = Bus.open(places.drives_bus, index=0, bitrate=vehicle.bus.bitrate)
+        try:
+            buses = [drives] if one_bus else [drives, Bus.open(places.imu_bus, index=1, bitrate=vehicle.bus.bitrate)]
+        except BusError:
+            drives.close()
+            raise
+        if not self._raw_log_buses():
+            for bus in buses:
+                bus.tap = self.observer.offer_can
+        self._link = CanopenLink(drives)
+        self._buses = BusGroup(buses)
+        self._buses.start(self.loop.on_frames, self._on_bus_down)
+
+    def _close_buses(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        if self._buses is not None:
+            self._buses.close()
+            self._buses = None
+
+    def _send(self, can_id: int, data: bytes, timestamp_ns: int) -> None:
+        if self._buses is not None:
+            self._buses.send(0, can_id, data, timestamp_ns)
+
+    def _on_unclaimed_frame(self, frame: CanFrame) -> None:
+        if self._link is not None and frame.bus == 0:
+            self._link.handle(frame)
+
+    def _on_bus_down(self, down: BusDown) -> None:
+        self.loop.bus_down(down)
+        self._bus_down.set()
+
+    def _raw_log_buses(self) -> list[str]:
+        """Channels that a process of its own can log through a second socket."""
+        addresses = dict.fromkeys((self.places.drives_bus, self.places.imu_bus))
+        return [address for address in addresses if address.startswith("socketcan:")]
+
+    async def _keep_vehicle_ready(self) -> None:
+        """Set up the drives, and do so again whenever a bus came back or a drive restarted."""
+        while True:
+            if self._bus_down.is_set():
+                await self._reopen_buses()
+            if not self.observer.alive:
+                await self.observer.restart()
+            if self.loop.needs_set_up:
+                try:
+                    await self._check_imu()
+                    await self._set_up_drives()
+                except UprightError as error:
+                    self.loop.set_up_failed(str(error))
+                else:
+                    self.loop.set_up_done({report.name: report.error_code for report in self.reports})
+            self.loop.look_after_drives()
+            self._publish_state()
+            self._publish_health()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._bus_down.wait(), RECONNECT_PERIOD)
+
+    async def _reopen_buses(self) -> None:
+        self._close_buses()
+        while True:
+            self._bus_down.clear()
+            try:
+                self._open_buses()
+            except BusError as error:
+                self.loop.set_up_failed(str(error))
+                await asyncio.sleep(RECONNECT_PERIOD)
+            else:
+                return
+
+    async def _check_imu(self) -> None:
+        """Listen, while the vehicle is at rest, to what the IMU streams. Raises ImuFormatError."""
+        heard: list[CanFrame] = []
+        self.loop.heard = heard
+        await asyncio.sleep(LISTENING)
+        self.loop.heard = None
+        place = 0 if self.places.imu_bus == self.places.drives_bus else 1
+        check_format(self.loop.io.imu.config, [frame for frame in heard if frame.bus == place])
+
+    async def _set_up_drives(self) -> None:
+        link, control = self._link, self.vehicle.control
+        if link is None:
+            raise BusError("the bus is down.", bus=self.places.drives_bus)
+        supervision = Supervision(
+            master_node=control.master_node,
+            heartbeat_period=control.heartbeat_period,
+            heartbeat_timeout=control.heartbeat_timeout,
+            rpdo_timeout=control.heartbeat_timeout,
+            cycle_period=self.vehicle.period,
+        )
+        reports = []
+        for drive in self.loop.io.drives:
+            report = await asyncio.to_thread(configure, link.network, drive.config, supervision)
+            self._send(*command_frame(NmtCommand.START, drive.config.node), 0)
+            for warning in report.warnings:
+                self.observer.event("warning", "drive_set_up", f"{report.name}: {warning}")
+            reports.append(report)
+        self.reports = reports
+
+    def _on_observer_exit(self, status: int) -> None:
+        self.loop.observer_gone()
+
+    def _publish_state(self) -> None:
+        """Tell the observer, and so MQTT, what changed."""
+        lease = self.commands.lease
+        held = lease.holder if lease is not None and self.loop.mode is Mode.RUNNING else None
+        state = {**self.loop.state(), "held_by": held, "commands": self.vehicle.mqtt.commands}
+        if state != self._published:
+            self._published = state
+            self.observer.publish_state(state)
+
+    def _publish_health(self) -> None:
+        """Tell the observer how this process does."""
+        buses = self._buses.statistics() if self._buses is not None else []
+        self.observer.health(self._health.report(time.monotonic(), self.loop.cycles, self.loop.missed_cycles, buses))
+
+    async def _end_in_order(self) -> None:
+        self.loop.end_experiment("the daemon was told to stop")
+        limit = time.monotonic() + ORDERLY_END
+        while self.loop.mode is Mode.RUNNING and time.monotonic() < limit:
+            await asyncio.sleep(0.02)
+        if self.loop.mode is Mode.RUNNING:
+            self.loop.stop_now("the daemon was told to stop, and the vehicle was not down in time")
+            await asyncio.sleep(QUICK_STOP_TIME)
+
+    def status(self) -> dict[str, Any]:
+        """What `upright status --json` prints."""
+        buses = self._buses.statistics() if self._buses is not None else []
+        return {
+            **self.loop.state(),
+            "buses": buses,
+            "drives": drive_states(self.loop.io),
+            "drive_reports": [{**asdict(report), "state": report.state.value} for report in self.reports],
+            "cycles": self.loop.cycles,
+            "missed_cycles": self.loop.missed_cycles,
+            "observer": self.observer.statistics(),
+            "estimates": self.observer.estimates,
+            "diagnosis": self.observer.diagnosis,
+            "lease": self.commands.held(),
+            "socket": str(self.places.socket),
+            "data": str(self.places.data),
+        }

@@ -1,0 +1,392 @@
+"""The control loop: the journey of a sample, one screen (`_cycle`).
+
+The IMU frame set is the clock. When its last frame arrives, everything that depends on it happens at once, in this
+order: roll filter, experiment (reference, excitation, controller), safety verdict, setpoint frames, SYNC, heartbeat,
+and one `Frame` for the observer. Nothing here waits, logs or asks a clock. A deadline beside it notices when no frame
+set comes any more, and stops the vehicle then.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import Any, Protocol
+
+from drivers.bus import BusDown
+from drivers.cia402.drive import Drive
+from drivers.vehicle_io import VehicleIo
+from service import kinds
+from service.control import assembly
+from service.control.notify import Notifier
+from service.control.readiness import interlocks, observation, observe
+from service.control.rows import row
+from service.control.safety import OK, Reaction, Safety, Verdict
+from service.control.sequence import BALANCING, POWERED, UPRIGHT, ExperimentRun, Phase, plan
+from service.kind import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement
+from service.vehicle_file.sections import VehicleFile
+from telemetry.samples import CanFrame, Frame, ImuSample
+
+SYNC = 0x080
+HEARTBEAT = 0x700
+OPERATIONAL = b"\x05"
+COMMUNICATION_ERRORS = (0x8100, 0x8200)
+"""Error codes of a drive that missed its master or its setpoints (CiA 301), high byte."""
+NEVER_NS = 1 << 62
+
+RECORDING_LEAD_NS = 200_000_000
+"""From the order to record to its first frame: what the raw log needs to open its file."""
+
+AFTERMATH = 2.0
+"""s that a recording goes on after a quick stop, to show where it ended."""
+
+QUICK_STOP_TIME = 1.0
+"""s of quick stop before the drives are let go."""
+
+WATCHDOG_PERIOD = 0.25
+"""s between watchdog pings."""
+
+
+class Mode(StrEnum):
+    """What the daemon is doing."""
+
+    STARTING = "starting"
+    DISARMED = "disarmed"
+    RUNNING = "running"
+    FAULT = "fault"
+
+
+class Observer(Protocol):
+    """What the loop tells the observer process; none of it waits."""
+
+    @property
+    def ready(self) -> bool: ...
+    def offer(self, frame: Frame) -> None: ...
+    def start_recording(self, name: str, start_ns: int, metadata: dict[str, str]) -> None: ...
+    def stop_recording(self, reason: str, end_ns: int) -> None: ...
+    def event(self, severity: str, code: str, text: str) -> None: ...
+
+
+class ControlLoop:
+    """Holds the vehicle's state between cycles. The buses call `on_frames`, the daemon everything else.
+
+    `send(can_id, data, timestamp_ns)` puts a frame on the drives' bus; `unclaimed` gets the frames that no driver
+    knows (SDO answers); `deadline` is the s without a cycle after which a run is stopped, None on a lock-step bus.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleFile,
+        *,
+        send: Callable[[int, bytes, int], None],
+        observer: Observer,
+        notifier: Notifier,
+        unclaimed: Callable[[CanFrame], None],
+        deadline: float | None,
+    ) -> None:
+        self.vehicle = vehicle
+        self.io: VehicleIo = assembly.vehicle_io(vehicle)
+        self.kind: Kind[Any] = kinds.of(vehicle, self.io)
+        self.mode = Mode.STARTING
+        self.code = "starting"
+        self.reason = "setting up the drives"
+        self.since_ns = 0
+        self.needs_set_up = True
+        self.run: ExperimentRun | None = None
+        self.cycles = 0
+        self.missed_cycles = 0
+        self.lean: Lean | None = None
+        self.drives: Measurement = self.kind.measure()
+        self.on_change: Callable[[], None] = lambda: None
+        self.heard: list[CanFrame] | None = None
+        """While set-up listens to the bus: all frames."""
+        self._filter = assembly.roll_filter(vehicle)
+        self._pilot = self.kind.pilot()
+        self._safety = Safety(self.kind.bounds, missed_cycles=vehicle.limits.missed_cycles, period=vehicle.period)
+        self._seen = observation(self.io)
+        self._send = send
+        self._observer = observer
+        self._notifier = notifier
+        self._unclaimed = unclaimed
+        self._period = vehicle.period
+        self._last_imu_id = self.io.imu.can_ids[-1]
+        self._heartbeat_id = HEARTBEAT + vehicle.control.master_node
+        self._heartbeat_cycles = max(1, int(vehicle.control.heartbeat_period * vehicle.control.rate))
+        self._heartbeat_due = 0
+        self._watchdog_cycles = max(1, int(WATCHDOG_PERIOD * vehicle.control.rate))
+        self._deadline = deadline
+        self._cycles_at_deadline = -1
+        self._silence = 0.0
+        self._to_acknowledge: set[Drive] = set()
+        self._reset_at_ns = NEVER_NS
+        self._recording = False
+        self._aftermath = 0.0
+        self._quick_stop_left = 0.0
+        self._last_ns = 0
+        self._late_cycles = 0
+        self._phase = Phase.NONE
+
+    # The path of a sample
+
+    def on_frames(self, frames: list[CanFrame]) -> None:
+        """Take the frames of one wake-up, in the order of their timestamps."""
+        if self.heard is not None:
+            self.heard.extend(frames)
+        handle = self.io.handle
+        # More than one frame set at once: this process was held up. Only the last of them is answered on the bus.
+        waiting = sum(frame.can_id == self._last_imu_id for frame in frames) if len(frames) > 4 else 1
+        for frame in frames:
+            if frame.timestamp_ns >= self._reset_at_ns:
+                self._begin_recording()
+            sample = handle(frame)
+            if sample is not None:
+                waiting -= 1
+                self._cycle(sample, late=waiting > 0)
+            elif not frame.error:
+                self._unclaimed(frame)
+
+    def _cycle(self, sample: ImuSample, *, late: bool) -> None:
+        """One control cycle, from the sample to the setpoints on the bus and the frame for the observer."""
+        now_ns = sample.timestamp_ns
+        elapsed = (now_ns - self._last_ns) * 1e-9
+        self._last_ns = now_ns
+        attitude = self._filter.update(sample)
+        lean = self.lean = self.kind.lean(attitude)
+        drives = self.drives = self.kind.measure()
+        # A clock that was set, or a gap, must not throw the controller: its step stays near a period.
+        command = self._decide(min(max(elapsed, 0.5 * self._period), 4.0 * self._period), lean, drives)
+        self._late_cycles = self._late_cycles + 1 if late else 0
+        verdict = self._judge(now_ns, elapsed, lean, drives, command)
+        if verdict is not OK:
+            command = self._react(verdict, command)
+        if not late:
+            self._transmit(command, now_ns)
+        if drives.timestamp_ns:
+            self._observer.offer(row(self.kind, attitude, drives, command, self._phase))
+        self.cycles += 1
+        if elapsed > 1.5 * self._period:
+            self.missed_cycles += 1
+        if self.cycles % self._watchdog_cycles == 0:
+            self._notifier.watchdog()
+
+    def _decide(self, dt: float, lean: Lean, drives: Measurement) -> Command:
+        """What the drives shall do: follow the experiment, finish a stop, or nothing."""
+        run = self.run
+        if run is None:
+            return self._after_run(dt)
+        command = run.step(dt, lean, drives, self.io.state)
+        if run.phase is not self._phase:
+            self._phase = run.phase
+            self.on_change()
+        if run.done:
+            self._finish_run(Mode.DISARMED, "done", run.failure or run.end_reason)
+        return command
+
+    def _judge(self, now_ns: int, elapsed: float, lean: Lean, drives: Measurement, command: Command) -> Verdict:
+        seen, run = self._seen, self.run
+        observe(seen, self.io, now_ns, drives)
+        seen.imu_age = elapsed
+        seen.angle = lean.angle
+        seen.rate = lean.rate
+        seen.setpoint = command.setpoint
+        seen.late_cycles = self._late_cycles
+        seen.armed = run is not None and run.phase > Phase.REST
+        seen.should_run = run is not None and run.phase in POWERED
+        seen.balancing = run is not None and run.phase in BALANCING
+        seen.upright = run is not None and run.phase in UPRIGHT
+        return self._safety.judge(seen)
+
+    def _react(self, verdict: Verdict, command: Command) -> Command:
+        if self.run is None:
+            return command
+        if verdict.reaction is Reaction.END_EXPERIMENT:
+            self.end_experiment(verdict.text)
+            return command
+        self.stop_now(verdict.text, verdict.code.value)
+        return QUICK_STOP
+
+    def _transmit(self, command: Command, now_ns: int) -> None:
+        send = self._send
+        for can_id, data in self.io.command(command.target, command.setpoint):
+            send(can_id, data, now_ns)
+        send(SYNC, b"", now_ns)
+        if self.cycles >= self._heartbeat_due:
+            self._heartbeat_due = self.cycles + self._heartbeat_cycles
+            send(self._heartbeat_id, OPERATIONAL, now_ns)
+
+    def _after_run(self, dt: float) -> Command:
+        """No experiment: end a quick stop and its recording, else keep the drives off."""
+        if self._recording:
+            self._aftermath -= dt
+            if self._aftermath <= 0.0:
+                self._end_recording()
+        if self._quick_stop_left > 0.0:
+            self._quick_stop_left -= dt
+            return QUICK_STOP
+        return IDLE
+
+    # Beside the path: orders, deadlines, the bus going and coming
+
+    def start(self) -> None:
+        """Begin to watch the deadline; in a running event loop."""
+        if self._deadline is not None:
+            asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
+
+    def start_experiment(self, name: str) -> ExperimentRun:
+        """Begin an experiment and its recording. Only while `interlocks()` is empty."""
+        run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
+        self._phase = run.phase
+        self._reset_at_ns = self._last_ns + RECORDING_LEAD_NS
+        if self._recording:
+            self._end_recording()
+        self._recording = True
+        self._observer.start_recording(name, self._reset_at_ns, assembly.recording_metadata(self.vehicle, name))
+        self._enter(Mode.RUNNING, "running", f"experiment {name}")
+        return run
+
+    def end_experiment(self, reason: str) -> None:
+        """End the running experiment in order: the vehicle is lowered onto a support."""
+        if self.run is not None and not self.run.end_reason:
+            self.run.end(reason)
+            self._observer.event("warning", "end", reason)
+
+    def stop_now(self, reason: str, code: str = "operator") -> None:
+        """Quick stop: the drives brake, then lose power; the vehicle falls onto its supports. Latched as a fault."""
+        self._quick_stop_left = QUICK_STOP_TIME
+        self._aftermath = AFTERMATH
+        self._finish_run(Mode.FAULT, code, reason)
+        self._observer.event("error", code, reason)
+
+    def interlocks(self) -> list[str]:
+        """What keeps an experiment from being started, each in words; empty when nothing does."""
+        match self.mode:
+            case Mode.RUNNING:
+                return [f"{self.reason} is running."]
+            case Mode.FAULT:
+                return [f"A fault is latched: {self.reason}. Mend its cause, then `upright reset`."]
+            case Mode.STARTING:
+                return [f"Not ready: {self.reason}."]
+            case Mode.DISARMED if self.needs_set_up:
+                return ["The drives are being set up."]
+            case Mode.DISARMED if not self._observer.ready:
+                return ["The observer process is not up yet: nothing would be recorded."]
+            case Mode.DISARMED:
+                return interlocks(
+                    self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence
+                )
+
+    def reset_fault(self) -> str:
+        """Acknowledge a fault: the drives are set up again, their faults reset. The refusal in words, or ""."""
+        if self.mode is Mode.RUNNING:
+            return f"{self.reason} is running; `upright stop` ends it."
+        self._enter(Mode.STARTING, "starting", "setting up the drives")
+        self._to_acknowledge.update(self.io.drives)
+        self.needs_set_up = True
+        return ""
+
+    def set_up_done(self, error_codes: Mapping[str, int | None] | None = None) -> None:
+        """The drives are configured and in NMT operational; `error_codes` (603Fh, by name) is what they had.
+
+        A drive that only missed its master is taken back without asking: that is how every stop of the daemon looks.
+        """
+        self.needs_set_up = False
+        for drive in self.io.drives:
+            drive.configured()
+            code = (error_codes or {}).get(drive.config.name) or (drive.emergency.code if drive.emergency else 0)
+            if code & 0xFF00 in COMMUNICATION_ERRORS:
+                self._to_acknowledge.add(drive)
+        if self.mode is Mode.STARTING:
+            self._enter(Mode.DISARMED, "disarmed", "")
+
+    def set_up_failed(self, reason: str) -> None:
+        """A drive or a bus is not there; the daemon tries again."""
+        if self.mode in (Mode.STARTING, Mode.DISARMED) and reason != self.reason:
+            self._enter(Mode.STARTING, "set_up", reason)
+            self._observer.event("error", "set_up", reason)
+
+    def look_after_drives(self) -> None:
+        """Once in a while: what has to be set up anew, and faults to acknowledge once the drives have told their state.
+
+        A drive that missed its master has left NMT operational, one that restarted has lost its configuration.
+        """
+        if self.mode in (Mode.STARTING, Mode.DISARMED):
+            for drive in self.io.drives:
+                if drive.restarted or (drive.emergency and drive.emergency.code & 0xFF00 in COMMUNICATION_ERRORS):
+                    self.needs_set_up = True
+        self._to_acknowledge = {drive for drive in self._to_acknowledge if not drive.acknowledge()}
+
+    def bus_down(self, down: BusDown) -> None:
+        """The bus is gone: nothing can be sent, the drives stop by themselves when the heartbeat stays away."""
+        self.needs_set_up = True
+        if self.run is not None:
+            self.stop_now(str(down), "bus_down")
+        elif self.mode is not Mode.FAULT:
+            self._enter(Mode.STARTING, "bus_down", str(down))
+
+    def observer_gone(self) -> None:
+        """The observer process ended: an experiment that nobody records is ended."""
+        self.end_experiment("the observer process ended: nothing is recorded any more")
+
+    def state(self) -> dict[str, Any]:
+        """What MQTT's `state` and `upright status` say."""
+        run = self.run
+        return {
+            "vehicle": self.vehicle.vehicle.id,
+            "mode": self.mode.value,
+            "experiment": run.name if run is not None else None,
+            "phase": self._phase.name.lower(),
+            "code": self.code,
+            "reason": self.reason,
+            "interlocks": self.interlocks(),
+            "faults": [{"code": self.code, "text": self.reason}] if self.mode is Mode.FAULT else [],
+            "version": assembly.version(),
+            "since": self.since_ns * 1e-9,
+        }
+
+    def _enter(self, mode: Mode, code: str, reason: str) -> None:
+        self.mode, self.code, self.reason = mode, code, reason
+        self.since_ns = self._last_ns
+        self.on_change()
+
+    def _finish_run(self, mode: Mode, code: str, reason: str) -> None:
+        self.run = None
+        self._phase = Phase.NONE
+        self._enter(mode, code, reason)
+        if self._recording and mode is not Mode.FAULT:
+            self._end_recording()
+
+    def _begin_recording(self) -> None:
+        """At the agreed time all that was measured before is forgotten, so that the raw log alone tells everything."""
+        self.io.reset(self._reset_at_ns)
+        self._filter.reset()
+        self._reset_at_ns = NEVER_NS
+
+    def _end_recording(self) -> None:
+        self._recording = False
+        self._reset_at_ns = NEVER_NS
+        self._observer.stop_recording(self.reason, self._last_ns)
+
+    def _check_deadline(self) -> None:
+        """No cycle since the last look: the IMU is silent. A run is stopped; disarmed, the drives are kept informed."""
+        assert self._deadline is not None
+        asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
+        if self.cycles != self._cycles_at_deadline:
+            self._cycles_at_deadline = self.cycles
+            self._silence = 0.0
+            return
+        self._silence += self._deadline
+        if self.run is not None:
+            self._seen.imu_age = max(self._silence, self._deadline + self._period)
+            self._seen.imu_health = self.io.imu.health(self._last_ns)
+            self._seen.imu_text = self.io.imu.fault_text
+            verdict = self._safety.judge(self._seen)
+            self.stop_now(verdict.text or "no complete IMU frame set", verdict.code.value)
+        if self._recording:
+            self._end_recording()
+        if self._silence < QUICK_STOP_TIME:
+            self._transmit(QUICK_STOP if self._quick_stop_left > 0.0 else IDLE, self._last_ns)
+        elif self.mode is not Mode.RUNNING:
+            self._quick_stop_left = 0.0
+            self._transmit(IDLE, self._last_ns)
+            self._send(self._heartbeat_id, OPERATIONAL, self._last_ns)
+            self._notifier.watchdog()

@@ -1,0 +1,79 @@
+"""What the vehicle shows of itself: the observation that is judged each cycle, and the interlocks before a run."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import Any
+
+from drivers.cia402.states import State
+from drivers.imu import ImuHealth
+from drivers.vehicle_io import VehicleIo
+from service.control.safety import DriveObservation, Observation
+from service.control.sequence import AT_REST_ANGLE, AT_REST_RATE
+from service.kind import Kind, Lean, Measurement
+from service.vehicle_file.sections import VehicleFile
+
+FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
+
+
+def observation(io: VehicleIo) -> Observation:
+    """An observation of this vehicle, to be refilled every cycle."""
+    return Observation(drives=tuple(DriveObservation(drive.config.name) for drive in io.drives))
+
+
+def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement) -> None:
+    """Fill in what the drivers know at `now_ns`."""
+    for drive, entry in zip(io.drives, seen.drives, strict=True):
+        entry.age = (now_ns - min(drive.timestamp_ns, drive.statusword_timestamp_ns)) * 1e-9
+        entry.enabled = drive.state is State.OPERATION_ENABLED
+        entry.restarted = drive.restarted
+        if not entry.enabled:
+            entry.state = drive.condition
+        entry.emergency = drive.emergency.text if drive.emergency is not None else ""
+    seen.imu_health = io.imu.health(now_ns)
+    seen.imu_text = io.imu.fault_text
+    seen.axes = measured
+
+
+def interlocks(
+    vehicle: VehicleFile,
+    kind: Kind[Any],
+    io: VehicleIo,
+    lean: Lean | None,
+    measured: Measurement,
+    now_ns: int,
+    silence: float,
+) -> list[str]:
+    """What keeps a run from being started, each as a sentence with what to do."""
+    found = []
+    if lean is None or silence > 0.0:
+        found.append(
+            f"No IMU frames on {vehicle.bus.imu}: check its supply, bit rate and imu.base_id."
+            if not io.imu.fault_text
+            else io.imu.fault_text
+        )
+    elif io.imu.health(now_ns) is not ImuHealth.OK:
+        found.append(io.imu.fault_text or f"The IMU is not usable: {io.imu.health(now_ns).value}.")
+    elif abs(abs(lean.angle) - vehicle.support) > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
+        found.append(
+            f"The vehicle does not rest on a support: {kind.angle} {degrees(lean.angle):.2f} deg, supports at "
+            f"+-{vehicle.limits.support_deg:g} deg. Set it down, or check imu.axes and limits.support_deg."
+        )
+    for drive in io.drives:
+        if drive.state in FAULTY or drive.emergency is not None:
+            found.append(f"Drive {drive.condition}. Mend its cause, then `upright reset`.")
+        elif measured.timestamp_ns == 0 or (now_ns - drive.timestamp_ns) * 1e-9 > 10 * vehicle.period:
+            found.append(f"Drive {drive.last_wrong_length or drive.condition + ': no answer'}.")
+    return found + kind.interlocks(measured)
+
+
+def drive_states(io: VehicleIo) -> list[dict[str, str]]:
+    """State and fault of each drive, for people and for MQTT."""
+    return [
+        {
+            "name": drive.config.name,
+            "state": drive.state.value,
+            "fault": drive.emergency.text if drive.emergency is not None else drive.last_wrong_length,
+        }
+        for drive in io.drives
+    ]

@@ -1,0 +1,234 @@
+"""One experiment, from rest on a support back to rest on a support: the phases, pure.
+
+    rest -> enable -> centre -> rise -> settle -> excite -> fade -> lower -> centre back -> disable
+
+Every experiment is the whole way, so that each has one verb, one recording, and ends where a person may touch the
+vehicle. `ExperimentRun.step` is called once a control cycle and answers with what the drives shall do now; it knows
+no bus and no clock, only the time that the samples carry. The phases are those of every vehicle; how one gets up,
+balances and gets down is its kind's own (`service.kind.Handling`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from math import degrees
+from typing import Any
+
+from drivers.cia402.states import State
+from service.control.excitation import Excitation, make_excitation
+from service.kind import HOLD, IDLE, Command, Handling, Lean, Pilot
+from service.vehicle_file.sections import VehicleFile
+from telemetry.channels import NOTHING_RUNS
+
+AT_REST_ANGLE = 0.0175
+"""rad (1 deg): how near to a support's angle counts as resting on it."""
+
+AT_REST_RATE = 0.01
+"""rad/s of that angle."""
+
+
+class Phase(IntEnum):
+    """Where an experiment is; recorded in channel `phase`."""
+
+    NONE = NOTHING_RUNS
+    REST = 1
+    ENABLE = 2
+    CENTRE = 3
+    RISE = 4
+    SETTLE = 5
+    EXCITE = 6
+    FADE = 7
+    LOWER = 8
+    CENTRE_BACK = 9
+    DISABLE = 10
+
+    @property
+    def text(self) -> str:
+        """What a person reads."""
+        return _TEXTS[self]
+
+
+_TEXTS = {
+    Phase.NONE: "nothing runs",
+    Phase.REST: "at rest: the roll filter settles",
+    Phase.ENABLE: "enabling the drives",
+    Phase.CENTRE: "on the support: bringing the drives to the middle",
+    Phase.RISE: "rising from the support",
+    Phase.SETTLE: "upright: settling",
+    Phase.EXCITE: "exciting",
+    Phase.FADE: "excitation over: settling",
+    Phase.LOWER: "lowering onto the support",
+    Phase.CENTRE_BACK: "on the support: bringing the drives back",
+    Phase.DISABLE: "disabling the drives",
+}
+
+DURATIONS = {Phase.REST: 4.0, Phase.SETTLE: 3.0, Phase.FADE: 1.5}
+"""s of the phases that just take their time."""
+
+TIMEOUTS = {Phase.ENABLE: 5.0, Phase.CENTRE: 30.0, Phase.LOWER: 12.0, Phase.CENTRE_BACK: 30.0, Phase.DISABLE: 3.0}
+"""s after which a phase that should have ended counts as failed. ENABLE bears a drive's pause before re-enabling."""
+
+POWERED = frozenset(set(Phase) - {Phase.NONE, Phase.REST, Phase.ENABLE, Phase.DISABLE})
+"""Phases in which every drive must be in Operation enabled."""
+
+BALANCING = frozenset({Phase.RISE, Phase.SETTLE, Phase.EXCITE, Phase.FADE, Phase.LOWER})
+"""Phases off the support."""
+
+
+UPRIGHT = frozenset({Phase.SETTLE, Phase.EXCITE, Phase.FADE})
+"""Phases in which the vehicle is to stay up."""
+
+_NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase.LOWER}
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What one experiment is made of. `support` in rad; `angle` is what the angle of the fall is called."""
+
+    excitation: Excitation
+    handling: Handling[Any]
+    support: float
+    angle: str
+
+
+def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -> Plan:
+    """The plan of a vehicle file's experiment.
+
+    Raises ExcitationError where the experiment's signal cannot be played.
+    """
+    excitation = make_excitation(vehicle.experiments[experiment], float(vehicle.control.rate))
+    return Plan(excitation, pilot.handling(excitation), vehicle.support, angle)
+
+
+class ExperimentRun:
+    """The course of one experiment. `done` when it is over; `failure` says why where it did not do what it should."""
+
+    def __init__(self, name: str, plan: Plan) -> None:
+        self.name = name
+        self.phase = Phase.REST
+        self.failure = ""
+        self.end_reason = ""
+        self.done = False
+        self._plan = plan
+        self._handling = plan.handling
+        self._phase_time = 0.0
+
+    @property
+    def fraction(self) -> float:
+        """Share of the expected time that is over, 0 to 1; phases of unknown length count as they come."""
+        timed = (*DURATIONS, Phase.EXCITE)
+        before = sum(self._duration(phase) for phase in timed if phase < self.phase)
+        return min(1.0, (before + (self._phase_time if self.phase in timed else 0.0)) / self._expected)
+
+    @property
+    def remaining(self) -> float:
+        """s that the experiment still needs, roughly."""
+        return (1.0 - self.fraction) * self._expected
+
+    @property
+    def _expected(self) -> float:
+        return self._plan.excitation.duration + sum(DURATIONS.values())
+
+    def _duration(self, phase: Phase) -> float:
+        return self._plan.excitation.duration if phase is Phase.EXCITE else DURATIONS[phase]
+
+    def end(self, reason: str) -> None:
+        """End early and in order: if it is up, the vehicle is lowered first."""
+        if self.end_reason or self.done:
+            return
+        self.end_reason = reason
+        if self.phase in (Phase.REST, Phase.ENABLE, Phase.CENTRE):
+            self._enter(Phase.DISABLE)
+        elif self.phase in UPRIGHT:
+            self._enter(Phase.LOWER)
+
+    def step(self, dt: float, lean: Lean, drives: Any, state: State | None) -> Command:
+        """The command of this cycle. `dt` s since the last; `state` is the one all drives are in, if they agree.
+
+        `drives` are the measurements of this kind of vehicle.
+        """
+        self._phase_time += dt
+        timeout = TIMEOUTS.get(self.phase)
+        if timeout is not None and self._phase_time > timeout:
+            self._time_out(timeout)
+        match self.phase:
+            case Phase.REST:
+                return self._rest(lean)
+            case Phase.ENABLE:
+                if state is State.OPERATION_ENABLED:
+                    self._enter(Phase.CENTRE)
+                return HOLD
+            case Phase.CENTRE:
+                return self._centre(drives, then=Phase.RISE)
+            case Phase.RISE:
+                return self._get_up(dt, lean, drives)
+            case Phase.SETTLE | Phase.EXCITE | Phase.FADE:
+                return self._balance(dt, lean, drives)
+            case Phase.LOWER:
+                return self._lower(dt, lean, drives)
+            case Phase.CENTRE_BACK:
+                return self._centre(drives, then=Phase.DISABLE)
+            case _:
+                if state is not State.OPERATION_ENABLED:
+                    self.done = True
+                return IDLE
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._phase_time = 0.0
+
+    def _fail(self, reason: str, *, go_on: Phase) -> None:
+        self.failure = self.failure or reason
+        self._enter(go_on)
+
+    def _time_out(self, timeout: float) -> None:
+        reason = f"{self.phase.text}: not done within {timeout:g} s"
+        if self.phase is Phase.DISABLE:
+            self.failure = self.failure or reason
+            self.done = True
+        else:
+            self._fail(reason, go_on=Phase.CENTRE_BACK if self.phase is Phase.LOWER else Phase.DISABLE)
+
+    def _rest(self, lean: Lean) -> Command:
+        if self._phase_time >= DURATIONS[Phase.REST]:
+            off = abs(abs(lean.angle) - self._plan.support)
+            if off > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
+                self._fail(
+                    f"the vehicle does not rest on a support: {self._plan.angle} is {degrees(lean.angle):.2f} deg at "
+                    f"{degrees(lean.rate):.2f} deg/s, the supports are at +-{degrees(self._plan.support):.2f} "
+                    "deg. Check the supports, imu.axes and limits.support_deg",
+                    go_on=Phase.DISABLE,
+                )
+            else:
+                self._enter(Phase.ENABLE)
+        return IDLE
+
+    def _centre(self, drives: Any, then: Phase) -> Command:
+        command = self._handling.centre(drives)
+        if command is None:
+            self._enter(then)
+            return HOLD
+        return command
+
+    def _get_up(self, dt: float, lean: Lean, drives: Any) -> Command:
+        handling = self._handling
+        command = handling.rise(dt, lean, drives)
+        if handling.risen:
+            self._enter(Phase.LOWER if self.end_reason else Phase.SETTLE)
+        elif handling.failure:
+            self._fail(handling.failure, go_on=Phase.CENTRE_BACK)
+        return command
+
+    def _balance(self, dt: float, lean: Lean, drives: Any) -> Command:
+        value = self._plan.excitation.value(self._phase_time) if self.phase is Phase.EXCITE else 0.0
+        command = self._handling.balance(dt, lean, drives, value)
+        if self._phase_time >= self._duration(self.phase):
+            self._enter(_NEXT[self.phase])
+        return command
+
+    def _lower(self, dt: float, lean: Lean, drives: Any) -> Command:
+        command = self._handling.lower(dt, lean, drives)
+        if self._handling.lowered:
+            self._enter(Phase.CENTRE_BACK)
+        return command

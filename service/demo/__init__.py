@@ -1,0 +1,1 @@
+"""`upright demo`: story is what is told, run tells it on a virtual bus, figure draws it."""

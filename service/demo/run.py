@@ -1,0 +1,144 @@
+"""The whole story without hardware: a virtual vehicle on a lock-step bus, the real daemon, and a broker.
+
+The simulation runs in a thread of this process and hands over its time with every frame, so the story runs as fast as
+the machine allows; with the dashboard beside it, at the pace of the wall's clock. All else is what runs on a vehicle:
+the same control loop, observer process, recorder and MQTT.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from service.cli.output import missing_effects, page, parameter_table, people
+from service.control import api
+from service.control.daemon import Daemon, Places
+from service.control.loop import Mode
+from service.mqtt.embedded_broker import EmbeddedBroker
+from service.vehicle_file.file import VehicleFile
+from service.virtual.serving import virtual_vehicle_beside
+from service.virtual.vehicle import usual_disturbance
+from telemetry.errors import UprightError
+
+BUS = "virtual:upright-demo"
+READY_TIMEOUT = 30.0
+"""s for the drives to be set up and the roll filter to settle."""
+
+
+class DemoError(UprightError):
+    """The demo's vehicle did not get ready, or an experiment failed."""
+
+
+Follow = Callable[[Iterator[dict[str, Any]]], dict[str, Any]]
+Told = Callable[[list[Path]], None]
+
+
+def run_demo(
+    vehicle: VehicleFile,
+    hide: list[str],
+    experiments: list[str],
+    data: Path,
+    seed: int,
+    follow: Follow,
+    tell: Told,
+    *,
+    port: int | None = None,
+) -> None:
+    """Run `experiments` on a virtual vehicle. `follow` shows one and gives its result; `tell` what recordings say.
+
+    With `port` the dashboard is served there meanwhile, and until Ctrl-C.
+
+    Raises:
+        DemoError: the vehicle did not get ready, an experiment did not end well, or the port is taken.
+    """
+    recordings = asyncio.run(_run(vehicle, hide, experiments, data, seed, follow, tell, port))
+    if port is None:
+        tell(recordings)
+
+
+async def _run(
+    vehicle: VehicleFile,
+    hide: list[str],
+    experiments: list[str],
+    data: Path,
+    seed: int,
+    follow: Follow,
+    tell: Told,
+    port: int | None,
+) -> list[Path]:
+    async with EmbeddedBroker() as broker:
+        mqtt = {"broker": broker.address, "commands": port is not None}
+        vehicle = vehicle.model_copy(update={"mqtt": vehicle.mqtt.model_copy(update=mqtt)})
+        places = Places(BUS, BUS, data, data / f"{vehicle.vehicle.id}.sock")
+        daemon = Daemon(vehicle, places, lock_step=True)
+        shown = nullcontext() if port is None else _dashboard(vehicle, data, broker.websocket, port)
+        disturbance = usual_disturbance(vehicle)
+        plant = virtual_vehicle_beside(vehicle, hide, seed, BUS, punctual=port is not None, disturbance=disturbance)
+        with shown, plant:
+            serving = asyncio.create_task(daemon.run(), name="daemon")
+            try:
+                people.print(f"MQTT: {broker.address}, topics {vehicle.mqtt.base}/{vehicle.vehicle.id}/#")
+                await _until_ready(daemon, serving)
+                recordings = [await _experiment(name, places.socket, follow) for name in experiments]
+                if port is not None:
+                    try:
+                        await asyncio.to_thread(tell, recordings)
+                    except UprightError as error:  # as of a run that was stopped before the vehicle rose
+                        people.print(f"[yellow]No report: {error}[/yellow]")
+                    people.print(f"Dashboard: http://localhost:{port}, until Ctrl-C.")
+                    await serving
+                return recordings
+            finally:
+                daemon.stop()
+                await serving
+
+
+@contextmanager
+def _dashboard(vehicle: VehicleFile, data: Path, websocket: str, port: int) -> Iterator[None]:
+    """The dashboard on this machine's `port`, in a thread of its own. Raises DemoError where that is taken."""
+    import uvicorn
+
+    from service.dashboard.app import Dashboard, Settings
+
+    try:
+        place = socket.create_server(("127.0.0.1", port))
+    except OSError as error:
+        raise DemoError(f"port {port}: {error.strerror}.", remedy="Choose another one with --port.") from error
+    application = Dashboard(Settings(vehicle, data, websocket)).app
+    server = uvicorn.Server(uvicorn.Config(application, log_level="warning", access_log=False))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, name="dashboard")
+    thread.start()
+    people.print(f"Dashboard: http://localhost:{port}")
+    try:
+        yield
+    finally:
+        server.should_exit = True
+        thread.join()
+        place.close()
+
+
+async def _until_ready(daemon: Daemon, serving: asyncio.Task[None]) -> None:
+    for _ in range(int(READY_TIMEOUT / 0.05)):
+        if serving.done():
+            serving.result()
+        if daemon.loop.mode is Mode.DISARMED and not daemon.loop.interlocks():
+            return
+        await asyncio.sleep(0.05)
+    raise DemoError(f"the virtual vehicle did not get ready: {' '.join(daemon.loop.interlocks())}")
+
+
+async def _experiment(name: str, socket: Path, follow: Follow) -> Path:
+    people.print(f"[bold]Experiment {name}[/bold]")
+    answers = api.call([socket], {"verb": "experiment", "name": name}, timeout=None)
+    answer = await asyncio.to_thread(follow, answers)
+    if answer["exit_code"] != api.ExitCode.DONE:
+        raise DemoError(f"experiment {name}: {answer['text']}")
+    if answer.get("estimates"):
+        page.print(parameter_table(answer["estimates"]))
+        page.print(missing_effects(answer.get("diagnosis")))
+    return Path(answer["recording"])

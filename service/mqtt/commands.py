@@ -1,0 +1,132 @@
+"""The gate that a command over MQTT has to pass. Pure: whoever calls says what time it is.
+
+What is retained, too large, not a command, late, a repetition or out of order goes no further, and is counted. A stop
+is let through late and out of order, too: it can only bring the vehicle to rest. Nothing here can grow without bound.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict, deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from service.mqtt.topics import ARGUMENTS, Command
+
+LARGEST = 4096
+"""Bytes of a command."""
+
+OLDEST = 2.0
+"""s by which a command's time stamp may differ from the time here, either way."""
+
+MOST_A_SECOND = 100
+"""Commands that are looked at in one second."""
+
+MOST_CLIENTS = 64
+"""Clients of which is known what they sent last."""
+
+MOST_KNOWN = 64
+"""Ids of a client that are known again."""
+
+UNORDERED = ("stop",)
+"""Verbs that are obeyed however late they come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Passed:
+    """A command to be obeyed."""
+
+    verb: str
+    client: str
+    id: str
+    arguments: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A command that is not, and why; `client` is empty where nobody can be answered. `again`: a repetition, whose
+    first reply may be given once more."""
+
+    code: str
+    text: str
+    client: str = ""
+    id: str = ""
+    again: bool = False
+
+
+@dataclass(slots=True)
+class _Client:
+    latest: float = float("-inf")
+    known: deque[str] = field(default_factory=lambda: deque(maxlen=MOST_KNOWN))
+
+
+class CommandGate:
+    """Judges commands of one vehicle. `counts` says how many passed and how many did not, by reason."""
+
+    def __init__(self) -> None:
+        self.counts = dict.fromkeys(
+            ("passed", "retained", "huge", "malformed", "flood", "stale", "duplicate", "reordered"), 0
+        )
+        self._clients: OrderedDict[str, _Client] = OrderedDict()
+        self._second = 0
+        self._in_second = 0
+
+    def judge(self, verb: str, payload: bytes, *, retained: bool, now: float) -> Passed | Refused:
+        """What to do with `payload` on cmd/`verb` at `now`, Unix seconds."""
+        found = self._judge(verb, payload, retained, now)
+        self.counts["passed" if isinstance(found, Passed) else found.code] += 1
+        return found
+
+    def _judge(self, verb: str, payload: bytes, retained: bool, now: float) -> Passed | Refused:
+        if retained:
+            return Refused("retained", "A retained command is not obeyed: who knows when it was meant.")
+        if len(payload) > LARGEST:
+            return Refused("huge", f"A command has at most {LARGEST} bytes.")
+        if verb not in UNORDERED and self._is_flood(now):
+            return Refused("flood", f"More than {MOST_A_SECOND} commands a second.")
+        model = ARGUMENTS.get(verb)
+        try:
+            document = json.loads(payload)
+            command = Command.model_validate(document)
+        except (ValidationError, ValueError, RecursionError):
+            return Refused("malformed", "Not a command.")
+        who = (command.client, command.id)
+        if model is None:
+            return Refused("malformed", f"There is no verb {verb[:40]!r}.", *who)
+        try:
+            arguments = model.model_validate(command.arguments, strict=True).model_dump()
+        except ValidationError as error:
+            return Refused("malformed", f"{verb}: {_words(error)}.", *who)
+        client = self._client(command.client)
+        if command.id in client.known:
+            return Refused("duplicate", "This command has come before.", *who, again=True)
+        if verb not in UNORDERED:
+            if abs(now - command.timestamp) > OLDEST:
+                text = f"Its time is {now - command.timestamp:+.1f} s off the vehicle's: late, or a clock is wrong."
+                return Refused("stale", text, *who)
+            if command.timestamp < client.latest:
+                return Refused("reordered", "A later command has come before it.", *who)
+            client.latest = command.timestamp
+        client.known.append(command.id)
+        return Passed(verb, command.client, command.id, arguments)
+
+    def _is_flood(self, now: float) -> bool:
+        if int(now) != self._second:
+            self._second, self._in_second = int(now), 0
+        self._in_second += 1
+        return self._in_second > MOST_A_SECOND
+
+    def _client(self, name: str) -> _Client:
+        client = self._clients.get(name) or _Client()
+        self._clients[name] = client
+        self._clients.move_to_end(name)
+        if len(self._clients) > MOST_CLIENTS:
+            self._clients.popitem(last=False)
+        return client
+
+
+def _words(error: ValidationError) -> str:
+    first = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'arguments'}: {first['msg']}"[:200]

@@ -1,0 +1,74 @@
+"""MQTT in a thread of its own, so that commands and signs of life pass while the observer's event loop computes.
+
+The estimators run in that loop, and now and then go through all cycles again, which takes the better part of a second
+on a busy machine; a lease of 0.3 s would not outlast that. Compiled kernels let other threads run meanwhile. What is
+published may wait for what it comes from; what is commanded must not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from service.mqtt.client import MqttConfig, MqttPublisher
+from service.mqtt.command_inbox import CommandInbox
+from service.observer.beside import beside
+
+
+class MqttThread:
+    """Publishes for one vehicle, and hands its commands to `forward`, which is called in the thread.
+
+    It begins at once, in a running event loop; `ended` is done when the thread is, and says what that failed on. The
+    methods are for the thread that made it, and neither wait nor fail.
+    """
+
+    def __init__(
+        self,
+        config: MqttConfig,
+        forward: Callable[[dict[str, Any]], bool],
+        announced: Iterable[tuple[str, Any]] = (),
+    ) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._publisher = MqttPublisher(config, self._take, announced)
+        self._inbox = CommandInbox(forward, self._publisher.tell, time.time)
+        self.ended = beside(self._work, "mqtt")
+
+    def close(self) -> None:
+        """Say goodbye and end, for which `service.mqtt.client.GOODBYE_TIME` is enough."""
+        self._call(self._publisher.close)
+
+    def retain(self, name: str, document: Any) -> None:
+        """The new value of a retained topic."""
+        self._call(self._publisher.retain, name, document)
+
+    def tell(self, name: str, document: Any) -> None:
+        """A message of a topic that is not retained."""
+        self._call(self._publisher.tell, name, document)
+
+    def telemetry(self, payload: bytes) -> None:
+        """One batch."""
+        self._call(self._publisher.telemetry, payload)
+
+    def reply(self, client: str, reply: dict[str, Any]) -> None:
+        """What control answers to a command."""
+        self._call(self._inbox.reply, client, reply)
+
+    def summary(self) -> dict[str, Any]:
+        """For `upright status`."""
+        return {**self._publisher.summary(), "commands": dict(self._inbox.gate.counts)}
+
+    def _take(self, verb: str, payload: bytes, retained: bool) -> None:
+        self._inbox.take(verb, payload, retained)
+
+    def _work(self) -> None:
+        try:
+            self._loop.run_until_complete(self._publisher.run())
+        finally:
+            self._loop.close()
+
+    def _call(self, what: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the thread has ended
+            self._loop.call_soon_threadsafe(what, *arguments)

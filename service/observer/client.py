@@ -1,0 +1,229 @@
+"""The control process' end of the observer: starts it, feeds it, hears from it, and never waits for it.
+
+On SocketCAN a process of its own logs the raw frames from its own sockets (`service.observer.raw_log`). It is started
+here too, so that the log goes on when the observer, or this process, is gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import sys
+from asyncio.subprocess import DEVNULL, Process
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from service.observer import link
+from service.observer.pipe import ObserverPipe, PipeStatistics
+from service.observer.raw_log_client import RawLogProcess
+from telemetry.channels import TABLES
+from telemetry.samples import CanFrame, Frame
+
+ORDERS = ("start_recording", "stop_recording")
+"""Messages that must not be lost."""
+ORDERLY_END = 10.0
+"""s that the observer gets to end by itself."""
+
+
+class ObserverClient:
+    """Starts and feeds one observer process. All methods are called in the event loop's thread.
+
+    `hello` is what the observer must know of the vehicle (`service.control.assembly.observer_hello`). `lossless` is for
+    a simulated bus whose time stands still meanwhile: a full pipe is then waited for.
+    """
+
+    def __init__(self, hello: dict[str, Any], *, lossless: bool = False) -> None:
+        self.estimates: dict[str, Any] = {}
+        """Latest results of the running or last recording: method to `Estimate.to_json`."""
+        self.diagnosis: dict[str, Any] | None = None
+        """What the running or last recording's live diagnosis says, as `diagnose --json`."""
+        self.on_exit: Callable[[int], None] = lambda status: None
+        """Called with the exit status when the observer ended without being told to."""
+        self.on_command: Callable[[dict[str, Any]], None] = lambda command: None
+        """Called with a command that came over MQTT: verb, client, id, arguments."""
+        self._hello = hello
+        self._lossless = lossless
+        self._counts = PipeStatistics()
+        self._pipe: ObserverPipe | None = None
+        self._process: Process | None = None
+        self._watch: asyncio.Task[None] | None = None
+        self._stopping = False
+        self._raw_log: RawLogProcess | None = None
+        self._state = b""
+        self._report: dict[str, Any] = {}
+        self._recording: dict[str, Any] = {}
+        self._dropped_before = 0
+        self._finished: asyncio.Future[dict[str, Any]] | None = None
+
+    # Life of the processes
+
+    @property
+    def alive(self) -> bool:
+        """Whether there is an observer to talk to."""
+        return self._pipe is not None and self._pipe.is_open
+
+    @property
+    def ready(self) -> bool:
+        """Whether the observer has said that it is up."""
+        return self.alive and bool(self._report)
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the observer."""
+        return self._process.pid if self._process is not None else None
+
+    async def start(self) -> None:
+        """Start the observer and, for SocketCAN, the raw log. Returns before they are up: the pipe holds until then."""
+        buses = [address.partition(":")[2] for address in self._hello["raw_log_buses"]]
+        if buses:
+            self._raw_log = RawLogProcess(buses, self.event)
+        await self.restart()
+
+    async def restart(self) -> None:
+        """Start the observer where there is none. What the old one had begun to record is not taken up again."""
+        if self.alive:
+            return
+        self._report = {}
+        own, other = link.pair()
+        command = [sys.executable, "-P", "-m", "service.observer.process", str(other.fileno())]
+        with other:
+            self._process = await asyncio.create_subprocess_exec(
+                *command, pass_fds=(other.fileno(),), stdin=DEVNULL, stdout=DEVNULL, start_new_session=True
+            )
+        channels = len(TABLES[self._hello["kind"]])
+        pipe = self._pipe = ObserverPipe(own, channels, self._counts, self._handle, lossless=self._lossless)
+        self._watch = asyncio.create_task(self._wait_for_exit(self._process, pipe), name="watch the observer")
+        pipe.post(link.pack_json({"type": "hello", **self._hello}))
+        if self._state:
+            pipe.post(self._state)
+
+    async def stop(self) -> None:
+        """Let the observer finish its recording, say goodbye to the broker and end; killed after `ORDERLY_END` s."""
+        self._stopping = True
+        if self._pipe is not None and self._process is not None and self._watch is not None:
+            await self._pipe.end(1.0)
+            try:
+                await asyncio.wait_for(asyncio.shield(self._watch), ORDERLY_END)
+            except TimeoutError:
+                self._process.kill()
+                await self._watch
+        if self._raw_log is not None:
+            await self._raw_log.stop()
+
+    async def _wait_for_exit(self, process: Process, pipe: ObserverPipe) -> None:
+        status = await process.wait()
+        pipe.receive()
+        pipe.close()
+        if self._finished is not None and not self._finished.done():
+            self._finished.set_result(self._unfinished("the observer process ended"))
+        self._recording = {}
+        if not self._stopping:
+            self._counts.exits += 1
+            self.on_exit(status)
+
+    # What control tells the observer
+
+    def offer(self, frame: Frame) -> None:
+        """One control cycle."""
+        if self._pipe is not None:
+            self._pipe.offer(frame)
+
+    def offer_can(self, frame: CanFrame) -> None:
+        """One raw frame, on buses that no second process can listen to. Kept only while a recording runs."""
+        if self._recording and self._pipe is not None:
+            self._pipe.offer_can(frame)
+
+    def start_recording(self, name: str, start_ns: int, metadata: dict[str, str]) -> None:
+        """Record and estimate from `start_ns` on. `name` becomes part of the file names."""
+        if self._finished is not None and not self._finished.done():
+            self._finished.set_result(self._unfinished("another recording began"))
+        now = datetime.now(UTC)
+        safe_name = re.sub(r"[^\w.-]", "_", name)
+        folder = Path(self._hello["data"]).absolute()
+        stem = folder / f"{now:%Y%m%d-%H%M%S}-{now.microsecond // 1000:03d}_{safe_name}"
+        raw_log = Path(f"{stem}.log")
+        self._recording = {"recording": f"{stem}.arrow", "raw_log": str(raw_log)}
+        self._finished = asyncio.get_running_loop().create_future()
+        self.estimates, self.diagnosis = {}, None
+        self._dropped_before = self._counts.frames_dropped
+        if self._raw_log is not None:
+            self._raw_log.open(raw_log, start_ns)
+        self._tell(
+            "start_recording", stem=str(stem), start_ns=start_ns, metadata=metadata, raw_log=self._raw_log is None
+        )
+
+    def stop_recording(self, reason: str, end_ns: int) -> None:
+        """Record up to and with the cycle of `end_ns`, which may not be offered yet; then give the final results."""
+        # The setpoints that answer the last cycle are to be in the raw log, the next complete IMU frame set is not.
+        raw_end_ns = end_ns + round(0.5e9 / self._hello["rate"])
+        if self._raw_log is not None:
+            self._raw_log.close(raw_end_ns)
+        if self._pipe is not None:
+            self._pipe.flush()
+        dropped = self._counts.frames_dropped - self._dropped_before
+        self._tell("stop_recording", reason=reason, end_ns=end_ns, raw_end_ns=raw_end_ns, dropped_frames=dropped)
+
+    async def finished_recording(self, timeout: float = 15.0) -> dict[str, Any]:
+        """The running or last recording, once it is on the disk: recording, raw_log (paths), rows, failure, estimates,
+        diagnosis.
+
+        Where it is not finished within `timeout` s, `failure` says so; empty where nothing was ever recorded.
+        """
+        if self._finished is None:
+            return {}
+        try:
+            return await asyncio.wait_for(asyncio.shield(self._finished), timeout)
+        except TimeoutError:
+            return self._unfinished(f"not finished within {timeout:g} s")
+
+    def publish_state(self, state: dict[str, Any]) -> None:
+        """The retained state; an observer that is started later is told it, too."""
+        self._state = link.pack_json({"type": "state", "state": state})
+        if self._pipe is not None:
+            self._pipe.post(self._state)
+
+    def progress(self, task: str, fraction: float, remaining: float) -> None:
+        """How far a running task is, 0 to 1, and how many s it still needs."""
+        self._tell("progress", task=task, fraction=fraction, remaining=remaining)
+
+    def event(self, severity: str, code: str, text: str) -> None:
+        """Something happened: severity "info", "warning" or "error", a code for programs, a text for people."""
+        self._tell("event", severity=severity, code=code, text=text)
+
+    def health(self, report: dict[str, Any]) -> None:
+        """How the control process does; goes along with the telemetry."""
+        self._tell("health", health=report)
+
+    def reply(self, client: str, reply: dict[str, Any]) -> None:
+        """The answer to a command that came over MQTT."""
+        self._tell("reply", client=client, reply=reply)
+
+    def statistics(self) -> dict[str, Any]:
+        """For `upright status`: counts of the pipe, and what the observer said last of itself."""
+        return {"alive": self.alive, **asdict(self._counts), **self._report}
+
+    def _tell(self, type: str, **message: Any) -> None:
+        if self._pipe is not None:
+            self._pipe.post(link.pack_json({"type": type, **message}), order=type in ORDERS)
+
+    # What the observer tells control
+
+    def _handle(self, message: dict[str, Any]) -> None:
+        match message.pop("type"):
+            case "estimates":
+                self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
+            case "report":
+                self._report = message
+            case "command":
+                self.on_command(message)
+            case "finished" if message["recording"] == self._recording.get("recording"):
+                self.estimates, self.diagnosis = message["estimates"], message["diagnosis"]
+                if self._finished is not None and not self._finished.done():
+                    self._finished.set_result({**self._recording, **message})
+                self._recording = {}
+
+    def _unfinished(self, failure: str) -> dict[str, Any]:
+        return {**self._recording, "failure": failure, "estimates": self.estimates, "diagnosis": self.diagnosis}

@@ -1,0 +1,133 @@
+"""What the model predicts while the vehicle moves, to be drawn over what was measured.
+
+Every half second of free motion is predicted by itself: the model starts from the measured state and is left alone
+from there on, driven by the measured inputs. Beside it, with a Kalman gain, how far off it is one step ahead: the
+innovations. The parameters are the nominal ones until estimates are given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.contract import EstimationError
+from estimators.fit.innovations import NoiseModel
+from estimators.fit.problem import Problem
+from estimators.identify.run import nominal_model, with_values
+from estimators.recursive.frame_chunks import Chunk, FrameChunks
+from estimators.recursive.prediction_error import at_rest
+from estimators.recursive.predictor import measured_state
+from telemetry.channels import ChannelTable
+from telemetry.samples import Frame
+
+Array = NDArray[np.float64]
+
+WINDOW = 0.5
+"""s that are predicted in one."""
+
+MOST_POINTS = 60
+"""Of a stretch: as fine as a screen shows it."""
+
+
+class LivePrediction:
+    """Predictions of the vehicle's own model. To make one compiles it, which may take seconds.
+
+    Raises EstimationError for a kind of vehicle that has no model.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        parameters: Mapping[str, float],
+        deviations: Mapping[str, float],
+        support: float,
+        channels: ChannelTable,
+        rate: float,
+    ) -> None:
+        model = with_values(nominal_model(kind), dict(parameters), dict(deviations))
+        self._problem: Problem = at_rest(model, 1.0 / rate)
+        self._chunks = FrameChunks(model, channels, support=support, rows=25, window=WINDOW)
+        self._names = {parameter.name for parameter in model.parameters}
+        self._given: dict[str, float] = {}
+        self._values: Array = self._problem.kernel.vector()
+        self._noise = NoiseModel.of(self._problem)
+        self._gain = self._new_gain()
+
+    def believe(self, estimates: Mapping[str, Any]) -> None:
+        """Predict with these parameters from now on, as `service.mqtt.payloads.parameters` gives them."""
+        given = {
+            name: entry["value"]
+            for name, entry in estimates.items()
+            if name in self._names and entry["value"] is not None and entry["status"] == "ok"
+        }
+        if given and given != self._given:
+            self._given = given
+            self._values = self._problem.kernel.vector(given)
+            self._gain = self._new_gain()
+
+    def update(self, frames: Iterable[Frame]) -> Iterator[dict[str, Any]]:
+        """The stretches that these cycles complete, JSON-ready."""
+        for frame in frames:
+            chunk = self._chunks.update(frame)
+            if chunk is not None:
+                yield self._stretch(chunk, frame)
+
+    def _new_gain(self) -> Array | None:
+        return self._noise.gain(self._values, np.zeros(self._noise.size))
+
+    def _stretch(self, chunk: Chunk, latest: Frame) -> dict[str, Any]:
+        segment, rows = chunk.segment, chunk.rows
+        alone, corrected = self._run(chunk, None), self._run(chunk, self._gain)
+        time = segment.time[rows]
+        # The latest cycle is the segment's last row: that is where its time meets the data's.
+        begin = latest.timestamp_ns * 1e-9 - float(segment.time[-1] - time[0])
+        step = max(1, -(-len(time) // MOST_POINTS))
+        names = self._problem.kernel.outputs
+        measured = segment.measured[rows]
+        return {
+            "t0": round(begin, 6),
+            "dt": float(f"{step * (time[-1] - time[0]) / (len(time) - 1):.6g}"),
+            "values": _columns(names, alone[rows], step),
+            "innovations": _columns(names, measured - corrected[rows], step),
+        }
+
+    def _run(self, chunk: Chunk, gain: Array | None) -> Array:
+        kernel, segment = self._problem.kernel, chunk.segment
+        memory = kernel.memory(measured_state(self._problem, segment.measured[chunk.first]), ())
+        predicted = np.empty_like(segment.measured)
+        slopes = np.empty((*segment.measured.shape, 0))
+        kernel.proceed(
+            segment,
+            self._values,
+            memory,
+            gain,
+            (),
+            predicted,
+            slopes,
+            first=chunk.first,
+            last=chunk.last,
+            substeps=self._problem.substeps,
+            skip=False,
+        )
+        return predicted
+
+
+def live_prediction(hello: Mapping[str, Any], channels: ChannelTable) -> LivePrediction | None:
+    """For what control says of the vehicle; None for a kind without a model."""
+    given = hello["parameters"]
+    values = {name: entry["value"] for name, entry in given.items()}
+    deviations = {name: entry["std"] for name, entry in given.items()}
+    try:
+        return LivePrediction(hello["kind"], values, deviations, hello["support"], channels, hello["rate"])
+    except EstimationError:
+        return None
+
+
+def _columns(names: Sequence[str], table: Array, step: int) -> dict[str, list[float | None]]:
+    return {
+        name: [float(f"{value:.6g}") if np.isfinite(value) else None for value in table[::step, place]]
+        for place, name in enumerate(names)
+    }

@@ -1,0 +1,205 @@
+"""The sending side of the pipe to the observer: frames in batches, messages in their place between them, never waiting.
+
+What finds the pipe full waits in a bounded queue, which a stalled observer may take half a minute to empty; what finds
+that full is dropped and counted. A pipe that is `lossless` waits itself; that is for a simulated bus, whose time stands
+still meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import select
+import socket
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from service.observer import link
+from telemetry.samples import CanFrame, Frame
+
+BATCH_NS = 20_000_000
+"""Time in the data that one batch spans."""
+
+MOST_FRAMES = 32
+MOST_CAN_FRAMES = 512
+"""Frames of a batch that is sent whatever its time: a clock that was set back must not hold it up."""
+
+MOST_WAITING = 2 << 20
+"""Bytes that wait for room in the pipe: half a minute of 250 Hz; less where its raw frames wait, too."""
+
+RESERVED = 64 << 10
+"""Bytes of it that are for messages: they are few, and what they tell matters more than one more cycle."""
+
+PACKETS_A_TURN = 32
+"""Packets that waited and are sent in one go."""
+
+LONGEST_WAIT = 5.0
+"""s that a lossless pipe waits for room."""
+
+
+@dataclass(slots=True)
+class PipeStatistics:
+    """Counts of all pipes to one observer. `dropped` found pipe and queue full, or the observer gone."""
+
+    frames: int = 0
+    frames_dropped: int = 0
+    can_frames: int = 0
+    can_frames_dropped: int = 0
+    messages_dropped: int = 0
+    exits: int = 0
+
+
+class ObserverPipe:
+    """Control's end `connection`, in a running event loop, for cycles of `channels` values.
+
+    `on_message` gets the JSON objects that come back. `is_open` is False once the other end is gone.
+    """
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        channels: int,
+        statistics: PipeStatistics,
+        on_message: Callable[[dict[str, Any]], None],
+        *,
+        lossless: bool,
+    ) -> None:
+        self.is_open = True
+        self._socket = connection
+        self._codec = link.FrameCodec(channels)
+        self._statistics = statistics
+        self._on_message = on_message
+        self._lossless = lossless
+        self._loop = asyncio.get_running_loop()
+        self._frames: list[Frame] = []
+        self._flush_at_ns = 0
+        self._can_frames: list[CanFrame] = []
+        self._flush_can_at_ns = 0
+        self._waiting: deque[bytes] = deque()
+        self._waiting_size = 0
+        self._room_wanted = False
+        self._loop.add_reader(connection, self.receive)
+
+    def offer(self, frame: Frame) -> None:
+        """One control cycle."""
+        self._frames.append(frame)
+        if frame.timestamp_ns >= self._flush_at_ns or len(self._frames) >= MOST_FRAMES:
+            self._flush_at_ns = frame.timestamp_ns + BATCH_NS
+            self._flush_frames()
+
+    def offer_can(self, frame: CanFrame) -> None:
+        """One raw frame."""
+        self._can_frames.append(frame)
+        if frame.timestamp_ns >= self._flush_can_at_ns or len(self._can_frames) >= MOST_CAN_FRAMES:
+            self._flush_can_at_ns = frame.timestamp_ns + BATCH_NS
+            self._flush_can_frames()
+
+    def post(self, packet: bytes, *, order: bool = False) -> None:
+        """A message: after the frames that came before it. An `order` is never dropped, however much waits."""
+        self.flush()
+        self._flush_at_ns = 0  # The next cycle may be the last one that an order asks for.
+        if not self._send(packet, MOST_WAITING if not order else None):
+            self._statistics.messages_dropped += 1
+
+    def flush(self) -> None:
+        """Send what has gathered."""
+        if self._frames:
+            self._flush_frames()
+        if self._can_frames:
+            self._flush_can_frames()
+
+    async def end(self, time: float) -> None:
+        """Tell the other end that nothing more comes, after all that waits, for which it gets `time` s."""
+        self.flush()
+        limit = self._loop.time() + time
+        while self._waiting and self.is_open and self._loop.time() < limit:
+            await asyncio.sleep(0.01)
+        if self.is_open:
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def close(self) -> None:
+        """Forget what waits, and close this end."""
+        if self.is_open:
+            self.is_open = False
+            self._loop.remove_reader(self._socket)
+            self._loop.remove_writer(self._socket)
+            self._socket.close()
+
+    def receive(self) -> None:
+        """Take what the observer sent."""
+        while self.is_open:
+            try:
+                packet = self._socket.recv(link.LARGEST)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if not packet:
+                self.close()
+                return
+            self._on_message(link.unpack_json(packet))
+
+    def _flush_frames(self) -> None:
+        frames, self._frames = self._frames, []
+        if self._send(self._codec.pack(frames), MOST_WAITING - RESERVED):
+            self._statistics.frames += len(frames)
+        else:
+            self._statistics.frames_dropped += len(frames)
+
+    def _flush_can_frames(self) -> None:
+        frames, self._can_frames = self._can_frames, []
+        if self._send(link.pack_can(frames), MOST_WAITING - RESERVED):
+            self._statistics.can_frames += len(frames)
+        else:
+            self._statistics.can_frames_dropped += len(frames)
+
+    def _send_waiting(self) -> bool:
+        """Whether nothing waits any more, after a few packets: the next control cycle is not to wait for them."""
+        for _ in range(min(PACKETS_A_TURN, len(self._waiting))):
+            if not self._try_send(self._waiting[0]):
+                return False
+            self._waiting_size -= len(self._waiting.popleft())
+        if self._waiting:
+            return False
+        if self._room_wanted and self.is_open:
+            self._room_wanted = False
+            self._loop.remove_writer(self._socket)
+        return True
+
+    def _send(self, packet: bytes, most_waiting: int | None) -> bool:
+        """Whether the packet is sent, or waits, after which at most so many bytes do (None: any number)."""
+        while not (self._send_waiting() and self._try_send(packet)):
+            if not (self._lossless and self._wait_for_room()):
+                return self._queue(packet, most_waiting)
+        return True
+
+    def _queue(self, packet: bytes, most: int | None) -> bool:
+        size = self._waiting_size + len(packet)
+        if not self.is_open or (most is not None and size > most):
+            return False
+        self._waiting.append(packet)
+        self._waiting_size = size
+        if not self._room_wanted:
+            self._room_wanted = True
+            self._loop.add_writer(self._socket, self._send_waiting)
+        return True
+
+    def _try_send(self, packet: bytes) -> bool:
+        if not self.is_open:
+            return False
+        try:
+            self._socket.send(packet)
+        except BlockingIOError:
+            return False
+        except OSError:
+            self.close()  # The observer is gone; its exit status follows.
+            return False
+        return True
+
+    def _wait_for_room(self) -> bool:
+        if not self.is_open:
+            return False
+        poll = select.poll()
+        poll.register(self._socket, select.POLLOUT)
+        return bool(poll.poll(LONGEST_WAIT * 1000))

@@ -1,0 +1,368 @@
+"""The observer process: recorder, online estimators, live diagnosis and MQTT, fed by the control process.
+
+    python -m service.observer.process SOCKET_FD
+
+Its pipe brings `hello` first (`service.control.assembly.observer_hello`), then cycles and orders. The end of the pipe
+is the order to end: a running recording is finished, `offline` is published, and it exits, whether control said goodbye
+or died. The recorder and the estimators take exactly the same cycles, those from a recording's agreed start to its end,
+so that a replay of the recording gives the same numbers. It runs at a lower priority than control and never makes it
+wait. MQTT has a thread of its own (`service.mqtt.thread`), at control's priority, as commands come through it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
+from service.mqtt.home_assistant import discovery
+from service.mqtt.payloads import TelemetryBatches, parameters
+from service.mqtt.thread import MqttThread
+from service.observer import link
+from service.observer.beside import beside
+from service.observer.live_prediction import LivePrediction, live_prediction
+from service.observer.news import News
+from service.observer.online_estimators import EstimatorBank, online_estimators
+from service.observer.recorder import Recorder
+from telemetry.channels import TABLES
+from telemetry.errors import UprightError
+from telemetry.samples import CanFrame, Frame
+
+NICENESS = 5
+
+SWITCH_INTERVAL = 1e-3
+"""s after which a thread that computes lets MQTT's run: a command needs several such turns."""
+
+WRITE_PERIOD = 1.0
+"""s between two batches on the disk."""
+
+ESTIMATE_PERIOD = 0.25
+"""s between two sets of estimates."""
+
+LAST_DATA = 0.5
+"""s that the last rows of a recording may take after the order to stop it."""
+
+LATE_ESTIMATES = 5.0
+"""s that the end of a recording waits for estimators that are still being made."""
+
+PACKETS_A_TURN = 32
+"""Packets that are handled before other tasks get their turn."""
+
+RAW_BUSES = ("can0", "can1")
+"""Names of in-process buses in a raw log."""
+
+
+def _give_way() -> None:
+    """This thread runs only where nobody else wants the processor, least of all the control process."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
+
+
+class Observer:
+    """One observer over the pipe `connection`, with what `hello` says of the vehicle. To be made in a running loop."""
+
+    def __init__(self, connection: socket.socket, hello: Mapping[str, Any]) -> None:
+        self._connection = connection
+        self._channels = TABLES[hello["kind"]]
+        self._codec = link.FrameCodec(len(self._channels))
+        given = hello["parameters"]
+        values = {name: entry["value"] for name, entry in given.items()}
+        deviations = {name: entry["std"] for name, entry in given.items()}
+        self._new_bank = partial(online_estimators, hello["kind"], values, deviations, hello["support"])
+        self._estimators = self._new_bank()
+        self._compiled = asyncio.Event()
+        self._news = News()
+        self._published: Mapping[str, Any] | None = None
+        self._recorder: Recorder | None = None
+        self._end: dict[str, str] = {}
+        self._end_timer: asyncio.TimerHandle | None = None
+        self._writing = asyncio.Lock()
+        self._storing: set[asyncio.Task[None]] = set()
+        self._trouble = ""
+        self._telemetry = TelemetryBatches(self._channels.names, hello["rate"], hello["mqtt"]["telemetry_rate"])
+        self._new_prediction = partial(live_prediction, hello, self._channels)
+        self._prediction: LivePrediction | None = None
+        self._mqtt: MqttThread | None = None
+        try:
+            config = MqttConfig.of(hello["mqtt"], hello["vehicle"])
+            if config is not None:
+                units = {name: entry["unit"] for name, entry in given.items()}
+                announced = discovery(config.topic, hello["vehicle"], hello["version"], units)
+                self._mqtt = MqttThread(config, self._forward, announced if hello["mqtt"]["home_assistant"] else ())
+        except MqttConfigError as error:
+            self._complain("mqtt", str(error))
+
+    async def run(self) -> None:
+        """Until the pipe ends, or an error of its own making outside of MQTT, which leaves the recording complete."""
+        reading = asyncio.create_task(self._read(), name="read")
+        tasks = [
+            reading,
+            asyncio.create_task(self._write_regularly(), name="write"),
+            asyncio.create_task(self._estimate_regularly(), name="estimate"),
+        ]
+        compiling = asyncio.create_task(self._compile(), name="compile")
+        mqtt = asyncio.create_task(self._run_mqtt(self._mqtt), name="mqtt") if self._mqtt is not None else None
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        failures = [task.exception() for task in tasks if task.done()]
+        self._end = self._end or {"end_reason": "the control process ended"}
+        self._close_recording()
+        await asyncio.gather(*self._storing)
+        if self._mqtt is not None and mqtt is not None:
+            self._mqtt.close()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(mqtt, GOODBYE_TIME)
+        for task in (*tasks, compiling):
+            task.cancel()
+        for failure in failures:
+            if failure is not None:
+                raise failure
+
+    # What comes through the pipe
+
+    async def _read(self) -> None:
+        loop = asyncio.get_running_loop()
+        packets = 0
+        with contextlib.suppress(ConnectionResetError):
+            while packet := await loop.sock_recv(self._connection, link.LARGEST):
+                self._handle(packet)
+                packets += 1
+                if packets % PACKETS_A_TURN == 0:
+                    await asyncio.sleep(0)
+
+    def _handle(self, packet: bytes) -> None:
+        match packet[:1]:
+            case link.FRAMES:
+                self._take(self._codec.unpack(packet))
+            case link.CAN_FRAMES:
+                self._take_can(link.unpack_can(packet))
+            case _:
+                self._obey(link.unpack_json(packet))
+
+    def _take(self, frames: list[Frame]) -> None:
+        if self._recorder is not None:
+            self._estimators.update(self._recorder.add(frames))
+            if self._recorder.complete:
+                self._close_recording()
+        if self._mqtt is not None:
+            self._predict(frames)
+            for batch in self._telemetry.add(frames):
+                self._mqtt.telemetry(batch)
+
+    def _predict(self, frames: list[Frame]) -> None:
+        if self._prediction is None:
+            return
+        try:
+            for stretch in self._prediction.update(frames):
+                self._telemetry.prediction(stretch)
+        except (ArithmeticError, ValueError) as error:
+            self._prediction = None
+            self._complain("prediction", f"nothing is predicted any more: {type(error).__name__}: {error}")
+
+    def _take_can(self, frames: list[CanFrame]) -> None:
+        if self._recorder is not None:
+            self._recorder.add_can(frames)
+            if self._recorder.complete:
+                self._close_recording()
+
+    def _obey(self, message: dict[str, Any]) -> None:
+        match message.pop("type"):
+            case "start_recording":
+                self._start_recording(message)
+            case "stop_recording":
+                self._stop_recording(message)
+            case "state" if self._mqtt is not None:
+                self._mqtt.retain("state", message["state"])
+            case "progress" | "event" as topic if self._mqtt is not None:
+                self._mqtt.tell(topic, message)
+            case "health":
+                self._telemetry.health(message["health"])
+            case "reply" if self._mqtt is not None:
+                self._mqtt.reply(message["client"], message["reply"])
+
+    # Recording
+
+    def _start_recording(self, order: dict[str, Any]) -> None:
+        self._end = self._end or {"end_reason": "another recording began"}
+        self._close_recording()
+        self._estimators, self._news = self._new_bank(), News()
+        if self._compiled.is_set():
+            self._estimators.join()
+        raw_buses = RAW_BUSES if order["raw_log"] else ()
+        stem = Path(order["stem"])
+        try:
+            self._recorder = Recorder(stem, self._channels, order["start_ns"], order["metadata"], raw_buses)
+        except OSError as error:
+            self._complain("recorder", f"nothing is recorded: {error}")
+            self._send(
+                {
+                    "type": "finished",
+                    "recording": f"{stem}.arrow",
+                    "failure": str(error),
+                    "estimates": {},
+                    "diagnosis": None,
+                }
+            )
+
+    def _stop_recording(self, order: dict[str, Any]) -> None:
+        """The last rows may still be on their way: the recording is closed when they are in, or late."""
+        recorder = self._recorder
+        if recorder is None or self._end:
+            return
+        recorder.end_ns, recorder.raw_end_ns = order["end_ns"], order["raw_end_ns"]
+        self._end = {"end_reason": order["reason"], "dropped_frames": str(order["dropped_frames"])}
+        if recorder.complete:
+            self._close_recording()
+        else:
+            self._end_timer = asyncio.get_running_loop().call_later(LAST_DATA, self._close_recording)
+
+    def _close_recording(self) -> None:
+        """No more rows: final results, and the rest of the file."""
+        recorder, self._recorder = self._recorder, None
+        end, self._end = self._end, {}
+        if self._end_timer is not None:
+            self._end_timer.cancel()
+            self._end_timer = None
+        if recorder is None:
+            return
+        storing = asyncio.create_task(self._store(recorder, end, self._estimators), name=f"store {recorder.path.name}")
+        self._storing.add(storing)
+        storing.add_done_callback(self._storing.discard)
+
+    async def _store(self, recorder: Recorder, end: dict[str, str], estimators: EstimatorBank) -> None:
+        failure = ""
+        if not estimators.complete:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._compiled.wait(), LATE_ESTIMATES)
+                estimators.join()
+        estimates = estimators.results()
+        diagnosis = estimators.diagnosis()
+        self._publish(estimates, diagnosis)
+        async with self._writing:
+            try:
+                await asyncio.to_thread(recorder.finish, end, estimates, diagnosis)
+            except OSError as error:
+                failure = f"the recording could not be completed: {error}"
+                self._complain("recorder", failure)
+        self._send({
+            "type": "finished",
+            "recording": str(recorder.path),
+            "rows": recorder.rows,
+            "failure": failure,
+            "estimates": estimates,
+            "diagnosis": diagnosis,
+        })  # fmt: skip
+
+    async def _write_regularly(self) -> None:
+        while True:
+            await asyncio.sleep(WRITE_PERIOD)
+            recorder = self._recorder
+            if recorder is not None:
+                async with self._writing:
+                    try:
+                        await asyncio.to_thread(recorder.write, recorder.take())
+                    except OSError as error:
+                        self._complain("recorder", f"{recorder.path}: {error}")
+            self._send({
+                "type": "report",
+                "mqtt": self._mqtt.summary() if self._mqtt else None,
+                "trouble": self._trouble,
+            })  # fmt: skip
+
+    # Results
+
+    async def _compile(self) -> None:
+        """Once in a thread, so that from then on all estimators are made at once. The end does not wait for it."""
+
+        def work() -> LivePrediction | None:
+            _give_way()
+            self._new_bank().join()
+            with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimates do without it
+                return self._new_prediction() if self._mqtt is not None else None
+            return None
+
+        self._prediction = await beside(work, "compile")
+        self._compiled.set()
+        self._estimators.join()
+
+    async def _estimate_regularly(self) -> None:
+        while True:
+            await asyncio.sleep(ESTIMATE_PERIOD)
+            if self._recorder is not None:
+                estimates, diagnosis = self._estimators.results(), self._estimators.diagnosis()
+                self._send({"type": "estimates", "estimates": estimates, "diagnosis": diagnosis})
+                self._publish(estimates, diagnosis)
+
+    async def _run_mqtt(self, mqtt: MqttThread) -> None:
+        """A recording must not end because of MQTT, whatever happens there."""
+        try:
+            await mqtt.ended
+        except Exception as error:
+            self._mqtt = None
+            self._complain("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
+
+    def _publish(self, estimates: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> None:
+        if self._mqtt is None:
+            return
+        if estimates:
+            found = parameters(estimates)
+            self._mqtt.retain("parameters", found)
+            if self._prediction is not None:
+                self._prediction.believe(found)
+        if diagnosis is not None and diagnosis != self._published:
+            self._published = diagnosis
+            self._mqtt.retain("diagnosis", diagnosis)
+            for text in self._news.of(diagnosis):
+                self._mqtt.tell("event", {"severity": "warning", "code": "missing_effect", "text": text})
+
+    def _complain(self, code: str, text: str) -> None:
+        """To the log, the broker and, with the next report, to control."""
+        logging.getLogger(__name__).error("%s", text)
+        self._trouble = text
+        if self._mqtt is not None:
+            self._mqtt.tell("event", {"severity": "error", "code": code, "text": text})
+
+    def _forward(self, command: dict[str, Any]) -> bool:
+        """Called in the thread of MQTT: a packet is whole, whoever sends another one at the same time."""
+        return self._send({"type": "command", **command})
+
+    def _send(self, message: dict[str, Any]) -> bool:
+        """To control, unless it is gone or does not listen, which is False: the next message tells it more."""
+        try:
+            self._connection.send(link.pack_json(message))
+        except OSError:
+            return False
+        return True
+
+
+async def observe(connection: socket.socket) -> None:
+    """Serve the control process behind `connection`."""
+    packet = await asyncio.get_running_loop().sock_recv(connection, link.LARGEST)
+    if packet:
+        observer = Observer(connection, link.unpack_json(packet))
+        os.nice(NICENESS)  # of this thread and those to come, but not MQTT's, which passes commands on
+        await observer.run()
+
+
+def main(descriptor: int) -> None:
+    # Ends by its pipe alone: a stopped service ends its experiment first, and that shall be recorded.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    logging.basicConfig(format="%(name)s: %(message)s")
+    with socket.socket(fileno=descriptor) as connection:
+        connection.setblocking(False)
+        asyncio.run(observe(connection))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,199 @@
+"""The raw log process: every frame on one or two SocketCAN interfaces into a candump file, while it is told to.
+
+    python -m service.observer.raw_log can0 [can1]
+
+Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each file closed, and for each trouble,
+a line of JSON goes to stdout. It has sockets of its own with the kernel's receive times, reads what has gathered every
+20 ms and writes it in the order of time. When stdin ends without `quit`, its master has died: it logs for `GRACE` s
+more, so that the log shows how the drives stopped, and then closes the file. It imports next to nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import IO
+
+from service.observer.can_tap import CanTap
+from telemetry.candump import format_frames
+from telemetry.samples import CanFrame
+
+READ_PERIOD = 0.02
+"""s between two looks at the sockets."""
+
+SYNC_PERIOD = 1.0
+"""s after which what is written is on the disk."""
+
+GRACE = 2.0
+"""s of logging after the master's death."""
+
+SETTLED_NS = 5_000_000
+"""A frame is written when it is older than this: by then those of the other interface are in their socket, too."""
+
+NICENESS = 5
+
+
+class RawLog:
+    """One log file, from `open` to `close`. `channels` are the interfaces, in the order of their bus index."""
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self.channels = tuple(channels)
+        self.end_ns = 0
+        """The file is closed when this time is over; 0 while nobody has said when."""
+        self._file: IO[str] | None = None
+        self._taps: list[CanTap] = []
+        self._waiting: list[CanFrame] = []
+        self._start_ns = 0
+        self._frames = 0
+        self._synced = 0.0
+
+    @property
+    def is_open(self) -> bool:
+        return self._file is not None
+
+    def open(self, path: Path, start_ns: int) -> None:
+        """Log to the new file `path` from `start_ns` on. Raises OSError."""
+        self.close()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = path.open("x", encoding="ascii")
+        self._start_ns, self.end_ns, self._frames = start_ns, 0, 0
+        try:
+            self._taps = [CanTap(channel, bus) for bus, channel in enumerate(self.channels)]
+        except OSError:
+            self.close()
+            raise
+
+    def step(self) -> None:
+        """Read, and write what no older frame can come before. Raises OSError."""
+        horizon_ns = time.time_ns() - SETTLED_NS
+        for tap in self._taps:
+            listen(tap, self._waiting)
+        self._write(horizon_ns)
+        if self._file is not None and time.monotonic() - self._synced > SYNC_PERIOD:
+            self._synced = time.monotonic()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        if self.end_ns and horizon_ns > self.end_ns:
+            self.close()
+
+    def close(self) -> None:
+        """Write what has come in, close the file, if one is open, and account for it on stdout. Raises OSError."""
+        file, taps, waiting = self._file, self._taps, self._waiting
+        self._file, self._taps, self._waiting = None, [], []
+        for tap in taps:
+            listen(tap, waiting)
+            tap.close()
+        waiting.sort(key=lambda frame: frame.timestamp_ns)
+        if file is None:
+            return
+        try:
+            with file:
+                self._write_to(file, waiting)
+                file.flush()
+                os.fsync(file.fileno())
+        finally:
+            say(path=file.name, frames=self._frames, lost=sum(tap.lost for tap in taps))
+
+    def _write(self, horizon_ns: int) -> None:
+        self._waiting.sort(key=lambda frame: frame.timestamp_ns)
+        ready = sum(frame.timestamp_ns < horizon_ns for frame in self._waiting)
+        if ready and self._file is not None:
+            self._write_to(self._file, self._waiting[:ready])
+            del self._waiting[:ready]
+
+    def _write_to(self, file: IO[str], frames: Sequence[CanFrame]) -> None:
+        end_ns = self.end_ns or (1 << 62)
+        wanted = [frame for frame in frames if self._start_ns <= frame.timestamp_ns <= end_ns]
+        self._frames += len(wanted)
+        file.write(format_frames(wanted, self.channels))
+
+
+def listen(tap: CanTap, into: list[CanFrame]) -> None:
+    """Take what has come in; an interface that went down is told, and listened to until it is back."""
+    try:
+        tap.read(into)
+    except OSError as error:
+        say(error=f"{tap.channel}: {error.strerror}")
+
+
+def say(**account: object) -> None:
+    """A line of JSON for the master; unheard where it is gone."""
+    try:
+        sys.stdout.write(json.dumps(account) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def main(channels: Sequence[str]) -> None:
+    # Ends by its stdin alone: a stopped service ends its experiment first, and that shall be in the log.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.nice(NICENESS)
+    log = RawLog(channels)
+    orders = Orders()
+    while True:
+        if select.select([sys.stdin], (), (), READ_PERIOD if log.is_open else None)[0]:
+            for order in orders.read():
+                obey(log, order)
+            if orders.ended:
+                break
+        follow(log)
+    if log.is_open and not orders.quit:
+        limit = time.monotonic() + GRACE
+        while log.is_open and time.monotonic() < limit:
+            time.sleep(READ_PERIOD)
+            follow(log)
+    attempt(log.close)
+
+
+class Orders:
+    """Lines of stdin, read without waiting. `ended`: no more will come; `quit`: because the master said so."""
+
+    def __init__(self) -> None:
+        self.ended = False
+        self.quit = False
+        self._rest = b""
+
+    def read(self) -> list[str]:
+        content = os.read(sys.stdin.fileno(), 65536)
+        *lines, self._rest = (self._rest + content).split(b"\n")
+        self.quit = self.quit or b"quit" in lines
+        self.ended = self.quit or not content
+        return [line.decode() for line in lines if line != b"quit"]
+
+
+def obey(log: RawLog, order: str) -> None:
+    verb, _, arguments = order.partition(" ")
+    if verb == "open":
+        start_ns, _, path = arguments.partition(" ")
+        attempt(partial(log.open, Path(path), int(start_ns)))
+    elif verb == "close":
+        log.end_ns = int(arguments)
+
+
+def follow(log: RawLog) -> None:
+    """Log what has come in; a disk that is full ends the file."""
+    if log.is_open and not attempt(log.step):
+        attempt(log.close)
+
+
+def attempt(action: Callable[[], None]) -> bool:
+    """Whether `action` went well; told on stdout where it did not."""
+    try:
+        action()
+    except OSError as error:
+        say(error=f"raw log: {error}")
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

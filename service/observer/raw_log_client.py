@@ -1,0 +1,87 @@
+"""The control process' end of the raw log: starts `service.observer.raw_log`, gives it orders, hears how it fared."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+
+class RawLogProcess:
+    """One raw log process over SocketCAN `channels`; its troubles go to `event(severity, code, text)`.
+
+    To be made in a running event loop.
+    """
+
+    def __init__(self, channels: Sequence[str], event: Callable[[str, str, str], None]) -> None:
+        self._event = event
+        self._heard = b""
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "service.observer.raw_log", *channels],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            bufsize=0,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._orders, self._answers = self._process.stdin, self._process.stdout
+        os.set_blocking(self._answers.fileno(), False)
+        asyncio.get_running_loop().add_reader(self._answers, self._hear)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def open(self, path: Path, start_ns: int) -> None:
+        """Log the frames from `start_ns` on to the new file `path`."""
+        self._tell(f"open {start_ns} {path}")
+
+    def close(self, end_ns: int) -> None:
+        """Log no frame after `end_ns`."""
+        self._tell(f"close {end_ns}")
+
+    async def stop(self) -> None:
+        """Close the file, if one is open, and end the process."""
+        if self._answers.closed:
+            return
+        with contextlib.suppress(BrokenPipeError):
+            self._orders.write(b"quit\n")
+        self._orders.close()
+        try:
+            await asyncio.to_thread(self._process.wait, 5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            await asyncio.to_thread(self._process.wait)
+        self._hear()
+        asyncio.get_running_loop().remove_reader(self._answers)
+        self._answers.close()
+
+    def _tell(self, order: str) -> None:
+        try:
+            self._orders.write(order.encode() + b"\n")
+        except BrokenPipeError:
+            self._event("error", "raw_log", "the raw log process ended: raw frames are not logged any more")
+
+    def _hear(self) -> None:
+        """Lines of JSON: an error, or the account of a file that was closed."""
+        while True:
+            heard = self._answers.read(65536)
+            if heard is None:
+                break
+            if not heard:
+                asyncio.get_running_loop().remove_reader(self._answers)
+                break
+            self._heard += heard
+        *lines, self._heard = self._heard.split(b"\n")
+        for line in lines:
+            account = json.loads(line)
+            if account.get("error"):
+                self._event("error", "raw_log", account["error"])
+            elif account["lost"]:
+                self._event("warning", "raw_log", f"{account['lost']} frames did not reach {account['path']}")

@@ -1,0 +1,214 @@
+"""The vehicle's own experiments as the diagnosis predicts them, and which of them to run next.
+
+Joins what the control loop runs (controller, excitation, limits of the vehicle file) to `diagnosis.next_experiment`,
+which knows no vehicle. How the loop of one kind of vehicle is predicted is in its own package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from diagnosis.diagnose import Diagnosis, Verdict
+from diagnosis.next_experiment import Choice, Progress, expected_log_odds, suggest
+from diagnosis.prediction.closed_loop import Experiment, simulate
+from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
+from diagnosis.trial import FAILURES
+from estimators.budget import UNLIMITED, Budget, OutOfTime
+from models.model import Model, ModelError
+from service.control.excitation import ExcitationError, InjectionPoint
+from service.monocab import predicted as monocab
+from service.twsbr import predicted as twsbr
+from service.vehicle_file.sections import VehicleFile
+from telemetry.errors import UprightError
+from telemetry.recording import Recording
+
+SMALL = 0.03
+"""Share of its typical size at which an effect is looked at to find the size at which it just shows."""
+MOST_RIVALS = 4
+MOST_UNSEEN = 3
+"""Effects that might have been missed that are looked at."""
+DETECTABLE = 10.8
+"""nats that the smallest effect is worth that is found with 99 % probability at 1 % false alarms: (2 x 2.33)^2 / 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """How the loop of one kind of vehicle is predicted.
+
+    It needs these outputs of a model and gives these inputs; `of` a vehicle file makes what predicts an experiment of
+    it by name. `untold` is what a record that is too poor for a diagnosis tells apart the least. `assumed` is a model
+    with what no recording has told yet of how late the loop's inputs act.
+    """
+
+    needs: frozenset[str]
+    gives: frozenset[str]
+    of: Callable[[Any], Callable[[str], Experiment]]
+    untold: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
+    assumed: Callable[[Model], Model] = lambda model: model
+
+
+PREDICTIONS = {
+    "monocab": Prediction(monocab.NEEDS, monocab.GIVES, monocab.predictor),
+    "twsbr": Prediction(twsbr.NEEDS, twsbr.GIVES, twsbr.predictor, twsbr.UNTOLD, twsbr.assumed),
+}
+"""By kind of vehicle."""
+
+
+def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, str]]:
+    """The experiments of a vehicle file that can be predicted, and by name why the others are none."""
+    prediction = PREDICTIONS.get(vehicle.vehicle.kind)
+    if prediction is None:
+        return [], dict.fromkeys(vehicle.experiments, f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet")
+    predict = prediction.of(vehicle)
+    found, left_out = [], {}
+    for name, section in vehicle.experiments.items():
+        if section.excitation == "none":
+            left_out[name] = "moves nothing"
+        elif InjectionPoint(section.at) is InjectionPoint.REST:
+            left_out[name] = "begins on a support, which the models do not know"
+        else:
+            try:
+                found.append(predict(name))
+            except ExcitationError as error:
+                left_out[name] = str(error)
+    return found, left_out
+
+
+def suggest_for(
+    vehicle: VehicleFile,
+    diagnosis: Diagnosis,
+    model: Model,
+    recordings: Sequence[Recording],
+    progress: Progress | None = None,
+    budget: Budget = UNLIMITED,
+) -> Mapping[str, Any] | None:
+    """What to record next after a `diagnosis` of `model` from `recordings`, as `Diagnosis.suggested_experiment`.
+
+    Tied effects are to be told apart. Where no effect was found, it is asked what would show the largest that may have
+    been missed; where the recordings could not be used, what tells dry from viscous friction. None where nothing is in
+    question, no experiment of the vehicle tells it, or the vehicle's loop cannot be predicted with this model.
+    Raises OutOfTime after `budget`.
+    """
+
+    def tell(text: str, share: float) -> None:
+        budget.check()
+        if progress is not None:
+            progress(text, share)
+
+    try:
+        return _suggestion(vehicle, diagnosis, model, recordings, tell, budget)
+    except OutOfTime:
+        raise
+    except (UprightError, *FAILURES):
+        # A diagnosis is worth having without a suggestion.
+        return None
+
+
+def _suggestion(
+    vehicle: VehicleFile,
+    diagnosis: Diagnosis,
+    model: Model,
+    recordings: Sequence[Recording],
+    progress: Progress,
+    budget: Budget,
+) -> Mapping[str, Any] | None:
+    if diagnosis.verdict is Verdict.INSUFFICIENT_DATA:
+        return _as_json(separating(vehicle, model, _prediction(vehicle, model).untold, progress=progress))
+    repaired = diagnosis.repaired
+    if repaired is None:
+        return None
+    experiments = _predictable(vehicle, repaired)
+    if diagnosis.findings:
+        tied = next((finding for finding in diagnosis.findings if finding.tied_with), None)
+        if tied is None:
+            return None
+        names = [tied.effect, *sorted(tied.tied_with, key=lambda name: -tied.odds[name])][:MOST_RIVALS]
+        rivals = fitted_rivals(repaired.remove(tied.effect), recordings, vehicle.support, names, budget)
+        return _as_json(suggest(rivals, experiments, progress)) if len(rivals) > 1 else None
+    if diagnosis.verdict is Verdict.ADEQUATE:
+        bare = fitted(repaired, recordings, vehicle.support, budget)
+        for effect, size in _unseen(repaired, diagnosis.minimum_detectable or {})[:MOST_UNSEEN]:
+            missed = replace(bare, name=effect, model=_with(bare.model, effect, size))
+            found = suggest((missed, bare), experiments, progress)
+            if found.best is not None:
+                return found.best.to_json()
+    return None
+
+
+def separating(
+    vehicle: VehicleFile,
+    model: Model,
+    effects: Sequence[str],
+    recordings: Sequence[Recording] = (),
+    progress: Progress | None = None,
+) -> Choice:
+    """The experiment that tells `effects` apart, as `recordings` show them, or else at the smallest size that shows.
+
+    Raises ModelError for an effect that the model cannot have, and DataError for recordings that cannot be used.
+    """
+    bare, experiments = model, _predictable(vehicle, model)
+    for name in effects:
+        if any(attached.name == name for attached in bare.effects):
+            bare = bare.remove(name)
+    if recordings:
+        return suggest(fitted_rivals(bare, recordings, vehicle.support, effects), experiments, progress)
+    bare = _prediction(vehicle, model).assumed(bare)
+    alone = Rival.assumed(NOTHING_MORE, bare)
+    rivals = [_just_visible(bare, name, alone, experiments) for name in effects]
+    return suggest(rivals, experiments, progress)
+
+
+def _as_json(choice: Choice) -> Mapping[str, Any] | None:
+    return choice.best.to_json() if choice.best is not None else None
+
+
+def _prediction(vehicle: VehicleFile, model: Model) -> Prediction:
+    prediction = PREDICTIONS.get(vehicle.vehicle.kind)
+    if prediction is None:
+        what = f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet"
+        raise ModelError(f"model {model.name}", what, remedy="choose the next experiment by hand.")
+    return prediction
+
+
+def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
+    """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
+    prediction = _prediction(vehicle, model)
+    lacking = prediction.needs - {each.name for each in model.outputs}
+    lacking |= {each.name for each in model.inputs if each.usual is None} - prediction.gives
+    if lacking:
+        what = f"the loop with the vehicle's controller cannot be closed: {', '.join(sorted(lacking))}"
+        raise ModelError(f"model {model.name}", what, remedy="use one of the vehicle's own models.")
+    return experiments_of(vehicle)[0]
+
+
+def _unseen(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Effects and the size up to which they may have been missed, the largest against its typical size first."""
+    found = []
+    for name, size in sizes.items():
+        attached = with_named(model, name).effects[-1]
+        first = next(p for p in attached.parameters if p.name == attached.amplitudes[0])
+        if size <= max(abs(first.lower), abs(first.upper)):
+            found.append((size / first.typical, name, size))
+    return [(name, size) for _, name, size in sorted(found, reverse=True)]
+
+
+def _with(model: Model, effect: str, size: float) -> Model:
+    """`model` with `effect`, its first amplitude at `size`, all of them estimated."""
+    wider = with_named(model, effect)
+    return wider.change({wider.effects[-1].amplitudes[0]: size})
+
+
+def _just_visible(model: Model, effect: str, alone: Rival, experiments: Sequence[Experiment]) -> Rival:
+    """`model` with `effect` as small as the best of `experiments` would just show it: nats grow with the square."""
+    attached = with_named(model, effect).effects[-1]
+    size = SMALL * next(p for p in attached.parameters if p.name == attached.amplitudes[0]).typical
+    tried = Rival.assumed(effect, _with(model, effect, size))
+    courses = {experiment.name: simulate(tried.model, experiment) for experiment in experiments}
+    nats = [expected_log_odds(tried, course.rows, alone) for course in courses.values() if not course.broken]
+    if not nats or max(nats) <= 0.0:
+        refused = [f"{name}: {course.broken}" for name, course in courses.items() if course.broken]
+        told = "; ".join(["no safe experiment shows it", *refused])
+        raise ModelError(f"effect {effect}", told, remedy="give recordings of it.")
+    return Rival.assumed(effect, _with(model, effect, size * (DETECTABLE / max(nats)) ** 0.5))

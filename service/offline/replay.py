@@ -1,0 +1,175 @@
+"""Recordings again: from any file, from the raw frames, through the live estimators, into other formats.
+
+A recording begins at an agreed time at which the daemon forgot all that was measured before, so the raw log that begins
+at the same time rebuilds the same rows bit for bit. What was never on the bus (`not_on_the_bus`) comes, instant by
+instant, from the recording that lies beside the log; without it, it is unknown (NaN).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimators.budget import UNLIMITED, Budget
+from service import kinds
+from service.control import assembly
+from service.control.rows import rows_from_frames
+from service.observer.online_estimators import EstimatorBank, online_estimators
+from service.offline import export
+from service.vehicle_file.file import VehicleFile
+from telemetry import recording as recordings
+from telemetry.candump import CandumpReader
+from telemetry.channels import ChannelTable
+from telemetry.errors import RecordingError
+from telemetry.recording import Recording
+
+AGE = "drive_age"
+"""The channels after this one, reference, excitation and phase, were never on the bus."""
+BATCH = 1000
+"""Rows between two looks at the time."""
+
+CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
+
+
+def load(path: Path, vehicle: VehicleFile) -> Recording:
+    """A recording from a file of any kind, raw logs included, with the time stamps that it has.
+
+    Raises:
+        RecordingError: the file cannot be read, or holds no frames of this vehicle.
+    """
+    if Path(path).suffix == ".log":
+        return from_raw_log(path, vehicle)
+    return with_age(recordings.load(path), vehicle)
+
+
+def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
+    """The recording with the drives sampled with the row where it does not say when: others record no such channel.
+
+    One that has no channel of the vehicle is of another machine, and stays as it is.
+    """
+    table = assembly.channels(vehicle)
+    foreign = set(table.names).isdisjoint(recording.values)
+    if foreign or AGE in recording.values or AGE not in table.names or recording.rate <= 0.0:
+        return recording
+    note = f"there is no channel {AGE}: the drives are taken as sampled with each row, give or take a time offset"
+    return replace(
+        recording,
+        channels=ChannelTable((*recording.channels, table[table.index_of(AGE)])),
+        values={**recording.values, AGE: np.zeros(len(recording))},
+        truncated="; ".join(filter(None, (recording.truncated, note))),
+    )
+
+
+def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
+    """The recording that the daemon made of the frames in a candump log.
+
+    Raises:
+        RecordingError: a line is no CAN frame, or no complete row can be made of the frames.
+    """
+    channels = assembly.channels(vehicle)
+    io = assembly.vehicle_io(vehicle)
+    log = CandumpReader(path)
+    rows = list(rows_from_frames(log, io, kinds.of(vehicle, io), assembly.roll_filter(vehicle)))
+    if not rows:
+        raise RecordingError(str(path), "", f"no row can be made of its frames: {_missing(io)}", remedy=_CHECK)
+    table = np.array([row.values for row in rows], dtype=np.float64)
+    rebuilt = Recording(
+        channels=channels,
+        timestamp_ns=np.array([row.timestamp_ns for row in rows], dtype=np.int64),
+        values={name: table[:, place].copy() for place, name in enumerate(channels.names)},
+        metadata={
+            "vehicle": vehicle.vehicle.id,
+            "kind": vehicle.vehicle.kind,
+            "rate": str(vehicle.control.rate),
+            "support": repr(vehicle.support),
+        },
+        truncated=log.truncated,
+        source=str(path),
+    )
+    try:
+        return _completed(rebuilt, recordings.load(Path(path).with_suffix(".arrow")))
+    except RecordingError as error:
+        notes = [rebuilt.truncated, f"{', '.join(not_on_the_bus(channels))} are unknown: {error}"]
+        return replace(rebuilt, truncated="; ".join(filter(None, notes)))
+
+
+def not_on_the_bus(channels: ChannelTable) -> tuple[str, ...]:
+    """The channels that no frame tells: what was aimed at, the excitation and the phase."""
+    return channels.names[channels.index_of(AGE) + 1 :]
+
+
+def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
+    """Run a recording through the estimators that ran live: method to result, as the live run gave it at its end.
+
+    Raises:
+        RecordingError: a channel that the estimators take is missing.
+    """
+    return _replayed(recording, vehicle).results()
+
+
+def live_diagnosis(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIMITED) -> dict[str, Any] | None:
+    """Which effect a run of the recording would have shown, and since when; None where nothing diagnoses this kind.
+
+    Raises RecordingError as `replay` does, OutOfTime after `budget`.
+    """
+    return _replayed(recording, vehicle, budget).diagnosis()
+
+
+def _replayed(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIMITED) -> EstimatorBank:
+    bank = online_estimators(
+        vehicle.vehicle.kind, vehicle.parameters.values, vehicle.parameters.deviations, vehicle.support
+    )
+    bank.join()
+    frames = list(recording.frames(assembly.channels(vehicle)))
+    for begin in range(0, len(frames), BATCH):
+        budget.check()
+        bank.update(frames[begin : begin + BATCH])
+    return bank
+
+
+def convert(recording: Recording, path: Path) -> None:
+    """Write `recording` to `path` by its suffix, one of CONVERTED.
+
+    Raises:
+        RecordingError: the format is not known, or `path` cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in CONVERTED:
+        what = f"upright does not write {path.suffix or 'files without a suffix'}"
+        raise RecordingError(str(path), "", what, remedy=f"Use one of {', '.join(CONVERTED)}.")
+    try:
+        if path.suffix in export.SUFFIXES:
+            export.export(recording, path)
+        else:
+            recording.save(path)
+    except OSError as error:
+        raise RecordingError(
+            str(path),
+            "",
+            f"cannot be written: {error.strerror or error}",
+            remedy="Check the folder and its permissions.",
+        ) from error
+
+
+_CHECK = "Compare the log's CAN ids with [imu] and [[drive]] of the vehicle file (`upright config show`)."
+
+
+def _missing(io: Any) -> str:
+    """What the frames lacked, in words."""
+    if io.imu.statistics.sets == 0:
+        return io.imu.fault_text or f"no complete IMU frame set (ids {', '.join(f'{i:X}' for i in io.imu.can_ids)})"
+    silent = [drive.config.name for drive in io.drives if drive.timestamp_ns == 0]
+    return f"no values from {', '.join(silent)}"
+
+
+def _completed(rebuilt: Recording, beside: Recording) -> Recording:
+    """`rebuilt` with what only the recording beside it knows."""
+    _, here, there = np.intersect1d(rebuilt.timestamp_ns, beside.timestamp_ns, return_indices=True)
+    values = dict(rebuilt.values)
+    for name in set(not_on_the_bus(rebuilt.channels)).intersection(beside.channels.names):
+        values[name] = np.full(len(rebuilt), np.nan)
+        values[name][here] = beside.values[name][there]
+    return replace(rebuilt, values=values, metadata={**rebuilt.metadata, **beside.metadata})

@@ -1,0 +1,112 @@
+"""The vehicle file: everything about one vehicle that is not code (TOML, checked by pydantic).
+
+`load("monocab")` reads a shipped file, `load("path/to/file.toml")` one of the user's own. Whatever is wrong ends in a
+`VehicleFileError` that names the file, the key and the remedy. The sections are in `service.vehicle_file.sections`,
+those of one kind of vehicle in its own `file` module.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from service.monocab.file import MonocabFile
+from service.twsbr.file import TwsbrFile
+from service.vehicle_file.sections import DriveSection, ExperimentSection, VehicleFile
+from telemetry.errors import UprightError
+
+FILES: dict[str, type[VehicleFile]] = {"monocab": MonocabFile, "twsbr": TwsbrFile}
+"""What a file must hold, by the kind of vehicle."""
+
+__all__ = ["DriveSection", "ExperimentSection", "VehicleFile", "VehicleFileError", "load", "schema", "shipped"]
+
+
+class VehicleFileError(UprightError):
+    """A vehicle file that cannot be used. `file` and `key` say where, `remedy` says what to change."""
+
+    def __init__(self, file: str, key: str, message: str, *, remedy: str = "") -> None:
+        super().__init__(f"{file}: {key}: {message}" if key else f"{file}: {message}", remedy=remedy)
+        self.file = file
+        self.key = key
+
+
+def shipped() -> list[str]:
+    """Names of the vehicle files that ship with upright."""
+    return sorted(entry.name[:-5] for entry in resources.files("vehicles").iterdir() if entry.name.endswith(".toml"))
+
+
+def load(name_or_path: str) -> VehicleFile:
+    """Read and check a vehicle file: the name of a shipped one, or a path.
+
+    Raises:
+        VehicleFileError: no such file, not TOML, or a key that is missing, unknown or wrong.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml" and name_or_path in shipped():
+        path = Path(str(resources.files("vehicles") / f"{name_or_path}.toml"))
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise VehicleFileError(
+            name_or_path,
+            "",
+            f"cannot be read: {error.strerror}",
+            remedy=f"Give a path, or one of: {', '.join(shipped())}.",
+        ) from error
+    try:
+        table = tomllib.loads(content.decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise VehicleFileError(str(path), "", f"is not valid TOML: {error}", remedy="Mend that line.") from error
+    return _check(table, str(path), hashlib.sha256(content).hexdigest()[:16])
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of vehicle files, of every kind."""
+    return TypeAdapter(MonocabFile | TwsbrFile).json_schema()
+
+
+def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
+    for reserved in ("path", "configuration_hash"):
+        if reserved in table:
+            raise VehicleFileError(file, reserved, "is not a key of a vehicle file", remedy="Remove it.")
+    section = table.get("vehicle")
+    name = section.get("kind") if isinstance(section, dict) else None
+    # What the file says of its kind, if that is wrong, is found like any other mistake in it.
+    kind = FILES.get(str(name), MonocabFile)
+    try:
+        return kind.model_validate({**table, "path": file, "configuration_hash": digest})
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        message = str(first["msg"]).removeprefix("Value error, ")
+        remedy = "Mend this key; `upright config schema` lists every key with its unit."
+        if first["type"] == "extra_forbidden":
+            message = "is not a key of a vehicle file"
+            near = difflib.get_close_matches(str(first["loc"][-1]), _known_keys(kind, first["loc"]), n=1)
+            remedy = f"Did you mean {near[0]!r}?" if near else "Remove it; `upright config schema` lists every key."
+        elif first["type"] == "missing":
+            message = "is missing"
+            remedy = "Add it; the shipped vehicle files show every key with its unit."
+        elif "input" in first and not isinstance(first["input"], dict | BaseModel):
+            message = f"{message} (found {first['input']!r})"
+        more = len(error.errors()) - 1
+        if more:
+            remedy += f" ({more} more to mend after it.)"
+        raise VehicleFileError(file, key, message, remedy=remedy) from error
+
+
+def _known_keys(kind: type[VehicleFile], location: tuple[int | str, ...]) -> list[str]:
+    """The keys of the section that `location` is in."""
+    model: Any = kind
+    for part in location[:-1]:
+        if isinstance(part, str) and part in model.model_fields:
+            annotation = model.model_fields[part].annotation
+            inner = [a for a in getattr(annotation, "__args__", ()) if isinstance(a, type) and issubclass(a, BaseModel)]
+            model = inner[0] if inner else annotation
+    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []

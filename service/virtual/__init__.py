@@ -1,0 +1,2 @@
+"""The virtual vehicle of a vehicle file: vehicle builds it, serving runs it in the daemon, run records it without a
+bus."""

@@ -1,0 +1,124 @@
+"""The virtual vehicle of a vehicle file: its configuration, and running it on the buses of the command line.
+
+The simulation knows no vehicle files and no bus addresses; this is where it gets both, and where the kind of vehicle
+chooses the physics (`TWINS`).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from drivers.bus_address import connect
+from drivers.cia402.config import find_eds
+from service.vehicle_file.sections import VehicleFile
+from simulation import runner
+from simulation.config import DriveNode, ImuNode, PlantTruth, SimulationConfig, Truth
+from simulation.disturbance import Disturbance
+from simulation.faults import Fault
+from simulation.hidden import parse_disturbance, parse_hidden, parse_narrow_band
+from simulation.runner import RunStatistics
+from simulation.twsbr.truth import TwsbrTruth
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow."""
+
+    truth: Truth
+    eds: str
+
+
+TWINS = {
+    "monocab": Twin(PlantTruth(), "upright_servo.eds"),
+    "twsbr": Twin(TwsbrTruth(), "upright_motor.eds"),
+}
+
+
+def usual_disturbance(vehicle: VehicleFile) -> Disturbance:
+    """The random disturbance of a virtual vehicle that a person starts and says nothing of it: level 1. Programs and
+    tests ask for theirs."""
+    return TWINS[vehicle.vehicle.kind].truth.registry.disturbance
+
+
+def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
+    """The random disturbance of a virtual vehicle that a person starts with `hide`. Raises UnknownEffectError."""
+    registry = TWINS[vehicle.vehicle.kind].truth.registry
+    return parse_disturbance(hide, registry, usual_disturbance(vehicle))[1]
+
+
+def configuration(
+    vehicle: VehicleFile, hide: list[str], seed: int, *, disturbance: Disturbance | None = None
+) -> SimulationConfig:
+    """The virtual vehicle that speaks as this vehicle file says. Its physics are its own, not the file's CAD values.
+
+    It has the random `disturbance` where `hide` says nothing of one.
+    Raises UnknownEffectError for a `hide` that names no hidden effect.
+    """
+    imu, twin = vehicle.imu, TWINS[vehicle.vehicle.kind]
+    drives = [
+        DriveNode(
+            name=drive.name,
+            role=drive.role,
+            node=drive.node,
+            direction=drive.direction,
+            axis_per_turn=drive.axis_per_turn,
+            increments_per_turn=drive.increments_per_turn,
+            velocity_unit_rpm=drive.velocity_unit_rpm,
+            rated_torque=drive.rated_torque,
+            eds=find_eds(twin.eds, drive=drive.name),
+            mode=drive.mode,
+            vendor_id=drive.vendor_id,
+            product_code=drive.product_code,
+            rpdo=drive.rpdo,
+            tpdo=drive.tpdo,
+        )
+        for drive in vehicle.drive
+    ]
+    node = ImuNode(
+        protocol=imu.protocol,
+        base_id=imu.base_id,
+        precision=imu.precision,
+        slots=imu.slots,
+        axes=imu.axes,
+        acceleration_sign=imu.acceleration_sign,
+        angular_rate_unit=imu.angular_rate_unit,
+        position=imu.position,
+        latency=imu.latency,
+    )
+    effects, disturbance = parse_disturbance(hide, twin.truth.registry, disturbance)
+    effects, narrow_band = parse_narrow_band(effects, twin.truth.registry)
+    hidden, onsets = parse_hidden(effects, twin.truth.registry)
+    return SimulationConfig(
+        drives=drives,
+        imu=node,
+        plant=twin.truth,
+        rate=vehicle.control.rate,
+        seed=seed,
+        hidden=hidden,
+        onsets=onsets,
+        disturbance=disturbance,
+        narrow_band=narrow_band,
+    )
+
+
+def run(
+    config: SimulationConfig,
+    drives: str,
+    imu: str,
+    *,
+    stop: threading.Event,
+    lock_step: bool = False,
+    faults: Sequence[Fault] = (),
+) -> RunStatistics:
+    """Run a virtual vehicle on the buses at the addresses `drives` and `imu` (IFACE:CHANNEL) until `stop` is set.
+
+    Raises:
+        BusError: an address is wrong, or its interface is not there.
+    """
+    with ExitStack() as open_buses:
+        bus = open_buses.enter_context(connect(drives, None, None))
+        imu_bus = open_buses.enter_context(connect(imu, None, None)) if imu != drives else None
+        return runner.run(config, bus, imu_bus=imu_bus, lock_step=lock_step, stop=stop, faults=faults)
