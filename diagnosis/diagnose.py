@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 from diagnosis.evidence import beyond_chance
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
-from diagnosis.explain import together
+from diagnosis.explain import explained_by_none, together
 from diagnosis.findings import Diagnosis as Diagnosis
 from diagnosis.findings import Finding as Finding
 from diagnosis.findings import Verdict as Verdict
@@ -30,7 +30,6 @@ from diagnosis.prediction.relevance import relevances
 from diagnosis.prepare.ready import ready, unready
 from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace
-from diagnosis.report.sentences import explained_by_none
 from diagnosis.score.score_test import Screen
 from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
 from diagnosis.trial import FAILURES, tried

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from diagnosis.prepare.candidates import Candidate
@@ -98,3 +98,8 @@ def _probability(value: float) -> str:
 def _odds(value: float) -> str:
     ratio = 1.0 / max(value, 1e-9)
     return "a million" if ratio > 1e6 else f"{ratio:.2g}" if ratio < 1000.0 else f"{ratio:.0f}"
+
+
+def explained_by_none(untried: Collection[str]) -> str:
+    """The words after "something that": nothing is said of the whole catalogue while some of it is `untried`."""
+    return "no effect tried so far explains" if untried else "no known effect explains"

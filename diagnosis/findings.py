@@ -11,6 +11,7 @@ from diagnosis.fits.refit import FullFit
 from diagnosis.gates import Round, Unseen
 from diagnosis.lack_of_fit.adequacy import Adequacy
 from diagnosis.lack_of_fit.events import Event
+from diagnosis.prediction.limit import PredictionLimit
 from diagnosis.prediction.relevance import Relevance
 from diagnosis.score.score_test import Screen
 from estimators.contract import ParameterEstimate
@@ -109,20 +110,6 @@ def _to_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
         name: {"value": each.value, "std": each.std, "unit": each.unit, "identifiable": each.identifiable}
         for name, each in parameters.items()
     }
-
-
-@dataclass(frozen=True, slots=True)
-class PredictionLimit:
-    """The RMS error, by channel in its unit, of the best possible prediction `horizon` s ahead, beside the disturbance,
-    and without it, by the sensors' noise alone."""
-
-    horizon: float
-    disturbed: Mapping[str, float]
-    undisturbed: Mapping[str, float]
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON-ready."""
-        return {"horizon": self.horizon, "rmse": dict(self.disturbed), "undisturbed_rmse": dict(self.undisturbed)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,13 @@ import json
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.explain import together
+from diagnosis.explain import explained_by_none, together
 from diagnosis.parts import merged
 from diagnosis.prediction.closed_loop_error import Loop
 from diagnosis.prediction.relevance import Relevance, percent
 from diagnosis.report.sentences import (
     disturbance_sentences,
     disturbance_text,
-    explained_by_none,
     mattering,
     to_within,
     two_digits,

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from diagnosis.fits.refit import off_prior, scatter_of_none
 from diagnosis.prediction.ahead import errors
 from diagnosis.prepare.candidates import Candidate
-from diagnosis.revise.result import HORIZONS
 from diagnosis.score.score_test import Score
 from diagnosis.side_by_side import side_by_side
 from estimators.contract import Estimate, EstimationError, Status
@@ -43,6 +42,9 @@ from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 
+HORIZONS = (0.125, 0.5, 1.25)
+"""Time scales (estimators.data.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last
+is that of the budget."""
 UNKNOWN = 1e6
 """Typical sizes: the standard deviation of a parameter that the record says nothing of, as a number."""
 MOST_STARTS = 8

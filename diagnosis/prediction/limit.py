@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
-from diagnosis.findings import PredictionLimit
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
 from diagnosis.prediction.ahead import sensor_floors
 from estimators.contract import EstimationError
 from estimators.data.time_scale import horizon
 from estimators.methods.prediction_error import Fit
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionLimit:
+    """The RMS error, by channel in its unit, of the best possible prediction `horizon` s ahead, beside the disturbance,
+    and without it, by the sensors' noise alone."""
+
+    horizon: float
+    disturbed: Mapping[str, float]
+    undisturbed: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {"horizon": self.horizon, "rmse": dict(self.disturbed), "undisturbed_rmse": dict(self.undisturbed)}
 
 
 def prediction_limit(fitted: Fit) -> PredictionLimit | None:

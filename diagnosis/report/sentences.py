@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from diagnosis.findings import Diagnosis, Finding
 from diagnosis.report.repair_words import readable
@@ -87,11 +87,6 @@ def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:
 def two_digits(value: float) -> str:
     """`0.032`, `840`: two digits, and no power of ten in place of a large number."""
     return f"{float(f'{value:.2g}'):.0f}" if value >= 100.0 else f"{value:.2g}"
-
-
-def explained_by_none(untried: Collection[str]) -> str:
-    """The words after "something that": nothing is said of the whole catalogue while some of it is `untried`."""
-    return "no effect tried so far explains" if untried else "no known effect explains"
 
 
 def untried_sentence(diagnosis: Diagnosis, seconds: float | None = None) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.report.sentences import NOTHING_MATTERS, explained_by_none, mattering, to_within
+from diagnosis.explain import explained_by_none
+from diagnosis.report.sentences import NOTHING_MATTERS, mattering, to_within
 from models.effect import Effect
 
 

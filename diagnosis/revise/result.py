@@ -11,10 +11,6 @@ from diagnosis.evidence import ODDS, asked_for, by_chance, likelier
 from estimators.fit.disturbance import DisturbanceEstimate
 from models.model import Model
 
-HORIZONS = (0.125, 0.5, 1.25)
-"""Time scales (estimators.data.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last
-is that of the budget."""
-
 CLEARLY = 3.0
 """Standard errors from which a difference of held-out errors counts."""
 

@@ -9,10 +9,10 @@ from rich.padding import Padding
 from rich.table import Table
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
+from diagnosis.explain import explained_by_none
 from diagnosis.report.sentences import (
     NOTHING_MATTERS,
     disturbance_sentences,
-    explained_by_none,
     mattering,
     negligible,
     to_within,
