@@ -36,7 +36,7 @@ from diagnosis.gates import Round, Tried, Unseen, decide, gated
 from diagnosis.parts import diagnose_parts
 from estimators.identify.run import nominal_model, with_values
 from models.effect import Effect, Family
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from models.library import ACTUATORS
 from service.hidden_effects.cases import pairs
 from service.hidden_effects.vehicles import drawn

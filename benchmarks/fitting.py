@@ -51,8 +51,9 @@ from scipy.optimize import least_squares
 import estimators
 from models import library
 from models.compiler.kernel import compile_model
-from models.effects import CATALOGUE
-from models.model import Actuator, Hold, Input, Joint, Model, Output, Parameter, State
+from models.effects.catalogue import CATALOGUE
+from models.model import Model
+from models.parts import Actuator, Hold, Input, Joint, Output, Parameter, State
 from models.segment import Segment
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
@@ -391,7 +392,7 @@ def _ipopt(V: ca.MX, e: ca.MX, start: Array, scale: Array, names: list[str]) -> 
 COMPILE = """
 import json, sys, time
 from models import library
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from models.compiler.kernel import compile_model
 model = library.get("monocab_reduced")
 for name in CATALOGUE:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from diagnosis.diagnose import Diagnosis, diagnose
 from estimators.stopwatch import stopwatch
-from models.model import Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Model
+from models.parts import Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 from telemetry.recording import Recording, describe
 
 Array = NDArray[np.float64]

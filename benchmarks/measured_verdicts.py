@@ -30,8 +30,9 @@ from diagnosis.diagnose import Diagnosis, diagnose
 from estimators.identify.run import nominal_model, with_values
 from estimators.stopwatch import stopwatch
 from examples import emps, quarter_drone, unbalanced_disk
-from models.file.read import load_model
-from models.model import Disturbance, Model
+from models.file.model_file import load_model
+from models.model import Model
+from models.parts import Disturbance
 from service.cli.diagnose import default_budget
 from service.vehicle_file.file import load as vehicle
 from telemetry.channels import Channel, ChannelTable

@@ -25,9 +25,10 @@ from diagnosis.step import retold, reworded
 from diagnosis.trial import FAILURES
 from estimators.data.segments import DataError
 from estimators.stopwatch import stopwatch
-from models.effect import Effect, Place
-from models.effects import CATALOGUE, find
+from models.effect import Effect
+from models.effects.catalogue import CATALOGUE, find
 from models.model import Model
+from models.parts import Place
 from telemetry.recording import Recording
 
 FITS = 2.0

@@ -47,7 +47,8 @@ from estimators.fit.innovations import WIDEST
 from estimators.fit.problem import Problem
 from estimators.fit.result import inverse
 from estimators.methods.prediction_error import MUCH, Begin, noise_of, result
-from models.effect import Effect, Place
+from models.effect import Effect
+from models.parts import Place
 from models.random.disturbance import undriven
 
 Tell = Callable[[str, float], None]

@@ -19,7 +19,7 @@ from estimators.fit.problem import problem
 from estimators.methods import prediction_error
 from estimators.stopwatch import stopwatch
 from estimators.validation import Validation, validate
-from models.file.read import load_model
+from models.file.model_file import load_model
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

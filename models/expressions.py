@@ -26,7 +26,7 @@ from models.expression_syntax import (
     used_names,
     validated,
 )
-from models.model import ModelError
+from models.parts import ModelError
 
 if TYPE_CHECKING:
     import sympy

@@ -15,7 +15,7 @@ Their typical sizes (`scale`) count, which no fit moves.
 
 from __future__ import annotations
 
-from models.model import Model
+from models.grey_box import GreyBox
 
 OF_A_LOOP = 10.0
 """Time constants of an actuator's loop after which its answer is over."""
@@ -25,7 +25,7 @@ DIGITS = 15
 """Kept of a quotient of scales, so that 0.02 over 0.05 is 0.4."""
 
 
-def natural_time(model: Model) -> float | None:
+def natural_time(model: GreyBox) -> float | None:
     """T of `model`, s; None where it has neither joints nor time constants."""
     joints = [joint.coordinate_scale / joint.rate_scale for joint in model.joints]
     # How late a command comes, and how long a noise lasts, say nothing of the loop.

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 
-from models.model import Actuator, Joint, Model, Sensor
+from models.grey_box import GreyBox
 from models.natural_time import USUAL, natural_time
-
-
-class Place(StrEnum):
-    """Where an effect acts."""
-
-    JOINT = "joint"
-    ACTUATOR = "actuator"
-    SENSOR = "sensor"
-
+from models.parts import Actuator, Joint, Place, Sensor
 
 _ANYWHERE = ("time", "time_scale")
 """`time_scale`, s, is a number: the model's natural time (models.natural_time)."""
@@ -58,7 +49,7 @@ class Offer:
     units: Mapping[str, str]
 
 
-def places_of(model: Model, place: Place) -> tuple[Joint | Actuator | Sensor, ...]:
+def places_of(model: GreyBox, place: Place) -> tuple[Joint | Actuator | Sensor, ...]:
     """The places of a kind that `model` has. An actuator that is not `commanded` offers no
     command to act on."""
     match place:
@@ -70,7 +61,7 @@ def places_of(model: Model, place: Place) -> tuple[Joint | Actuator | Sensor, ..
             return model.sensors
 
 
-def offer(model: Model, place: Joint | Actuator | Sensor) -> Offer:
+def offer(model: GreyBox, place: Joint | Actuator | Sensor) -> Offer:
     """What `place`, one of `model`'s, has."""
     scales: dict[str, float] = {"time_scale": natural_time(model) or USUAL}
     if isinstance(place, Sensor):

@@ -15,8 +15,8 @@ from typing import Any
 
 from models.effect import AttachedEffect
 from models.expressions import names_in, parse, renamed
-from models.model import Actuator, Filter, Joint, Model, Sensor
-from models.place import Place
+from models.model import Model
+from models.parts import Actuator, Filter, Joint, Place, Sensor
 from models.sensing import FILTERED, delayed, integrated
 
 

@@ -1,6 +1,6 @@
 """What a sensor makes of an effect on it beyond its reading: a filter integrates a rate, and what is late is all late.
 
-Where a filter makes the angle from the rate (models.model.Filter), an error of the rate alone goes into the angle, is
+Where a filter makes the angle from the rate (models.parts.Filter), an error of the rate alone goes into the angle, is
 corrected slowly, and a constant one is learned. An effect that adds to the rate alone has the filter's states for that.
 """
 
@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from models.expressions import names_in, number
-from models.model import Actuator, Joint, Model, Sensor
-from models.place import VOCABULARY, Place
+from models.grey_box import GreyBox
+from models.parts import Actuator, Joint, Place, Sensor
+from models.place import VOCABULARY
 
 if TYPE_CHECKING:
     from models.effect import AttachedEffect, Effect
@@ -25,7 +26,7 @@ FILTERED: Mapping[str, str] = {
 }
 """Local name to derivative of the states of a filter that is led astray by the `error` of its rate.
 
-Beside it and each other they use the fields of models.model.Filter. The first adds to the angle, the second takes from
+Beside it and each other they use the fields of models.parts.Filter. The first adds to the angle, the second takes from
 the rate.
 """
 BEGUN = 0.01
@@ -42,7 +43,7 @@ def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:
     return bool(place.angle and place.rate and effect.rate_reading) and not effect.angle_reading
 
 
-def filter_inputs(model: Model) -> frozenset[str]:
+def filter_inputs(model: GreyBox) -> frozenset[str]:
     """The inputs of `model` by which filters go that errors of its sensors pass through."""
     found: set[str] = set()
     for sensor in model.sensors:
@@ -62,7 +63,7 @@ def learned(sensor: Sensor, effect: Effect) -> bool:
     return math.isclose(less, more, rel_tol=1e-9)
 
 
-def delayed(model: Model, attached: AttachedEffect) -> tuple[str, ...]:
+def delayed(model: GreyBox, attached: AttachedEffect) -> tuple[str, ...]:
     """Names of the inputs of `model` that act later by the effect's `delay`, none where it delays none.
 
     A sensor that shows all outputs, late, is one of a vehicle to which all happens late.

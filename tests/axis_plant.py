@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from models.library.axis import axis
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.model import Hold, Input, Model, Output, Parameter, State
+from models.model import Model
+from models.parts import Hold, Input, Output, Parameter, State
 from models.segment import Segment
 
 PLANT = Model(

@@ -11,7 +11,7 @@ from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
-from models.effects import find
+from models.effects.catalogue import find
 from models.library import get
 from service.vehicle_file.file import load
 from service.virtual.run import record

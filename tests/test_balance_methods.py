@@ -20,7 +20,8 @@ from estimators.methods.instrumental_variables import instrumental_variables
 from estimators.methods.least_squares import filtered, least_squares
 from models.library import get
 from models.library.axis import axis
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording, describe
 

@@ -18,8 +18,9 @@ from diagnosis.report.comparison_figures import comparison_figure, save_comparis
 from estimators.contract import EstimationError
 from estimators.data.segments import DataError
 from models import library
-from models.file.read import load_model
-from models.model import Model, ModelError
+from models.file.model_file import load_model
+from models.model import Model
+from models.parts import ModelError
 from service.cli.compare import read_models
 from service.cli.compare_page import comparison_table
 from service.vehicle_file.file import load

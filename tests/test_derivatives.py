@@ -8,7 +8,7 @@ import sympy
 from models import library
 from models.compiler.derivatives import Derivatives
 from models.compiler.equations import Magnitude, Signum, compose
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 
 X, Y = sympy.symbols("x y", real=True)
 

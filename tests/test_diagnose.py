@@ -12,7 +12,8 @@ from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
-from models.effect import Effect, EffectParameter, Family, Place
+from models.effect import Effect, EffectParameter, Family
+from models.parts import Place
 from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import HIDDEN

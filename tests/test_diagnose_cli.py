@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import diagnosis.parts
-from models.file.read import read
+from models.file.model_file import read
 from service.cli import app
 from service.cli.diagnose import default_budget
 from service.cli.diagnose_page import print_diagnosis

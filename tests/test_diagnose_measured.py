@@ -9,7 +9,7 @@ import pytest
 from diagnosis.diagnose import Verdict, diagnose
 from diagnosis.revise.revision import repair
 from examples import emps, quarter_drone, unbalanced_disk
-from models.file.read import load_model
+from models.file.model_file import load_model
 
 pytestmark = pytest.mark.timeout(300)
 

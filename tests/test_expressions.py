@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from models import expressions
 from models.expressions import check, length, name_problem, names_in, number, parse, renamed
-from models.model import ModelError
+from models.parts import ModelError
 
 X, Y = sympy.symbols("x y", real=True)
 SYMBOLS = {"x": X, "y": Y, "drag.size": sympy.Symbol("drag.size", real=True)}

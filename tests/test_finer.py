@@ -8,9 +8,10 @@ import pytest
 
 from diagnosis.diagnose import Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
-from models.effects import find
+from models.effects.catalogue import find
 from models.expressions import number
-from models.file.read import ModelFile, read, write
+from models.file.document import ModelFile
+from models.file.model_file import read, write
 from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION

@@ -16,7 +16,8 @@ import estimators
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.segments import DataError, clipped_share, segments
 from models import library
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording

@@ -21,7 +21,7 @@ from estimators.fit.likelihood import Likelihood
 from estimators.fit.problem import Problem, problem, typical_motion
 from estimators.fit.sensor_errors import InputError
 from estimators.methods.prediction_error import fit
-from models.file.read import load_model
+from models.file.model_file import load_model
 from models.random.input_noise import noisy_inputs
 from telemetry.recording import Recording, load
 

@@ -32,7 +32,8 @@ from estimators.methods.frequency_response import (
 )
 from models.library import get
 from models.library.axis import axis
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

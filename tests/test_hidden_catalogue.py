@@ -16,9 +16,9 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.beside_disturbance import LEARNED, LEVELS
-from models.effect import Place
-from models.effects import CATALOGUE
-from models.file.read import read
+from models.effects.catalogue import CATALOGUE
+from models.file.model_file import read
+from models.parts import Place
 from service.cli import app
 from service.virtual.run import record
 from simulation.hidden import HIDDEN

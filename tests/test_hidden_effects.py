@@ -21,8 +21,8 @@ import pytest
 from typer.testing import CliRunner
 
 from estimators.fit.disturbance import DisturbanceEstimate
-from models.effects import CATALOGUE
-from models.effects.validation import validate
+from models.effects.catalogue import CATALOGUE
+from models.file.effect_rules import validate
 from models.library import get
 from service.cli import app
 from service.hidden_effects import results

@@ -21,8 +21,9 @@ from diagnosis.report.method_figure import method_figure, save_methods
 from estimators.contract import EstimationError
 from estimators.identify.run import identify, nominal_model, plan, with_values
 from estimators.identify.table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
-from models.file.read import ModelFile, write
-from models.model import ModelError
+from models.file.document import ModelFile
+from models.file.model_file import write
+from models.parts import ModelError
 from service.cli import app
 from service.cli.identify_page import print_methods
 from service.vehicle_file.file import load

@@ -19,7 +19,8 @@ from small_model import GAIN, INITIAL, PLANT, ROWS, SHIFTED, segment
 from models.compiler.curves import read
 from models.compiler.kernel import Kernel, compile_model
 from models.expressions import number
-from models.model import Hold, Input, Model, ModelError, Output, Parameter, State
+from models.model import Model
+from models.parts import Hold, Input, ModelError, Output, Parameter, State
 from models.segment import Segment
 
 Array = NDArray[np.float64]

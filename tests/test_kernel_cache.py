@@ -16,7 +16,7 @@ from small_model import GAIN, INITIAL, PLANT, SHIFTED, segment
 from models.compiler import kernel as kernels
 from models.compiler import machine_code
 from models.compiler.kernel import LOOPS, Kernel, compile_model
-from models.model import Hold
+from models.parts import Hold
 
 
 @pytest.fixture(scope="module")

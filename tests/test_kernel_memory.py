@@ -9,8 +9,9 @@ import pytest
 
 from models import library
 from models.compiler.kernel import compile_model
-from models.effects import CATALOGUE
-from models.model import Model, ModelError
+from models.effects.catalogue import CATALOGUE
+from models.model import Model
+from models.parts import ModelError
 from models.segment import Segment
 
 GUARD = 64

@@ -21,7 +21,7 @@ from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.recursive.predictor import Seen
 from models.compiler.kernel import compile_model
-from models.model import ModelError
+from models.parts import ModelError
 from models.random.disturbance import disturbed
 from models.segment import Segment
 from service.cli.output import missing_effects

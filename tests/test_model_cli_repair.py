@@ -14,8 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from models.file.history import before_fits, undone
-from models.file.read import read
-from models.model import ModelError
+from models.file.model_file import read
+from models.parts import ModelError
 from service import cli
 from telemetry.channels import Channel, ChannelTable
 from telemetry.errors import UprightError

@@ -22,12 +22,13 @@ from typer.testing import CliRunner
 
 from models import library, rendering
 from models.compiler.fingerprint import fingerprint
-from models.effect import Place
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from models.expressions import number
 from models.file import sections as model_sections
-from models.file.read import ModelFile, load_model, parse, read, write
-from models.model import Actuator, Disturbance, Input, Joint, Model, ModelError, Output, Parameter, Sensor, State
+from models.file.document import ModelFile
+from models.file.model_file import load_model, parse, read, write
+from models.model import Model
+from models.parts import Actuator, Disturbance, Input, Joint, ModelError, Output, Parameter, Place, Sensor, State
 from service import cli
 from service.vehicle_file.file import load
 

@@ -14,10 +14,10 @@ from diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
 from diagnosis.prepare.actuator_samples import on_time
 from estimators.data.segments import ramp_shortfall
 from estimators.identify.run import nominal_model, with_values
-from models.effect import Place
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from models.library import ACTUATORS, get
 from models.model import Model
+from models.parts import Place
 from service.vehicle_file.file import load
 from simulation.hidden import HIDDEN
 from telemetry.channels import TABLES

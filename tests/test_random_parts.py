@@ -21,10 +21,11 @@ from estimators.fit.disturbance import DisturbanceEstimate, NarrowBandEstimate, 
 from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit, prediction_error
-from models.file.read import parse, read
-from models.file.read import write as write_model
-from models.model import Disturbance, Model, ModelError
-from models.model import NarrowBand as KnownBand
+from models.file.model_file import parse, read
+from models.file.model_file import write as write_model
+from models.model import Model
+from models.parts import Disturbance, ModelError
+from models.parts import NarrowBand as KnownBand
 from models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
 from service.offline.replay import load as load_recording
 from service.vehicle_file.file import load

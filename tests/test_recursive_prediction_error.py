@@ -23,7 +23,8 @@ from estimators.recursive.frame_chunks import Chunk, FrameChunks, join
 from estimators.recursive.gauss_newton import RecursiveGaussNewton
 from estimators.recursive.prediction_error import Method, RecursivePredictionError
 from models import library
-from models.model import Hold, Model
+from models.model import Model
+from models.parts import Hold
 from service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
 from service.vehicle_file.file import load
 from service.virtual.run import record

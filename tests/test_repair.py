@@ -24,7 +24,8 @@ from estimators.data.segments import DataError
 from estimators.fit.problem import problem
 from models import library
 from models.library.axis import axis
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 from service.virtual.run import record
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording

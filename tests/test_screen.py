@@ -17,7 +17,7 @@ from diagnosis.score.whitened import Whitened, project
 from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit
 from models import library
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from service.vehicle_file.file import load
 from tests.virtual_records import multisine
 

@@ -22,11 +22,13 @@ from models.compiler.equations import compose
 from models.compiler.fingerprint import fingerprint
 from models.compiler.kernel import compile_model
 from models.effect import EffectParameter
-from models.effects import find
-from models.effects.validation import validate
-from models.file.read import ModelFile, read, write
+from models.effects.catalogue import find
+from models.file.document import ModelFile
+from models.file.effect_rules import validate
+from models.file.model_file import read, write
 from models.library.axis import axis
-from models.model import Filter, Input, Model, ModelError, Output, Parameter, Sensor, State
+from models.model import Model
+from models.parts import Filter, Input, ModelError, Output, Parameter, Sensor, State
 from models.segment import Segment
 from models.sensing import FILTERED
 from service.vehicle_file.file import load

@@ -23,9 +23,10 @@ from estimators.fit.likelihood import Likelihood
 from estimators.fit.problem import Problem, problem
 from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, prediction_error
-from models.effect import Effect, EffectParameter, EffectState, Family, Place
+from models.effect import Effect, EffectParameter, EffectState, Family
 from models.library.axis import axis
-from models.model import Disturbance, Model, State
+from models.model import Model
+from models.parts import Disturbance, Place, State
 from models.random.disturbance import disturbed, undisturbed
 from service.vehicle_file.file import load
 from telemetry.channels import Channel, ChannelTable

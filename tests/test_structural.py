@@ -11,7 +11,8 @@ from estimators.contract import EstimationError
 from estimators.structural import SMALL, Motion, generic_motions, reduced, structure
 from models.library import get
 from models.library.twsbr import TOLD_AT_LARGE_TILT, TOLD_IN_TURNS, TOLD_NEAR_UPRIGHT
-from models.model import Hold, Input, Model, ModelError, Output, Parameter, State
+from models.model import Model
+from models.parts import Hold, Input, ModelError, Output, Parameter, State
 from models.segment import Segment
 
 TWSBR = get("twsbr")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from diagnosis.diagnose import diagnose
 from diagnosis.parts import diagnose_actuators
 from estimators.identify.run import nominal_model, with_values
-from models.effects import find
+from models.effects.catalogue import find
 from models.library import ACTUATORS
 from service.vehicle_file.file import load
 from service.virtual.run import record

@@ -17,11 +17,12 @@ from diagnosis.prepare.usable import check, needed
 from estimators.data.segments import DataError, segments
 from estimators.data.time_scale import motion_time, time_scale
 from models import library
-from models.effect import starts
-from models.effects import CATALOGUE
-from models.file.read import load_model
-from models.model import Model, ModelError
+from models.attach import starts
+from models.effects.catalogue import CATALOGUE
+from models.file.model_file import load_model
+from models.model import Model
 from models.natural_time import natural_time
+from models.parts import ModelError
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

@@ -11,7 +11,8 @@ import pytest
 from diagnosis.prepare.time_offsets import EARLIEST, LATEST, OFFSET, timed, untimed
 from models import library
 from models.library.axis import axis
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 

@@ -11,7 +11,8 @@ from benchmarks.free_decays import Body
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.trial import tried
 from estimators.contract import EstimationError
-from models.effect import Effect, EffectParameter, Family, Place
+from models.effect import Effect, EffectParameter, Family
+from models.parts import Place
 
 pytestmark = pytest.mark.timeout(300)
 

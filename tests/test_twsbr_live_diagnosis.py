@@ -25,7 +25,8 @@ from estimators.data.segments import after_settling
 from estimators.identify.run import nominal_model
 from estimators.recursive.frame_chunks import Chunk, FrameChunks
 from models import library
-from models.file.read import ModelFile, read, write
+from models.file.document import ModelFile
+from models.file.model_file import read, write
 from models.model import Model
 from service.cli import app
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators

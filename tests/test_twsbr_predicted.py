@@ -21,7 +21,8 @@ from diagnosis.prediction.closed_loop import simulate
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
 from estimators.identify.run import nominal_model, with_values
 from models.library import get
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 from service.cli import app
 from service.control.api import ApiServer, ExitCode, Message, result
 from service.control.sequence import Phase

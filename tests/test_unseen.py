@@ -17,7 +17,7 @@ from estimators.fit.likelihood import FLOOR
 from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
 from estimators.methods.prediction_error import fit
-from models.effects import find
+from models.effects.catalogue import find
 from models.library import ACTUATORS, get
 from service.vehicle_file.file import load
 from service.virtual.run import record

@@ -13,10 +13,11 @@ from diagnosis.lack_of_fit.shapes import Shape
 from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
 from estimators.identify.run import nominal_model, with_values
 from models import library
+from models.attach import check_names
 from models.compiler.kernel import compile_model
-from models.effect import Effect, check_names
-from models.effects import find
-from models.model import ModelError
+from models.effect import Effect
+from models.effects.catalogue import find
+from models.parts import ModelError
 from models.segment import Segment
 from service.vehicle_file.file import load
 from service.virtual.run import record

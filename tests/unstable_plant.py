@@ -10,7 +10,8 @@ import numpy as np
 from axis_plant import CHANNELS
 
 from models.library.axis import axis
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.recording import Recording
 
 MASS, DRIVE = 2.0, 50.0

@@ -33,8 +33,9 @@ from estimators.fit.problem import problem
 from estimators.fit.result import inverse
 from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, result
 from estimators.stopwatch import stopwatch
+from models.attach import starts
 from models.compiler.kernel import Progress
-from models.effect import AttachedEffect, starts
+from models.effect import AttachedEffect
 from models.model import Model
 from models.natural_time import rounded
 from models.random.disturbance import undriven

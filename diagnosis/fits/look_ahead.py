@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from estimators.data.white_noise import differences
 from estimators.methods.prediction_error import Fit
-from models.model import Hold
+from models.parts import Hold
 
 Array = NDArray[np.float64]
 

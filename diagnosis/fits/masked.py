@@ -28,8 +28,9 @@ from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
 from estimators.data.time_scale import time_scale
 from estimators.methods.prediction_error import Begin, fit
-from models.effect import Place, starts
+from models.attach import starts
 from models.model import Model
+from models.parts import Place
 
 Array = NDArray[np.float64]
 

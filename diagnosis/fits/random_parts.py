@@ -28,7 +28,8 @@ from diagnosis.trial import tried
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.problem import Problem
 from estimators.methods.prediction_error import Begin, Fit
-from models.model import Model, NarrowBand
+from models.model import Model
+from models.parts import NarrowBand
 from models.random.disturbance import narrow_at_joints, power_share, with_narrow_band
 from models.random.input_noise import InputNoise, with_input_noise
 from models.random.sensor_error import at_outputs, with_error

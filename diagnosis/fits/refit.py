@@ -23,8 +23,8 @@ from estimators.budget import UNLIMITED
 from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.fit.result import inverse
 from estimators.methods.prediction_error import Begin, Fit, fit
-from models.effect import Place
 from models.model import Model
+from models.parts import Place
 from models.random.sensor_error import random_count
 from models.sensing import delayed
 

@@ -29,7 +29,7 @@ from estimators.fit.innovations import NoiseModel
 from estimators.fit.problem import Problem
 from estimators.fit.stationary import stationary
 from estimators.methods.prediction_error import Fit
-from models.model import State
+from models.parts import State
 from models.random.disturbance import parameters_of
 
 Array = NDArray[np.float64]

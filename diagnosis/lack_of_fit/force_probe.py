@@ -18,7 +18,8 @@ from diagnosis.lack_of_fit.floor import Floor, Innovations
 from estimators.fit.problem import typical_motion
 from models.compiler.kernel import Kernel, Progress, compile_model
 from models.expressions import names_in
-from models.model import Hold, Input, Joint, Model, Output
+from models.model import Model
+from models.parts import Hold, Input, Joint, Output
 from models.segment import Segment
 
 Array = NDArray[np.float64]

@@ -33,8 +33,9 @@ from estimators.recursive.prediction_error import CHUNK, RecursivePredictionErro
 from estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
 from models.compiler.kernel import Kernel, Memory, Progress, compile_model
 from models.effect import Effect
-from models.effects import CATALOGUE
-from models.model import Model, ModelError
+from models.effects.catalogue import CATALOGUE
+from models.model import Model
+from models.parts import ModelError
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.samples import Frame
 

@@ -27,8 +27,8 @@ from estimators.fit.problem import Problem
 from estimators.recursive.predictor import Seen
 from estimators.report import significant
 from models.effect import AttachedEffect, Effect
-from models.effects import CATALOGUE, find
-from models.model import Parameter
+from models.effects.catalogue import CATALOGUE, find
+from models.parts import Parameter
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from estimators.fit.problem import Problem, problem
 from models.compiler.kernel import Memory
-from models.model import Hold, Model
+from models.model import Model
+from models.parts import Hold
 from models.segment import Segment
 
 Array = NDArray[np.float64]

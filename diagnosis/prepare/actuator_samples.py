@@ -14,7 +14,7 @@ import numpy as np
 from estimators.data.segments import SUPPORT_MARGIN, channels_of, recorded_support
 from models.model import Model
 from models.natural_time import USUAL, natural_time
-from models.place import Place
+from models.parts import Place
 from telemetry.recording import Recording
 
 AGE = "drive_age"

@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from estimators.data.segments import channels_of, optional_channels
-from models.effect import AttachedEffect, Effect, places_for, starts
-from models.effects import CATALOGUE, find
-from models.model import Model, ModelError
+from models.attach import places_for, starts
+from models.effect import AttachedEffect, Effect
+from models.effects.catalogue import CATALOGUE, find
+from models.model import Model
+from models.parts import ModelError
 from models.sensing import learned
 from telemetry.recording import Recording
 

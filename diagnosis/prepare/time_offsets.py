@@ -14,7 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.recording import Recording
 
 OFFSET = "input_offset"

@@ -39,9 +39,10 @@ from estimators.fit.problem import Problem, problem
 from estimators.fit.released import freed
 from estimators.methods.prediction_error import Fit
 from models.effect import Effect
-from models.effects import find
+from models.effects.catalogue import find
 from models.expressions import names_in
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from estimators.contract import EstimationError, Status
 from models.compiler.curves import read
 from models.expressions import names_in
-from models.model import Hold, Input, Model, Output
+from models.model import Model
 from models.natural_time import USUAL, natural_time
+from models.parts import Hold, Input, Output
 from models.segment import Segment
 from models.sensing import filter_inputs
 from telemetry.channels import NOTHING_RUNS

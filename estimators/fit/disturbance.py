@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.result import inverse
-from models.model import Joint, Model
+from models.model import Model
+from models.parts import Joint
 from models.random.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
 from models.random.part import LEAST_TIMES
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from estimators.contract import EstimationError
 from estimators.fit.problem import Problem, at_rest, linearise, typical_motion
 from estimators.fit.stationary import DOUBLINGS, in_the_long_run, stationary
-from models.model import Output, State
+from models.parts import Output, State
 from models.segment import Segment
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimators.fit.gauss_newton import Minimum, Normal
 from estimators.fit.likelihood import Likelihood, Seen
-from models.model import Parameter
+from models.parts import Parameter
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,8 @@ from estimators.fit.gauss_newton import Block
 from models import library
 from models.compiler.kernel import Kernel, Progress, Run, compile_model
 from models.expressions import number
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from models.random.disturbance import parameters_of
 from models.segment import Segment
 from telemetry.recording import Recording

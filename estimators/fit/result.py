@@ -17,7 +17,8 @@ from estimators.contract import Estimate, ParameterEstimate, Status
 from estimators.data.segments import DataError
 from estimators.fit.gauss_newton import Minimum
 from estimators.fit.problem import Problem
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from models.random.disturbance import parameters_of
 
 if TYPE_CHECKING:

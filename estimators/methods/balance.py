@@ -29,7 +29,8 @@ from estimators.contract import EstimationError
 from models import library
 from models.compiler.equations import Equations, Magnitude, Signum, compose
 from models.expressions import parse
-from models.model import Hold, Joint, Model
+from models.model import Model
+from models.parts import Hold, Joint
 from models.segment import Segment
 
 Array = NDArray[np.float64]

@@ -23,7 +23,8 @@ from estimators.fit.result import inverse
 from estimators.methods.balance import split
 from estimators.methods.frequency_output_error import COHERENT, Denominator, Fit, errors, frequency_fit
 from estimators.methods.frequency_response import Detrend, FrequencyResponse
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -42,7 +42,8 @@ from estimators.methods.frequency_response import (
 )
 from estimators.methods.least_squares import ASKED_SHARE, assembled, size_of
 from estimators.stopwatch import stopwatch
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from estimators.contract import EstimationError, Status
 from estimators.data.segments import DataError, segments
 from estimators.methods.balance import Balance, Pieces, channel_signals, evaluator, split
-from models.model import Hold, Model
+from models.model import Model
+from models.parts import Hold
 from models.segment import Segment
 from telemetry.recording import Recording
 

@@ -26,7 +26,8 @@ from estimators.fit.result import asked_std, correlation, refused
 from estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
 from estimators.recursive.least_squares import RecursiveLeastSquares
 from estimators.stopwatch import stopwatch
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from models.segment import Segment
 from telemetry.recording import Recording
 

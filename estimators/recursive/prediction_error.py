@@ -27,7 +27,8 @@ from estimators.recursive.frame_chunks import FrameChunks
 from estimators.recursive.predictor import RecursivePredictor, Seen
 from models import library
 from models.compiler.kernel import Progress, compile_model
-from models.model import Model, Parameter
+from models.model import Model
+from models.parts import Parameter
 from models.random.disturbance import disturbed, parameters_of
 from models.segment import Segment
 from telemetry.channels import MONOCAB, ChannelTable

@@ -41,7 +41,7 @@ from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.compiler.kernel import Memory
 from models.expressions import number
-from models.model import Output
+from models.parts import Output
 from models.segment import Segment
 
 Array = NDArray[np.float64]

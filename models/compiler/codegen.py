@@ -22,7 +22,8 @@ import sympy
 from models.compiler.column_code import Lines, column_functions, number
 from models.compiler.derivatives import Derivatives
 from models.compiler.equations import Equations, Magnitude, Signum, compose
-from models.model import Hold, Model, ModelError
+from models.model import Model
+from models.parts import Hold, ModelError
 
 FUNCTIONS = {
     **{getattr(sympy, name): name for name in ("sin", "cos", "tan", "asin", "acos", "atan")},

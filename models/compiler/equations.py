@@ -14,9 +14,10 @@ from dataclasses import asdict, dataclass
 
 import sympy
 
-from models.effect import AttachedEffect, Place
+from models.effect import AttachedEffect
 from models.expressions import names_in, parse
-from models.model import Actuator, Hold, Joint, Model, ModelError, Sensor
+from models.model import Model
+from models.parts import Actuator, Hold, Joint, ModelError, Place, Sensor
 from models.place import VOCABULARY
 from models.sensing import FILTERED, delayed, integrated
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from models.compiler import machine_code
 from models.compiler.column_code import COLUMN_FUNCTIONS
 from models.compiler.fingerprint import SOURCES, digest, fingerprint
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 from models.segment import Segment
 
 Array = NDArray[np.float64]

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from models.effect import Effect, EffectParameter, EffectState, Family, Place
+from models.effect import Effect, EffectParameter, EffectState, Family
+from models.parts import Place
 
 # Bristles that slide fast stay bent: by a lag that is nothing beside the motion, they are no reason for shorter steps.
 _BENDING = "(rate - abs(rate) * bend) / (travel + 0.005 * time_scale * abs(rate))"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family, Place
+from models.effect import Effect, EffectParameter, Family
+from models.parts import Place
 
 INPUT_DEADBAND = Effect(
     name="input_deadband",

@@ -19,7 +19,8 @@ until a flank stops it, by Hunt and Crossley, so damped that nothing rebounds.
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family, Place
+from models.effect import Effect, EffectParameter, EffectState, Family
+from models.parts import Place
 
 HYSTERESIS = Effect(
     name="hysteresis",

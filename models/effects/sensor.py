@@ -6,7 +6,8 @@ model, and exact; elsewhere it is an expansion to the second order in time, righ
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family, Place
+from models.effect import Effect, EffectParameter, EffectState, Family
+from models.parts import Place
 
 GYRO_BIAS = Effect(
     name="gyro_bias",

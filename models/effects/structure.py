@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family, Place
+from models.effect import Effect, EffectParameter, EffectState, Family
+from models.parts import Place
 
 _SPRING = "((2 * pi * frequency) ** 2 * twist + 4 * pi * frequency * damping_ratio * twist_rate)"
 

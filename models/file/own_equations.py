@@ -1,7 +1,7 @@
 """The model that the tables of a model file describe: a shipped one with other values, or equations of the user's own.
 
 Own equations are checked here, so that whatever is wrong is named by file and key: names that are taken or unknown,
-references that lead nowhere, values out of bounds. Effects come after it (models.file.read).
+references that lead nowhere, values out of bounds. Effects come after it (models.file.model_file).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any, TypeVar
 from models import library
 from models.expressions import check, length, name_problem, names_in
 from models.file.sections import JointSection, ModelSection, ParameterSection, Section, one_of
-from models.model import (
+from models.model import Model
+from models.parts import (
     Actuator,
     Disturbance,
     Filter,
     Hold,
     Input,
     Joint,
-    Model,
     ModelError,
     NarrowBand,
     Output,

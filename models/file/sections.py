@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from models.model import ModelError
+from models.parts import ModelError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -30,7 +30,7 @@ class Section(BaseModel):
 
 
 class StateSection(Section):
-    """As models.model.State; so are the others as the class of their name."""
+    """As models.parts.State; so are the others as the class of their name."""
 
     unit: str
     derivative: Equation
@@ -70,7 +70,7 @@ class OutputSection(Section):
 
 
 class ParameterSection(Section):
-    """What is not given is the base's, the effect's, or the default of models.model.Parameter."""
+    """What is not given is the base's, the effect's, or the default of models.parts.Parameter."""
 
     value: Finite | None = None
     std: NotNegative | None = None
@@ -83,7 +83,7 @@ class ParameterSection(Section):
 
 
 class NarrowBandSection(Section):
-    """As models.model.NarrowBand."""
+    """As models.parts.NarrowBand."""
 
     frequency: Positive
     damping_ratio: NotNegative = 0.0
@@ -91,7 +91,7 @@ class NarrowBandSection(Section):
 
 
 class DisturbanceSection(Section):
-    """As models.model.Disturbance."""
+    """As models.parts.Disturbance."""
 
     std: NotNegative = 0.0
     correlation_time: NotNegative = 0.0

@@ -6,7 +6,8 @@ from models.library.axis import AXIS
 from models.library.monocab import MONOCAB_FULL, MONOCAB_REDUCED, MONOCAB_ROLL
 from models.library.monocab_gimbals import SPEED_LOOPS
 from models.library.twsbr import TWSBR
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 
 MODELS: dict[str, Model] = {
     model.name: model for model in (MONOCAB_ROLL, MONOCAB_REDUCED, MONOCAB_FULL, *SPEED_LOOPS, TWSBR, AXIS)

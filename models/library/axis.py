@@ -8,7 +8,8 @@ motor voltage in V, whose `force_gain` is N m/V.
 
 from __future__ import annotations
 
-from models.model import Actuator, Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Model
+from models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 
 
 def axis(

@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import math
 
-from models.model import Actuator, Disturbance, Hold, Input, Joint, Model, Output, Parameter, Sensor, State
+from models.model import Model
+from models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 
 GRAVITY = 9.81
 COUNT = 2.0 * math.pi / 700.0

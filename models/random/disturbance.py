@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from models.expressions import names_in
-from models.model import Disturbance, Joint, Model, NarrowBand, State
+from models.model import Model
+from models.parts import Disturbance, Joint, NarrowBand, State
 from models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band
 from telemetry.recording import Recording
 

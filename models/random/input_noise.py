@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from models.expressions import names_in, renamed
-from models.model import Model, Parameter, State
+from models.model import Model
+from models.parts import Parameter, State
 
 SHARE = "noise_share_"
 USUAL = "usual_"

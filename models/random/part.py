@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from models.model import NarrowBand, Parameter, State
+from models.parts import NarrowBand, Parameter, State
 
 SPREAD = 3.0
 """Standard deviation of the natural logarithm of an RMS: of a random signal no more than the order of magnitude is

@@ -11,7 +11,8 @@ import math
 from dataclasses import replace
 
 from models.expressions import names_in
-from models.model import Model, NarrowBand, Output
+from models.model import Model
+from models.parts import NarrowBand, Output
 from models.random.disturbance import narrow_at_joints
 from models.random.input_noise import noisy_inputs
 from models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order, narrow_band

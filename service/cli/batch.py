@@ -131,7 +131,7 @@ def identify(
 def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
     """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
     from estimators.identify.run import nominal_model, with_values
-    from models.file.read import load_model
+    from models.file.model_file import load_model
 
     if name is not None and name.endswith(".toml"):
         return load_model(name)

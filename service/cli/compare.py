@@ -160,7 +160,7 @@ def estimated(path: Path, base: Model | None) -> dict[str, Model]:
 
 def _without_effect(document: dict[str, Any]) -> Model:
     """The model of the file to which `upright model add` added an effect, as it was fitted without it."""
-    from models.file.read import load_model
+    from models.file.model_file import load_model
 
     values = {name: each["value"] for name, each in document["repair"]["before"]["parameters"].items()}
     return load_model(document["file"]).remove(document["effect"]).change(values)

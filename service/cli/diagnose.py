@@ -97,7 +97,7 @@ def diagnose(
     from diagnosis.parts import diagnose_parts
     from estimators.budget import Budget, OutOfTime
     from estimators.identify.run import with_values
-    from models.effects import CATALOGUE
+    from models.effects.catalogue import CATALOGUE
     from models.library import ACTUATORS
     from service.cli.batch import identified_model, load_recording
     from service.offline.machine import is_of, name_of, support_of
@@ -253,10 +253,10 @@ def provenance(vehicle: str, recordings: list[Path]) -> Provenance:
 def chosen(name: str) -> Effect:
     """An effect of the catalogue by name, or one's own from a file. Raises ModelError."""
     if name.endswith(SUFFIXES):
-        from models.effects.custom import load_effect
+        from models.file.own_effects import load_effect
 
         return load_effect(Path(name))
-    from models.effects import find
+    from models.effects.catalogue import find
 
     return find(name)
 

@@ -50,7 +50,8 @@ def show(
     that an effect replaces.
     """
     from models import rendering
-    from models.file.read import ModelFile, load_model, read
+    from models.file.document import ModelFile
+    from models.file.model_file import load_model, read
 
     file = read(name) if name.endswith(".toml") else ModelFile(load_model(name))
     shown = file.model
@@ -79,7 +80,7 @@ def list_effects(
     from rich.text import Text
 
     from models.effect import Family
-    from models.effects import CATALOGUE
+    from models.effects.catalogue import CATALOGUE
 
     families = [each.value for each in Family]
     if family is not None and family not in families:
@@ -135,8 +136,9 @@ def new(
     from dataclasses import replace
 
     from models import library
-    from models.file.read import ModelFile, parse, write
-    from models.model import ModelError
+    from models.file.document import ModelFile
+    from models.file.model_file import parse, write
+    from models.parts import ModelError
 
     if file.suffix != ".toml":
         raise ModelError(str(file), "is no name for a model file", remedy="let it end in .toml.")
@@ -167,7 +169,7 @@ def remove(
     """Remove an effect from a model file, with a history entry."""
     from dataclasses import replace
 
-    from models.file.read import read, write
+    from models.file.model_file import read, write
 
     before = read(file)
     changed = before.model.remove(effect)

@@ -9,7 +9,8 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from models.model import Hold, Model, Parameter
+from models.model import Model
+from models.parts import Hold, Parameter
 from models.rendering import text
 from service.cli.output import page
 

@@ -14,7 +14,7 @@ from service.cli.output import page, print_json
 if TYPE_CHECKING:
     from diagnosis.revise.result import Repair
     from models.effect import Effect
-    from models.file.read import ModelFile
+    from models.file.document import ModelFile
     from telemetry.recording import Recording
 
 FileArgument = Annotated[Path, typer.Argument(help="A model file, .toml.")]
@@ -74,8 +74,8 @@ def add(
     """
     import os
 
-    from models.effects.custom import load_effect
-    from models.file.read import write
+    from models.file.model_file import write
+    from models.file.own_effects import load_effect
 
     if not recording and (held_out or picture):
         raise typer.BadParameter("needs a --recording to fit the model to.", param_hint="--held-out, --picture")
@@ -138,7 +138,7 @@ def undo(file: FileArgument, json: JsonOption = False) -> None:
     A parameter that was changed by hand since keeps its value.
     """
     from models.file.history import undone
-    from models.file.read import read, write
+    from models.file.model_file import read, write
 
     before = read(file)
     after, effect, kept = undone(before)
@@ -161,7 +161,7 @@ def drop_test(
     """Fit the model without each of its effects in turn: which of them are needed, and which can go."""
     from diagnosis.revise.drop_tests import drop_tests
     from models.file.history import before_fits
-    from models.file.read import read
+    from models.file.model_file import read
     from service.cli.batch import working
 
     model, support = before_fits(read(file)), _support(vehicle)
@@ -178,7 +178,8 @@ def drop_test(
 
 def _start(name: str, vehicle: str | None) -> ModelFile:
     """What to add to: a model file, or a shipped model with the CAD values of the vehicle."""
-    from models.file.read import ModelFile, load_model, read
+    from models.file.document import ModelFile
+    from models.file.model_file import load_model, read
 
     if name.endswith(".toml"):
         return read(name)
@@ -194,7 +195,7 @@ def _start(name: str, vehicle: str | None) -> ModelFile:
 
 def _target(name: str, output: Path | None) -> Path:
     """The file to write. Raises ModelError where that cannot be."""
-    from models.model import ModelError
+    from models.parts import ModelError
 
     if output is None:
         if not name.endswith(".toml"):

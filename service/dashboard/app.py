@@ -27,8 +27,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from estimators.identify.table import METHODS
 from models import library
-from models.effect import places_of
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
+from models.place import places_of
 from service.control import assembly
 from service.dashboard.charts import CHARTS
 from service.dashboard.jobs import Jobs
@@ -143,7 +143,7 @@ class Dashboard:
         return JSONResponse({"model": await asyncio.to_thread(self._read_model)})
 
     def _read_model(self) -> dict[str, Any] | None:
-        from models.file.read import read
+        from models.file.model_file import read
 
         if not self._model_file.is_file():
             return None

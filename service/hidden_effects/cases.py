@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
 
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from simulation.hidden import HIDDEN, UNLISTED, UnknownEffectError
 
 

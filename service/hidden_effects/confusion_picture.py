@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from service.hidden_effects.summary import Summary
 from telemetry.errors import UprightError
 

@@ -14,8 +14,9 @@ import numpy as np
 from estimators.fit.problem import Problem, problem
 from estimators.methods.output_error import fit, longest_window
 from models.effect import Effect
-from models.effects import CATALOGUE
-from models.model import Model, ModelError
+from models.effects.catalogue import CATALOGUE
+from models.model import Model
+from models.parts import ModelError
 from service.hidden_effects.answers import ADEQUATE, MISSING, Answer, Found
 from telemetry.recording import Recording
 

@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.effect import AttachedEffect, Place, starts
-from models.effects import CATALOGUE
+from models.attach import starts
+from models.effect import AttachedEffect
+from models.effects.catalogue import CATALOGUE
 from models.expression_syntax import CONSTANTS, OPERATIONS, fold, validated
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError, Place
 from models.segment import Segment
 
 Array = NDArray[np.float64]

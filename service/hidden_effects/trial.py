@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.effect import Effect
-from models.effects import CATALOGUE
+from models.effects.catalogue import CATALOGUE
 from models.library import get
 from models.model import Model
 from service.hidden_effects.answers import Answer, Method, diagnosis

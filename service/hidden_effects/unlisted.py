@@ -7,8 +7,9 @@ candidates where it is asked what is missing.
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family, Place
-from models.effects import CATALOGUE
+from models.effect import Effect, EffectParameter, Family
+from models.effects.catalogue import CATALOGUE
+from models.parts import Place
 
 
 def _torque(name: str, title: str, unit: str, scale: str, shape: str, cosine: str = "") -> Effect:

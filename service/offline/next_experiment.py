@@ -16,7 +16,8 @@ from diagnosis.prediction.closed_loop import Experiment, simulate
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted, fitted_rivals, with_named
 from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 from service.control.excitation import ExcitationError, InjectionPoint
 from service.monocab import predicted as monocab
 from service.twsbr import predicted as twsbr

@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from diagnosis.diagnose import Diagnosis
-from models.file.read import ModelFile, write
+from models.file.document import ModelFile
+from models.file.model_file import write
 from models.model import Model
 
 

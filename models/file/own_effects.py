@@ -38,10 +38,11 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from models.effect import BELONGING, Effect, EffectParameter, EffectState, Family, Place
-from models.effects import CATALOGUE
-from models.effects.validation import validate
-from models.model import ModelError
+from models.attach import BELONGING
+from models.effect import Effect, EffectParameter, EffectState, Family
+from models.effects.catalogue import CATALOGUE
+from models.file.effect_rules import validate
+from models.parts import ModelError, Place
 
 _OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by"))
 """Attributes without a default that a file may leave out; the equation is then the expressions themselves."""

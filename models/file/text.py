@@ -1,7 +1,7 @@
 """A model file as text: written anew, or as small changes to the text that is there.
 
-What is written is read again before it is used (models.file.read.write), so a change of an unusual file may go wrong
-here without harm.
+What is written is read again before it is used (models.file.model_file.write), so a change of an unusual file may go
+wrong here without harm.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, asdict, fields, replace
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models import library
-from models.effect import AttachedEffect, attach
-from models.model import Disturbance, Filter, Model, NarrowBand, Parameter
-
-if TYPE_CHECKING:
-    from models.file.read import ModelFile
+from models.attach import attach
+from models.effect import AttachedEffect
+from models.file.document import ModelFile
+from models.model import Model
+from models.parts import Disturbance, Filter, NarrowBand, Parameter
 
 _VALUES = ("value", "std", "lower", "upper", "estimated", "scale")
 _INTRODUCTION = """\

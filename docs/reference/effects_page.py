@@ -1,10 +1,12 @@
-"""The page docs/reference/effects.md, written from the catalogue: `python -m models.effects.reference > PAGE`."""
+"""The page docs/reference/effects.md, written from the catalogue: `python docs/reference/effects_page.py > PAGE`."""
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family, Place
-from models.effects import CATALOGUE, custom, families
+from models.effect import Effect, EffectParameter, Family
+from models.effects.catalogue import CATALOGUE, families
 from models.expressions import names_in
+from models.file import own_effects as custom
+from models.parts import Place
 from models.place import EVERY_JOINT, SCALES, UNITS, VOCABULARY
 
 _INTRODUCTION = """\

@@ -11,30 +11,19 @@ import re
 import stat
 import tempfile
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models import library
+from models.file.document import ModelFile
 from models.file.own_equations import base_model, given
 from models.file.sections import EffectSection, HistorySection, sections
-from models.model import Model, ModelError
+from models.model import Model
+from models.parts import ModelError
 
 if TYPE_CHECKING:
     from models.effect import AttachedEffect, Effect
-
-
-@dataclass(frozen=True, slots=True)
-class ModelFile:
-    """A model and its history, oldest first: one mapping an entry, with `action` and what else there is to say.
-
-    `effect_files`: for effects of the user's own, by their name in the model, the path from the model file's folder.
-    """
-
-    model: Model
-    history: tuple[Mapping[str, Any], ...] = ()
-    effect_files: Mapping[str, str] = field(default_factory=dict)
 
 
 def load_model(name_or_path: str | Path) -> Model:
@@ -86,7 +75,7 @@ def write(file: ModelFile, path: str | Path) -> None:
     Raises:
         ModelError: `file` cannot be said in a model file (an own effect without a file), or it cannot be written.
     """
-    from models.file import write as model_writing
+    from models.file import text as as_text
 
     path = Path(os.path.realpath(path))
     for attached in file.model.effects:
@@ -95,12 +84,12 @@ def write(file: ModelFile, path: str | Path) -> None:
     if path.exists():
         before = path.read_text(encoding="utf-8")
         try:
-            text = model_writing.edited(before, parse(before, path), file)
+            text = as_text.edited(before, parse(before, path), file)
             text = text if text is not None and parse(text, path) == file else None
         except ModelError:
             text = None  # what stands there is no model file, or too unusual to be edited
     if text is None:
-        text = model_writing.fresh(file)
+        text = as_text.fresh(file)
         if parse(text, path) != file:
             what = f"the model {file.model.name} cannot be written so that reading gives it again"
             raise ModelError(str(path), what, remedy="build it from a shipped model, or from equations in a file.")
@@ -122,14 +111,14 @@ def _attach(model: Model, entry: EffectSection, file: str, where: str) -> tuple[
 
 
 def _effect(entry: EffectSection, file: str) -> Effect:
-    from models.effects import find
+    from models.effects.catalogue import find
 
     if not entry.file:
         if not entry.name:
             what = "has neither name nor file"
             raise ModelError("effect", what, remedy="name an effect; `upright model list-effects` lists them.")
         return find(entry.name).with_parameters(entry.parameters)
-    from models.effects.custom import load_effect
+    from models.file.own_effects import load_effect
 
     effect = load_effect(Path(file).parent / entry.file)
     if entry.name and effect.name != entry.name:
@@ -144,12 +133,12 @@ def _entry(section: HistorySection) -> dict[str, Any]:
 
 def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None:
     """Every effect can be found again: in the catalogue, or in a file."""
-    from models.effects import find
+    from models.effects.catalogue import find
 
     own = file.effect_files.get(attached.name)
     where = f"{path}: effect {attached.name}"
     if own is not None:
-        from models.effects.custom import load_effect
+        from models.file.own_effects import load_effect
 
         if load_effect(path.parent / own) != attached.effect:
             raise ModelError(where, f"{own} describes another effect by now", remedy="read the model file again.")

@@ -6,10 +6,11 @@ import random
 from collections.abc import Iterator, Mapping
 from string import Formatter
 
-from models.effect import Effect, EffectParameter, Place, check_names
-from models.effects import CATALOGUE
+from models.attach import check_names
+from models.effect import Effect, EffectParameter
+from models.effects.catalogue import CATALOGUE
 from models.expressions import name_problem, number
-from models.model import ModelError
+from models.parts import ModelError, Place
 from models.place import SCALES, UNITS, VOCABULARY
 from models.sensing import FILTERED
 
