@@ -23,8 +23,8 @@ from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
 from estimators.data.segments import after_settling
+from estimators.fit.maximum_likelihood import fit
 from estimators.identify.run import nominal_model, with_values
-from estimators.methods.prediction_error import fit
 from models.model import Model
 from service.hidden_effects.disturbances import DRAWN, Disturbances, parse_disturbances, sensor_floor
 from service.hidden_effects.vehicles import drawn

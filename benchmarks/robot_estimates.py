@@ -23,9 +23,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from estimators.combinations import combinations
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
-from estimators.methods.prediction_error import fit, predicted_percent
+from estimators.methods.prediction_error import predicted_percent
 from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.validation import on_others
 from models.expressions import number

@@ -37,7 +37,8 @@ from estimators.budget import Budget, OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.data.segments import DataError, after_settling
 from estimators.data.time_scale import time_scale
-from estimators.fit.disturbance import disturbances, in_words
+from estimators.disturbance_estimate import in_words
+from estimators.fit.disturbance import disturbances
 from estimators.fit.released import freed
 from estimators.fit.sensor_errors import sensor_errors
 from estimators.methods.prediction_error import result

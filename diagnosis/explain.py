@@ -9,7 +9,7 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.score.change_points import INSTANT
 from diagnosis.score.score_test import Score
 from estimators.contract import ParameterEstimate
-from estimators.report import significant
+from estimators.numbers import significant
 
 if TYPE_CHECKING:
     from diagnosis.findings import Finding

@@ -15,7 +15,7 @@ from diagnosis.prediction.limit import PredictionLimit
 from diagnosis.prediction.relevance import Relevance
 from diagnosis.score.score_test import Screen
 from estimators.contract import ParameterEstimate
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.fit.sensor_errors import InputError, SensorError
 from models.effect import Effect
 from models.model import Model

@@ -17,8 +17,8 @@ from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime
 from estimators.data.segments import after_settling
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.likelihood import FLOOR as SENSOR_FLOOR
 from estimators.fit.stationary import stationary
-from estimators.methods.prediction_error import FLOOR as SENSOR_FLOOR
 from models.model import Model
 from telemetry.recording import Recording
 

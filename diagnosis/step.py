@@ -44,9 +44,10 @@ from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
 from estimators.fit.disturbance import disturbances, is_of_disturbance
 from estimators.fit.innovations import WIDEST
+from estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
 from estimators.fit.problem import Problem
 from estimators.fit.result import inverse
-from estimators.methods.prediction_error import MUCH, Begin, noise_of, result
+from estimators.methods.prediction_error import result
 from models.effect import Effect
 from models.parts import Place
 from models.random.disturbance import undriven

@@ -26,8 +26,8 @@ from estimators.contract import EstimationError
 from estimators.fit.gauss_newton import Normal, common_information
 from estimators.fit.innovations import WIDEST
 from estimators.fit.likelihood import Likelihood
+from estimators.fit.maximum_likelihood import Fit, fit
 from estimators.fit.problem import problem
-from estimators.methods.prediction_error import Fit, fit
 from models.compiler.kernel import Progress
 from models.model import Model
 from telemetry.recording import Recording

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 from models.expressions import names_in, parse
 
 

@@ -10,16 +10,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from html import escape
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.disturbance_estimate import DisturbanceEstimate
+from estimators.numbers import significant
 from telemetry.errors import UprightError
 from telemetry.samples import Frame
 
-if TYPE_CHECKING:
-    from estimators.fit.disturbance import DisturbanceEstimate
+WORTH_TELLING = 0.9
+"""Correlations from here on are told."""
 
 
 class EstimationError(UprightError):
@@ -99,14 +102,10 @@ class Estimate:
         return {name: p.value for name, p in self.parameters.items() if p.value is not None}
 
     def __str__(self) -> str:
-        from estimators.report import as_text
-
-        return as_text(self)
+        return _as_text(self)
 
     def _repr_html_(self) -> str:
-        from estimators.report import as_html
-
-        return as_html(self)
+        return _as_html(self)
 
     def to_json(self) -> dict[str, Any]:
         """As JSON-ready values: what goes over MQTT and into `identify --json`."""
@@ -147,6 +146,52 @@ class Estimate:
             if known:
                 table[first] = known
         return table
+
+
+def _as_text(estimate: Estimate) -> str:
+    """Several lines, for a terminal."""
+    rows = [_cells(name, estimate) for name in estimate.parameters]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)] if rows else []
+    lines = [_headline(estimate)]
+    lines += ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return "\n".join(line.rstrip() for line in [*lines, *("  " + note for note in _notes(estimate))])
+
+
+def _as_html(estimate: Estimate) -> str:
+    """A table, for a notebook."""
+    rows = "".join(
+        "<tr>"
+        + "".join(f"<td style='text-align:left'>{escape(cell)}</td>" for cell in _cells(name, estimate))
+        + "</tr>"
+        for name in estimate.parameters
+    )
+    notes = "".join(f"<div>{escape(note)}</div>" for note in _notes(estimate))
+    head = "<tr><th>parameter</th><th>value</th><th>+-</th><th>unit</th><th></th></tr>"
+    return f"<div><b>{escape(_headline(estimate))}</b><table>{head}{rows}</table>{notes}</div>"
+
+
+def _headline(estimate: Estimate) -> str:
+    state = "" if estimate.status.value == "ok" else f" [{estimate.status.value}: {estimate.reason}]"
+    return f"{estimate.method}: {estimate.samples} samples, {estimate.span:.1f} s, took {estimate.seconds:.2f} s{state}"
+
+
+def _cells(name: str, estimate: Estimate) -> tuple[str, str, str, str, str]:
+    parameter = estimate.parameters[name]
+    if parameter.value is None or parameter.std is None:
+        return name, "-", "", parameter.unit, f"{parameter.status.value}: {parameter.reason}"
+    digits = significant(parameter.std)
+    return name, f"{parameter.value:.{digits}f}", f"+- {parameter.std:.{digits}f}", parameter.unit, parameter.reason
+
+
+def _notes(estimate: Estimate) -> list[str]:
+    notes = [f"predicts {channel}: {percent:.2f} %" for channel, percent in estimate.fit_percent.items()]
+    notes += [f"{name} is at its bound" for name in estimate.bounds_hit]
+    if estimate.correlation is not None:
+        names = list(estimate.parameters)
+        size = np.abs(np.nan_to_num(np.tril(estimate.correlation, -1)))
+        for row, column in sorted(np.argwhere(size > WORTH_TELLING).tolist(), key=lambda at: -size[at[0], at[1]]):
+            notes.append(f"{names[column]} and {names[row]} go together: {estimate.correlation[row, column]:+.3f}")
+    return notes
 
 
 class Estimator(Protocol):

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem, problem
-from estimators.methods.prediction_error import Fit, predicted_percent
+from estimators.methods.prediction_error import predicted_percent
 from models.segment import Segment
 from telemetry.recording import Recording
 

@@ -13,14 +13,14 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.fits.input_noise import not_acting
 from diagnosis.prepare.ready import ready
 from diagnosis.report.sentences import disturbance_sentences
-from estimators.data.input_noise import input_noise
 from estimators.data.quantised import step_of
 from estimators.data.resting import without_rests
 from estimators.fit import innovations
+from estimators.fit.input_noise import input_noise
 from estimators.fit.likelihood import Likelihood
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import Problem, problem, typical_motion
 from estimators.fit.sensor_errors import InputError
-from estimators.methods.prediction_error import fit
 from models.file.model_file import load_model
 from models.random.input_noise import noisy_inputs
 from telemetry.recording import Recording, load

@@ -14,11 +14,12 @@ from diagnosis.parts import diagnose_parts
 from diagnosis.prediction.compare import compare
 from diagnosis.prepare.ready import ready
 from estimators.fit.disturbance import disturbances
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
 from estimators.fit.released import freed
 from estimators.identify.run import with_values
 from estimators.methods.drive_lag import drive_lag
-from estimators.methods.prediction_error import fit, prediction_error
+from estimators.methods.prediction_error import prediction_error
 from models.library import ACTUATORS, get
 from models.model import Model
 from service.hidden_effects.cases import Case

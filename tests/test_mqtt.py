@@ -16,7 +16,7 @@ import pytest
 from mosquitto import Mosquitto, Watcher
 from observer_harness import cycles, hello, record, until
 
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from service.mqtt import topics as mqtt_topics
 from service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttConfigError, MqttPublisher
 from service.mqtt.embedded_broker import EmbeddedBroker

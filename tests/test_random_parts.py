@@ -17,10 +17,12 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
 from diagnosis.prepare.ready import ready
 from diagnosis.report.sentences import disturbance_sentences, to_within
-from estimators.fit.disturbance import DisturbanceEstimate, NarrowBandEstimate, disturbances
+from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
+from estimators.fit.disturbance import disturbances
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
-from estimators.methods.prediction_error import fit, prediction_error
+from estimators.methods.prediction_error import prediction_error
 from models.file.model_file import parse, read
 from models.file.model_file import write as write_model
 from models.model import Model

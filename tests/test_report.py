@@ -18,7 +18,8 @@ from diagnosis.report.drawing import MOST_POINTS, STYLE, in_a_row, separate, sho
 from diagnosis.report.pictures import staircase
 from diagnosis.report.tables import p_text
 from diagnosis.report.words import headline
-from estimators.fit.disturbance import disturbances, rms
+from estimators.disturbance_estimate import rms
+from estimators.fit.disturbance import disturbances
 from estimators.identify.run import nominal_model, with_values
 from service.vehicle_file.file import load
 from telemetry.recording import Recording

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import Provenance, write_comparison, write_identification
 from diagnosis.report.drawing import looks
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.identify.run import identify
 from models import library
 from service.cli import app

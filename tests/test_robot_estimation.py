@@ -16,8 +16,9 @@ from estimators.bounded_fit import RISE, BoundedFit, bounded_fit, profile, with_
 from estimators.combinations import combinations
 from estimators.contract import EstimationError, Status
 from estimators.data.segments import DataError, clipped_share, segments
+from estimators.fit.maximum_likelihood import Begin, Fit, fit
 from estimators.fit.problem import problem
-from estimators.methods.prediction_error import Begin, Fit, fit, predicted_percent, prediction_error
+from estimators.methods.prediction_error import predicted_percent, prediction_error
 from estimators.validation import in_windows, on_others
 from models.expressions import number
 from models.library import get

@@ -14,8 +14,8 @@ from diagnosis.prepare.candidates import at_frequencies, candidates_for
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import DETECTABLE, Screen, screen
 from diagnosis.score.whitened import Whitened, project
+from estimators.fit.maximum_likelihood import fit
 from estimators.identify.run import nominal_model, with_values
-from estimators.methods.prediction_error import fit
 from models import library
 from models.effects.catalogue import CATALOGUE
 from service.vehicle_file.file import load

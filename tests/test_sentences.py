@@ -19,7 +19,7 @@ from diagnosis.report.sentences import (
     two_digits,
     untried_sentence,
 )
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 
 SHAKEN = DisturbanceEstimate("roll", "N m", 8.1, 0.4, 0.31, 0.03)
 STILL = DisturbanceEstimate("roll", "N m", 2.0, None, None, None, shown=False)

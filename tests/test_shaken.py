@@ -17,12 +17,14 @@ from diagnosis.lack_of_fit.events import LEVEL, _best, _by_chance
 from diagnosis.prediction.compare import compare
 from diagnosis.prepare.ready import ready, unready
 from estimators.budget import Budget, OutOfTime
-from estimators.fit.disturbance import disturbances, with_error
+from estimators.fit.disturbance import disturbances
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.likelihood import Likelihood
+from estimators.fit.maximum_likelihood import MUCH, Begin, Fit, fit, noise_of
 from estimators.fit.problem import Problem, problem
 from estimators.identify.run import nominal_model, with_values
-from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, prediction_error
+from estimators.methods.prediction_error import prediction_error
+from estimators.numbers import with_error
 from models.effect import Effect, EffectParameter, EffectState, Family
 from models.library.axis import axis
 from models.model import Model

@@ -14,9 +14,9 @@ from diagnosis.parts import diagnose_actuators
 from diagnosis.prepare.ready import ready
 from estimators.data.segments import after_settling
 from estimators.fit.likelihood import FLOOR
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
-from estimators.methods.prediction_error import fit
 from models.effects.catalogue import find
 from models.library import ACTUATORS, get
 from service.vehicle_file.file import load

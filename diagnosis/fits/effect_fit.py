@@ -29,9 +29,10 @@ from diagnosis.side_by_side import side_by_side
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.time_scale import time_scale
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.maximum_likelihood import MUCH, Begin, Fit, fit, noise_of
 from estimators.fit.problem import problem
 from estimators.fit.result import inverse
-from estimators.methods.prediction_error import MUCH, Begin, Fit, fit, noise_of, result
+from estimators.methods.prediction_error import result
 from estimators.stopwatch import stopwatch
 from models.attach import starts
 from models.compiler.kernel import Progress

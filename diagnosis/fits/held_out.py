@@ -34,9 +34,10 @@ from estimators.fit.disturbance import SHOWN
 from estimators.fit.gauss_newton import Block, eliminate
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.likelihood import Likelihood, Seen
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem, problem
 from estimators.fit.result import inverse
-from estimators.methods.prediction_error import Fit, result
+from estimators.methods.prediction_error import result
 from models.effect import AttachedEffect
 from models.model import Model
 from telemetry.recording import Recording

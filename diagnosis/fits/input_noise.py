@@ -1,7 +1,7 @@
 """Which measured inputs have noise that does not act, by what the innovations say?
 
 Noise of a reading that drives the model as if it acted leaves a force that goes with the reading. What is the noise of
-it is told from the readings alone (estimators.data.input_noise); whether a force that goes with that noise explains
+it is told from the readings alone (estimators.fit.input_noise); whether a force that goes with that noise explains
 what is left is a test of one number at each joint.
 """
 
@@ -12,8 +12,8 @@ from diagnosis.lack_of_fit.floor import Innovations, floor
 from diagnosis.lack_of_fit.force_probe import probe
 from diagnosis.lack_of_fit.shapes import Design
 from diagnosis.score.whitened import Whitened
-from estimators.data.input_noise import input_noise, rough
-from estimators.methods.prediction_error import Fit
+from estimators.fit.input_noise import input_noise, rough
+from estimators.fit.maximum_likelihood import Fit
 from models.random.input_noise import InputNoise, noisy_inputs
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.data.white_noise import differences
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 from models.parts import Hold
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
 from estimators.data.time_scale import time_scale
-from estimators.methods.prediction_error import Begin, fit
+from estimators.fit.maximum_likelihood import Begin, fit
 from models.attach import starts
 from models.model import Model
 from models.parts import Place

@@ -26,8 +26,8 @@ from diagnosis.lack_of_fit.colour import Signal, same, signals
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.trial import tried
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.maximum_likelihood import Begin, Fit
 from estimators.fit.problem import Problem
-from estimators.methods.prediction_error import Begin, Fit
 from models.model import Model
 from models.parts import NarrowBand
 from models.random.disturbance import narrow_at_joints, power_share, with_narrow_band

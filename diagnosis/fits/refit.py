@@ -21,8 +21,8 @@ from diagnosis.score.score_test import Score
 from diagnosis.score.whitened import whitening
 from estimators.budget import UNLIMITED
 from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
+from estimators.fit.maximum_likelihood import Begin, Fit, fit
 from estimators.fit.result import inverse
-from estimators.methods.prediction_error import Begin, Fit, fit
 from models.model import Model
 from models.parts import Place
 from models.random.sensor_error import random_count

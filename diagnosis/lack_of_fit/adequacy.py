@@ -21,7 +21,7 @@ from diagnosis.lack_of_fit.force_probe import probe
 from diagnosis.lack_of_fit.shapes import Shape, shapes
 from diagnosis.lack_of_fit.where_it_fails import Views, summary, views
 from diagnosis.trial import FAILURES
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 
 Array = NDArray[np.float64]
 

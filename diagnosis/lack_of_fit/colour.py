@@ -28,7 +28,7 @@ from diagnosis.lack_of_fit.where_it_fails import LEVEL
 from diagnosis.score.whitened import PEAKS, SLOWEST, whitening
 from estimators.data.time_scale import time_scale
 from estimators.fit.innovations import NoiseModel
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 from models.random.disturbance import at_joints, narrow_at_joints
 from models.random.part import LEAST_ROWS, LEAST_TIMES, PERIODS
 from models.random.sensor_error import at_outputs

@@ -29,7 +29,7 @@ from scipy.stats import f as f_distribution
 
 from estimators.data.segments import SHORTEST
 from estimators.data.time_scale import time_scale
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 from models.random.disturbance import at_joints
 
 Array = NDArray[np.float64]

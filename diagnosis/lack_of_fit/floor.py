@@ -26,9 +26,9 @@ from estimators.data.white_noise import white_variance
 from estimators.fit.disturbance import stated
 from estimators.fit.gauss_newton import Block, minimise
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem
 from estimators.fit.stationary import stationary
-from estimators.methods.prediction_error import Fit
 from models.parts import State
 from models.random.disturbance import parameters_of
 

@@ -22,10 +22,10 @@ from diagnosis.live.odds import Weighed, weigh
 from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.live.products import Products
 from diagnosis.prepare.candidates import Candidate
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.fit.problem import Problem
+from estimators.numbers import significant
 from estimators.recursive.predictor import Seen
-from estimators.report import significant
 from models.effect import AttachedEffect, Effect
 from models.effects.catalogue import CATALOGUE, find
 from models.parts import Parameter

@@ -30,9 +30,9 @@ from estimators.data.time_scale import time_scale
 from estimators.fit.disturbance import densities
 from estimators.fit.gauss_newton import Block, Minimum, minimise
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem
 from estimators.fit.stationary import stationary
-from estimators.methods.prediction_error import Fit
 from models.compiler.kernel import Memory
 from models.segment import Segment
 

@@ -23,9 +23,10 @@ from diagnosis.prepare.ready import ready
 from diagnosis.trial import FAILURES
 from estimators.data.segments import channels_of, segments
 from estimators.data.time_scale import horizon
-from estimators.fit.disturbance import DisturbanceEstimate, disturbances, is_of_disturbance
+from estimators.disturbance_estimate import DisturbanceEstimate
+from estimators.fit.disturbance import disturbances, is_of_disturbance
+from estimators.fit.maximum_likelihood import Fit, fit
 from estimators.fit.problem import Problem, problem
-from estimators.methods.prediction_error import Fit, fit
 from models.compiler.kernel import Progress
 from models.model import Model
 from models.segment import Segment

@@ -9,7 +9,7 @@ from typing import Any
 from diagnosis.prediction.ahead import sensor_floors
 from estimators.contract import EstimationError
 from estimators.data.time_scale import horizon
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 
 
 @dataclass(frozen=True, slots=True)

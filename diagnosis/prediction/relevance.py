@@ -21,7 +21,7 @@ from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop, closed_loop
 from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
 from estimators.data.time_scale import horizon
-from estimators.methods.prediction_error import Fit
+from estimators.fit.maximum_likelihood import Fit
 
 DRAWS = 1
 """Of the noise in the loop: it tells well enough what an error of one channel weighs beside that of another."""

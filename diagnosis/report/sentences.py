@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from diagnosis.findings import Diagnosis, Finding
 from diagnosis.report.repair_words import readable
-from estimators.fit.disturbance import DisturbanceEstimate, in_words
+from estimators.disturbance_estimate import DisturbanceEstimate, in_words
 
 NOTHING_MATTERS = "nothing is missing that matters"
 """Of a model all of whose findings are negligible."""

@@ -16,7 +16,7 @@ from diagnosis.score.score_test import Score, Screen
 from estimators.contract import ParameterEstimate
 from estimators.fit.disturbance import disturbances
 from estimators.methods.prediction_error import result
-from estimators.report import significant
+from estimators.numbers import significant
 from telemetry.recording import Recording
 
 HARD_SPACE = "\N{NO-BREAK SPACE}"

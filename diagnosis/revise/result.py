@@ -8,7 +8,7 @@ from math import exp, sqrt
 from typing import Any
 
 from diagnosis.evidence import ODDS, asked_for, by_chance, likelier
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from models.model import Model
 
 CLEARLY = 3.0

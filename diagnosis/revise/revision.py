@@ -35,9 +35,9 @@ from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
 from estimators.data.resting import without_rests
 from estimators.data.segments import after_settling, channels_of, optional_channels
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem, problem
 from estimators.fit.released import freed
-from estimators.methods.prediction_error import Fit
 from models.effect import Effect
 from models.effects.catalogue import find
 from models.expressions import names_in

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from estimators.data.time_scale import time_scale
 from estimators.fit.gauss_newton import Block
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem
-from estimators.methods.prediction_error import Fit
 from models.segment import Segment
 
 Array = NDArray[np.float64]

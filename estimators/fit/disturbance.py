@@ -18,22 +18,20 @@ autocorrelations", 1954: the coefficient of first order a, estimated beside a me
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.result import inverse
 from models.model import Model
 from models.parts import Joint
 from models.random.disturbance import at_joints, narrow_at_joints, parameters_of, power_share
 from models.random.part import LEAST_TIMES
-
-if TYPE_CHECKING:
-    from estimators.methods.prediction_error import Fit
 
 Array = NDArray[np.float64]
 
@@ -48,133 +46,6 @@ HALVINGS = 20
 TOO_FAST = 4.0
 """By how much the likeliest rate of a random signal is too large, in records: (1 + 3 a) of the docstring where a is
 near one."""
-
-
-@dataclass(frozen=True, slots=True)
-class NarrowBandEstimate:
-    """A random force about `frequency` (Hz): RMS `std` in the `unit`, and `damping` ratio, each with the standard
-    deviation of its error."""
-
-    unit: str
-    std: float
-    std_error: float
-    frequency: float
-    frequency_error: float
-    damping: float
-    damping_error: float
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON-ready."""
-        return {
-            "rms": self.std,
-            "rms_std": self.std_error,
-            "frequency": self.frequency,
-            "frequency_std": self.frequency_error,
-            "damping_ratio": self.damping,
-            "damping_ratio_std": self.damping_error,
-        }
-
-    @classmethod
-    def from_json(cls, unit: str, entry: Mapping[str, float] | None) -> NarrowBandEstimate | None:
-        """What `to_json` made of one."""
-        return None if entry is None else cls(unit, *entry.values())
-
-    def __str__(self) -> str:
-        """`3.0 ± 0.2 N m RMS about 2.10 ± 0.03 Hz, damping ratio 0.05 ± 0.01`."""
-        return (
-            f"{with_error(self.std, self.std_error)} {self.unit} RMS about"
-            f" {with_error(self.frequency, self.frequency_error)} Hz, damping ratio"
-            f" {with_error(self.damping, self.damping_error)}"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class DisturbanceEstimate:
-    """A first-order random force at `joint`, in `unit`: RMS `std` and `correlation_time` (s), each with the standard
-    deviation of its error.
-
-    Where the record shows none (`shown` is False), `std` is a bound that it is less than, and its error and the
-    correlation time are None. What is `known` was stated, and has no error. `narrow_band`: what acts beside it.
-    """
-
-    joint: str
-    unit: str
-    std: float
-    std_error: float | None
-    correlation_time: float | None
-    correlation_time_error: float | None
-    shown: bool = True
-    known: bool = False
-    narrow_band: NarrowBandEstimate | None = None
-
-    @classmethod
-    def from_json(cls, joint: str, entry: Mapping[str, Any]) -> DisturbanceEstimate:
-        """What `to_json` made of one."""
-        rms, time = entry["rms"], entry["correlation_time"]
-        known = bool(entry["shown"] and entry["rms_std"] is None)
-        unit, narrow = entry["unit"], NarrowBandEstimate.from_json(entry["unit"], entry.get("narrow_band"))
-        time_std = entry["correlation_time_std"]
-        return cls(joint, unit, rms, entry["rms_std"], time, time_std, entry["shown"], known, narrow)
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON-ready."""
-        return {
-            "unit": self.unit,
-            "rms": self.std,
-            "rms_std": self.std_error,
-            "correlation_time": self.correlation_time,
-            "correlation_time_std": self.correlation_time_error,
-            "shown": self.shown,
-            **({"narrow_band": self.narrow_band.to_json()} if self.narrow_band else {}),
-        }
-
-    def __str__(self) -> str:
-        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, and what acts beside it."""
-        return ", and ".join(map(str, self._acting(self._broad)))
-
-    @property
-    def acts(self) -> bool:
-        """Whether the record shows any of it."""
-        return self.shown or self.narrow_band is not None
-
-    @property
-    def size(self) -> str:
-        """`8.1 ± 0.4 N m RMS`, and what acts beside it."""
-        return " and ".join(map(str, self._acting(rms(self))))
-
-    def _acting(self, broad: str) -> list[str | NarrowBandEstimate]:
-        if self.narrow_band is None:
-            return [broad]
-        return [broad, self.narrow_band] if self.shown else [self.narrow_band]
-
-    @property
-    def _broad(self) -> str:
-        if not self.shown:
-            return f"none shows; less than {self.std:.2g} {self.unit} RMS"
-        if self.known or self.std_error is None or self.correlation_time_error is None:
-            return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, not estimated"
-        return (
-            f"{rms(self)}, correlation time {with_error(self.correlation_time or 0.0, self.correlation_time_error)} s"
-        )
-
-
-def rms(found: DisturbanceEstimate) -> str:
-    """`8.1 ± 0.4 N m RMS`."""
-    size = f"{found.std:.3g}" if found.std_error is None else with_error(found.std, found.std_error)
-    return f"{size} {found.unit} RMS"
-
-
-def with_error(value: float, std: float) -> str:
-    """`8.1 ± 0.4`: two digits of the standard deviation where its first is a 1, one otherwise, and as many places of
-    the value."""
-    if not (math.isfinite(std) and std > 0.0):
-        return f"{value:.3g}"
-    first = math.floor(math.log10(std))
-    places = -first + (1 if std / 10.0**first < 2.0 else 0)
-    if places < 0:
-        scale = 10.0**-places
-        return f"{round(value / scale) * scale:.0f} ± {round(std / scale) * scale:.0f}"
-    return f"{value:.{places}f} ± {std:.{places}f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,12 +243,3 @@ def densities(fitted: Fit) -> Mapping[str, float]:
 def is_of_disturbance(model: Model) -> frozenset[str]:
     """Names of the parameters of `model` that are a disturbance's, and not the machine's."""
     return parameters_of(model.base_states)
-
-
-def in_words(found: Sequence[DisturbanceEstimate]) -> str:
-    """A sentence, empty where nothing is known."""
-    shown = [each for each in found if each.acts] or list(found)
-    if not shown:
-        return ""
-    where = len(found) > 1
-    return "; ".join(f"disturbance{f' at {each.joint}' if where else ''}: {each}" for each in shown)

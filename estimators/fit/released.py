@@ -7,15 +7,12 @@ says, it was something missing that has no name, in 5 of 20 clean records.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.result import inverse
 from models.model import Model
-
-if TYPE_CHECKING:
-    from estimators.methods.prediction_error import Fit
 
 BETTER = 0.5
 """Share of what was known before to which the data have to tell it, were all else that is held exact."""

@@ -8,21 +8,18 @@ whether it hardly moves what is measured, or which other parameter does the same
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate, ParameterEstimate, Status
 from estimators.data.segments import DataError
+from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.fit.gauss_newton import Minimum
 from estimators.fit.problem import Problem
 from models.model import Model
 from models.parts import Parameter
 from models.random.disturbance import parameters_of
-
-if TYPE_CHECKING:
-    from estimators.fit.disturbance import DisturbanceEstimate
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from estimators.data.input_noise import input_noise
-from estimators.fit.disturbance import Found, NarrowBandEstimate, with_error
+from estimators.disturbance_estimate import NarrowBandEstimate
+from estimators.fit.disturbance import Found
+from estimators.fit.input_noise import input_noise
+from estimators.numbers import with_error
 from models.random.input_noise import SHARE, noisy_inputs
 from models.random.sensor_error import at_outputs
 
 if TYPE_CHECKING:
-    from estimators.methods.prediction_error import Fit
+    from estimators.fit.maximum_likelihood import Fit
 
 
 @dataclass(frozen=True, slots=True)

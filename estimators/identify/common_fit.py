@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.data.as_recorded import as_recorded
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import Problem, at_rest, linearise, problem, typical_motion
-from estimators.methods.prediction_error import fit, predicted_percent
+from estimators.methods.prediction_error import predicted_percent
 from models.model import Model
 from telemetry.recording import Recording
 

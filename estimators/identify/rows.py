@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.identify.table import Domain
-from estimators.report import significant
+from estimators.numbers import significant
 
 NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
 """Fitted along so that they do not bias the rest; no property of the vehicle. In the JSON they are."""

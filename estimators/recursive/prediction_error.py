@@ -20,7 +20,8 @@ from enum import StrEnum
 import numpy as np
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.fit.disturbance import DisturbanceEstimate, is_of_disturbance
+from estimators.disturbance_estimate import DisturbanceEstimate
+from estimators.fit.disturbance import is_of_disturbance
 from estimators.fit.logarithms import is_known_roughly
 from estimators.fit.problem import Problem, substeps_of, usual_motion
 from estimators.recursive.frame_chunks import FrameChunks

@@ -29,14 +29,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate
-from estimators.fit.disturbance import DisturbanceEstimate, Found, is_of_disturbance, told
+from estimators.disturbance_estimate import DisturbanceEstimate
+from estimators.fit.disturbance import Found, is_of_disturbance, told
 from estimators.fit.gauss_newton import Minimum
 from estimators.fit.innovations import NoiseModel
+from estimators.fit.likelihood import FLOOR
 from estimators.fit.logarithms import is_known_roughly
 from estimators.fit.long_run import long_run
 from estimators.fit.problem import Problem
 from estimators.fit.result import assemble
-from estimators.methods.prediction_error import FLOOR
 from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.compiler.kernel import Memory

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.revise.result import Repair
-from estimators.report import significant
+from estimators.numbers import significant
 from models.file.history import values_of
 from models.model import Model
 

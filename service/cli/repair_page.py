@@ -11,7 +11,7 @@ from diagnosis.report.repair_words import in_words, odds_text, readable
 from diagnosis.report.sentences import disturbance_text
 from diagnosis.revise.drop_tests import DropTest
 from diagnosis.revise.result import Budget, FittedParameter, Repair
-from estimators.report import significant
+from estimators.numbers import significant
 from service.cli.output import page
 
 BAR = 60

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from estimators.fit.disturbance import DisturbanceEstimate
+from estimators.disturbance_estimate import DisturbanceEstimate
 from models.effect import Effect
 from models.model import Model
 from telemetry.recording import Recording

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.fit.gauss_newton import minimise
+from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
 from estimators.fit.released import freed
-from estimators.methods.prediction_error import fit
 from models.model import Model
 from telemetry.recording import Recording
 
