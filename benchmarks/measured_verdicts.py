@@ -36,7 +36,8 @@ from models.parts import Disturbance
 from service.cli.diagnose import default_budget
 from service.vehicle_file.file import load as vehicle
 from telemetry.channels import Channel, ChannelTable
-from telemetry.recording import Recording, load
+from telemetry.recording import Recording
+from telemetry.storage import load
 
 HERE = Path(__file__).parent
 ROWS = 8192

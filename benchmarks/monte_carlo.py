@@ -39,7 +39,8 @@ from scipy import stats
 from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.config import PlantTruth
-from telemetry.recording import load as load_recording
+from telemetry.storage import load as load_recording
+from telemetry.storage import save
 
 METHODS = ("prediction_error", "output_error", "least_squares", "instrumental_variables")
 PEERS = ("recursive_least_squares", "recursive_instrumental_variables")
@@ -126,7 +127,7 @@ def simulate(experiment: str, duration: float, hide: Sequence[str], path: Path) 
     started = time.perf_counter()
     recording = record("monocab", experiment, hide=hide, seed=_seed(path), duration=duration)
     part = path.with_name(f"part-{os.getpid()}-{path.name}")
-    recording.save(part)
+    save(recording, part)
     part.rename(path)
     return time.perf_counter() - started
 

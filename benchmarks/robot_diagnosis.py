@@ -38,6 +38,7 @@ from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 from simulation.twsbr.truth import TwsbrTruth
+from telemetry.storage import save
 
 OTHERS = ("sine", "doublet", "sine_stream")
 FURTHEST = 0.5
@@ -106,7 +107,7 @@ def tried(case: Case, seed: int, level: float, candidates: list[str], named: boo
 
         def recorded(experiment: str) -> Path:
             path = folder / f"{experiment}.arrow"
-            record(load(str(file)), experiment, hide=hidden(case.hide, level), seed=seed).save(path)
+            save(record(load(str(file)), experiment, hide=hidden(case.hide, level), seed=seed), path)
             return path
 
         square = recorded("square")

@@ -2,10 +2,10 @@
 
 For scripts and notebooks the batch methods are here by name, each `method(model, recordings, ...) -> Estimate`:
 
-    from telemetry.recording import Recording
+    from telemetry.storage import load
     import estimators
 
-    recording = Recording.load("sweep.arrow")
+    recording = load("sweep.arrow")
     estimators.prediction_error("monocab_roll", [recording])
 
 They are imported on use: the control process needs none of them.

@@ -13,10 +13,10 @@ from estimators.identify.run import with_values
 from models import library
 from service.vehicle_file.file import load
 from service.virtual.run import record
-from telemetry.recording import Recording
+from telemetry import storage
 
 if len(sys.argv) > 1:
-    recording = Recording.load(sys.argv[1])
+    recording = storage.load(sys.argv[1])
 else:
     recording = record("monocab", "step", hide=["static_torque"], seed=1)
 

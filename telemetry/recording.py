@@ -1,8 +1,5 @@
-"""A recording: the channels of one experiment over time, in SI units, with where they come from as metadata.
-
-Files: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv` (column names = channel names).
-A raw `.log` needs the vehicle file to become a recording, see `service.offline.replay`.
-"""
+"""A recording: the channels of one experiment over time, in SI units, with where they come from as metadata. Its files
+are those of telemetry.storage."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +14,6 @@ from numpy.typing import NDArray
 from telemetry.channels import TABLES, Channel, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.samples import Frame
-
-SUFFIXES = (".arrow", ".parquet", ".csv")
 
 _STEEPEST = 1.6
 """rad: a roll or pitch angle beyond it (92 deg) was recorded in degrees."""
@@ -71,11 +65,6 @@ class Recording:
                     f"reaches {largest:.3g}, which cannot be rad",
                     remedy="Convert angles to rad and rates to rad/s; recordings are in SI units.",
                 )
-
-    @classmethod
-    def load(cls, path: Path | str) -> Recording:
-        """Read a recording from a file, see `load`."""
-        return load(Path(path))
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -142,52 +131,6 @@ class Recording:
         for timestamp_ns, row in zip(self.timestamp_ns.tolist(), zip(*columns, strict=True), strict=True):
             yield Frame(timestamp_ns, row)
 
-    def save(self, path: Path) -> None:
-        """Write to `path`, by its suffix: .arrow, .parquet or .csv (which keeps no metadata)."""
-        path = Path(path)
-        match path.suffix:
-            case ".arrow":
-                from telemetry.storage import write_arrow
-
-                write_arrow(self, path)
-            case ".parquet":
-                from telemetry.storage import write_parquet
-
-                write_parquet(self, path)
-            case ".csv":
-                from telemetry.csv_file import write_csv
-
-                write_csv(self, path)
-            case suffix:
-                raise _unknown_suffix(path, suffix)
-
-
-def load(path: Path) -> Recording:
-    """Read a recording, by its suffix: .arrow, .parquet or .csv.
-
-    A stream that was cut off (a crash, a full disk) is read up to its last whole batch, and `truncated` says so.
-
-    Raises:
-        RecordingError: the file cannot be read, is of another format, or holds no rows.
-    """
-    path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise _unknown_suffix(path, path.suffix)
-    try:
-        if path.suffix == ".csv":
-            from telemetry.csv_file import read_csv
-
-            return read_csv(path)
-        from telemetry.storage import read_arrow, read_parquet
-
-        return read_arrow(path) if path.suffix == ".arrow" else read_parquet(path)
-    except OSError as error:
-        raise RecordingError(
-            str(path), "", f"cannot be read: {error.strerror or error}", remedy="Check the path and its permissions."
-        ) from error
-    except UnicodeDecodeError as error:
-        raise RecordingError(str(path), "", "is not text", remedy="Save it as CSV in UTF-8.") from error
-
 
 def describe(names: Mapping[str, str]) -> ChannelTable:
     """The channel table of columns `names`, name to unit ("" where the file does not say); known ones are explained."""
@@ -196,12 +139,3 @@ def describe(names: Mapping[str, str]) -> ChannelTable:
         known[name] if name in known and unit in ("", known[name].unit) else Channel(name, unit, "")
         for name, unit in names.items()
     )
-
-
-def _unknown_suffix(path: Path, suffix: str) -> RecordingError:
-    what = f"recordings are not kept as {suffix or 'files without a suffix'}"
-    if suffix == ".log":
-        remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
-    else:
-        remedy = f"Use one of {', '.join(SUFFIXES)}."
-    return RecordingError(str(path), "", what, remedy=remedy)

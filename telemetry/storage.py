@@ -1,162 +1,67 @@
-"""Recordings as Arrow IPC streams and Parquet files.
+"""Files of recordings, by their suffix: `.arrow` (Arrow IPC stream, what the recorder writes), `.parquet` and `.csv`
+(column names = channel names).
 
-Columns: `timestamp_ns` int64, then one float64 a channel with its unit and meaning as field metadata. What is known of
-the run is schema metadata; what is known at its end goes with the last batch of a stream. A stream is appended batch by
-batch and can be read up to the last whole batch whatever happens to its writer.
+A raw `.log` needs the vehicle file to become a recording, see `service.offline.replay`.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.ipc
-import pyarrow.parquet
-from numpy.typing import NDArray
-
-from telemetry.channels import ChannelTable
+from telemetry.csv_file import read_csv, write_csv
 from telemetry.errors import RecordingError
-from telemetry.recording import Recording, describe
+from telemetry.recording import Recording
 
-END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
-"""The last eight bytes of a stream that was closed."""
+SUFFIXES = (".arrow", ".parquet", ".csv")
 
 
-class ArrowStreamWriter:
-    """Appends batches of rows to a new `.arrow` file; each is on the disk when `append` returns.
+def load(path: Path | str) -> Recording:
+    """Read a recording, by its suffix: .arrow, .parquet or .csv.
 
-    Raises OSError (FileExistsError where `path` is taken, as no recording is ever overwritten).
+    A stream that was cut off (a crash, a full disk) is read up to its last whole batch, and `truncated` says so.
+
+    Raises:
+        RecordingError: the file cannot be read, is of another format, or holds no rows.
     """
-
-    def __init__(self, path: Path, channels: ChannelTable, metadata: Mapping[str, str]) -> None:
-        self._schema = _schema(channels, metadata)
-        self._file = path.open("xb")
-        self._writer = pa.ipc.new_stream(self._file, self._schema)
-        self.append(np.empty(0, dtype=np.int64), np.empty((0, len(channels))))
-
-    def append(
-        self, timestamp_ns: NDArray[np.int64], rows: NDArray[np.float64], metadata: Mapping[str, str] | None = None
-    ) -> None:
-        """Rows (n, channels) at `timestamp_ns` (n,), with `metadata` of their own."""
-        columns = [pa.array(timestamp_ns), *(pa.array(np.ascontiguousarray(column)) for column in rows.T)]
-        batch = pa.record_batch(columns, schema=self._schema)
-        self._writer.write_batch(batch, custom_metadata=dict(metadata) if metadata else None)
-        self._file.flush()
-        os.fsync(self._file.fileno())
-
-    def close(self, metadata: Mapping[str, str] | None = None) -> None:
-        """End the stream; `metadata` is what became known during the run, and is read back with the rest."""
-        with self._file:
-            if metadata:
-                self.append(np.empty(0, dtype=np.int64), np.empty((0, len(self._schema) - 1)), metadata)
-            self._writer.close()
-            self._file.flush()
-            os.fsync(self._file.fileno())
-
-
-def read_arrow(path: Path) -> Recording:
-    """Read a stream, up to its last whole batch where it was cut off. Raises RecordingError, OSError."""
-    with path.open("rb") as file:
-        content = file.read()
-    batches = []
-    late: dict[str, str] = {}
-    lost = ""
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise _unknown_suffix(path, path.suffix)
     try:
-        reader = pa.ipc.open_stream(content)
-    except (pa.ArrowException, OSError) as error:
+        if path.suffix == ".csv":
+            return read_csv(path)
+        from telemetry.arrow_file import read_arrow, read_parquet
+
+        return read_arrow(path) if path.suffix == ".arrow" else read_parquet(path)
+    except OSError as error:
         raise RecordingError(
-            str(path),
-            "",
-            "is no Arrow stream, or was cut off before its first row",
-            remedy="If a raw log (.log) lies beside it, `upright convert` rebuilds the recording from that.",
+            str(path), "", f"cannot be read: {error.strerror or error}", remedy="Check the path and its permissions."
         ) from error
-    try:
-        while True:
-            batch, own = reader.read_next_batch_with_custom_metadata()
-            batches.append(batch)
-            late.update(_text(own))
-    except StopIteration:
-        if not content.endswith(END_OF_STREAM):
-            lost = "the recording was not closed: it ends with its last whole batch"
-    except (pa.ArrowException, OSError):
-        lost = "the recording is cut off in the middle of a batch: it ends with the batch before"
-    return _recording(pa.Table.from_batches(batches, schema=reader.schema), path, late, lost)
+    except UnicodeDecodeError as error:
+        raise RecordingError(str(path), "", "is not text", remedy="Save it as CSV in UTF-8.") from error
 
 
-def write_arrow(recording: Recording, path: Path) -> None:
-    """Write a whole recording as one stream. Replaces `path`."""
-    table = _table(recording)
-    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_stream(file, table.schema) as writer:
-        writer.write_table(table)
+def save(recording: Recording, path: Path | str) -> None:
+    """Write to `path`, by its suffix: .arrow, .parquet or .csv (which keeps no metadata)."""
+    path = Path(path)
+    match path.suffix:
+        case ".arrow":
+            from telemetry.arrow_file import write_arrow
+
+            write_arrow(recording, path)
+        case ".parquet":
+            from telemetry.arrow_file import write_parquet
+
+            write_parquet(recording, path)
+        case ".csv":
+            write_csv(recording, path)
+        case suffix:
+            raise _unknown_suffix(path, suffix)
 
 
-def read_parquet(path: Path) -> Recording:
-    """Read a Parquet file. Raises RecordingError, OSError."""
-    try:
-        table = pa.parquet.read_table(path)
-    except pa.ArrowInvalid as error:
-        raise RecordingError(
-            str(path),
-            "",
-            "is no whole Parquet file",
-            remedy="A Parquet file that was cut off is lost: convert it again from the .arrow recording.",
-        ) from error
-    return _recording(table, path, {}, "")
-
-
-def write_parquet(recording: Recording, path: Path) -> None:
-    """Write a whole recording. Replaces `path`."""
-    pa.parquet.write_table(_table(recording), path)
-
-
-def _schema(channels: ChannelTable, metadata: Mapping[str, str]) -> Any:
-    fields = [pa.field("timestamp_ns", pa.int64(), nullable=False, metadata={"unit": "ns", "meaning": "Unix time"})]
-    fields += [
-        pa.field(channel.name, pa.float64(), metadata={"unit": channel.unit, "meaning": channel.meaning})
-        for channel in channels
-    ]
-    return pa.schema(fields, metadata=dict(metadata))
-
-
-def _table(recording: Recording) -> Any:
-    columns = [recording.timestamp_ns, *(recording.values[name] for name in recording.channels.names)]
-    return pa.table([pa.array(column) for column in columns], schema=_schema(recording.channels, recording.metadata))
-
-
-def _recording(table: Any, path: Path, late: dict[str, str], truncated: str) -> Recording:
-    """`timestamp_ns`, or `time` in s where a table comes from elsewhere; every other column is a channel."""
-    names = table.column_names
-    if "timestamp_ns" in names:
-        timestamp_ns = table.column("timestamp_ns").to_numpy()
-    elif "time" in names:
-        timestamp_ns = np.round(table.column("time").to_numpy() * 1e9)
+def _unknown_suffix(path: Path, suffix: str) -> RecordingError:
+    what = f"recordings are not kept as {suffix or 'files without a suffix'}"
+    if suffix == ".log":
+        remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
     else:
-        raise RecordingError(
-            str(path), "time", "is missing", remedy="Name the column of seconds `time`, or of ns `timestamp_ns`."
-        )
-    values, units = {}, {}
-    for field in table.schema:
-        if field.name in ("timestamp_ns", "time"):
-            continue
-        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
-            remedy = "A channel is a column of numbers: leave it out."
-            raise RecordingError(str(path), field.name, f"is of type {field.type}", remedy=remedy)
-        values[field.name] = table.column(field.name).to_numpy().astype(np.float64)
-        units[field.name] = _text(field.metadata).get("unit", "")
-    own = {key: text for key, text in _text(table.schema.metadata).items() if key not in ("pandas", "ARROW:schema")}
-    return Recording(
-        channels=describe(units),
-        timestamp_ns=timestamp_ns.astype(np.int64),
-        values=values,
-        metadata={**own, **late},
-        truncated=truncated,
-        source=str(path),
-    )
-
-
-def _text(metadata: Any) -> dict[str, str]:
-    return {key.decode(): value.decode() for key, value in (metadata or {}).items()}
+        remedy = f"Use one of {', '.join(SUFFIXES)}."
+    return RecordingError(str(path), "", what, remedy=remedy)

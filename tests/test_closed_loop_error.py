@@ -26,6 +26,8 @@ from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
+from telemetry.storage import load as load_recording
+from telemetry.storage import save
 
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})
@@ -128,8 +130,8 @@ class TestTheRecordedLoop:
     def test_needs_no_metadata(self, tmp_path: Path) -> None:
         """A CSV has none: where the excitation enters is found from the setpoints."""
         path = tmp_path / "run.csv"
-        multisine().save(path)
-        known, bare = (recorded_loop(VEHICLE, each) for each in (multisine(), Recording.load(path)))
+        save(multisine(), path)
+        known, bare = (recorded_loop(VEHICLE, each) for each in (multisine(), load_recording(path)))
         assert isinstance(known, Loop)
         assert isinstance(bare, Loop)
         assert (bare.begins, bare.ends) == (known.begins, known.ends)

@@ -31,6 +31,7 @@ from service.dashboard.app import Dashboard, Settings
 from service.dashboard.units import AMPLITUDE, LIMITS
 from service.vehicle_file.file import FILES, load
 from telemetry.recording import Recording
+from telemetry.storage import load as load_recording
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 
@@ -150,7 +151,7 @@ def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Re
     expect(page.locator("#outcome")).to_contain_text("did what it should", timeout=PATIENCE)
     expect(page.locator("#outcome")).to_have_attribute("data-ok", "true")
     name = page.inner_text("#outcome").rpartition("Recording: ")[2].strip()
-    return Recording.load(parts.recordings / name), read
+    return load_recording(parts.recordings / name), read
 
 
 def test_what_the_page_shows_is_what_was_recorded(

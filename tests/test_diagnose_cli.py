@@ -17,6 +17,7 @@ from service.cli import app
 from service.cli.diagnose import default_budget
 from service.cli.diagnose_page import print_diagnosis
 from service.virtual.run import record
+from telemetry.storage import save
 from tests.test_report import of_little_matter
 from tests.virtual_records import multisine
 
@@ -55,7 +56,7 @@ scale = "100"
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("diagnose") / "multisine.arrow"
-    multisine("viscous_friction").save(path)
+    save(multisine("viscous_friction"), path)
     return path
 
 
@@ -213,7 +214,7 @@ def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Pat
 
 def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "late.arrow"
-    record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0).save(path)
+    save(record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0), path)
     first = json.loads(upright(path, *EFFECTS, *UNHURRIED, "--json"))
     assert first["verdict"] == "unknown"
     assert "viscous_friction shows in late.arrow since" in first["reason"]
@@ -229,7 +230,7 @@ def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp
 def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
     """The catalogue does not know it, whichever comes first."""
     path, own = tmp_path / "two.arrow", tmp_path / "wheel_drag.toml"
-    multisine("viscous_friction", "static_torque").save(path)
+    save(multisine("viscous_friction", "static_torque"), path)
     own.write_text(OWN)
     document = json.loads(upright(path, "--effect", "static_torque", "--effect", own, "--json"))
     assert {each["effect"] for each in document["findings"]} == {"static_torque", "wheel_drag"}
@@ -238,7 +239,7 @@ def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
 def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path) -> None:
     """The vehicle from its measured gimbals on lacks nothing: the report is on the gimbals."""
     path, report = tmp_path / "late.arrow", tmp_path / "report.html"
-    record("monocab", "multisine", hide=["input_delay"], seed=6, duration=30.0).save(path)
+    save(record("monocab", "multisine", hide=["input_delay"], seed=6, duration=30.0), path)
     document = json.loads(upright(path, *UNHURRIED, "--report", report, "--json"))
     assert [each["effect"] for each in document["findings"]] == ["input_delay"]
     # 12 ms in the plant.

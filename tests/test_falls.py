@@ -24,6 +24,7 @@ from service.control.sequence import Phase
 from service.vehicle_file.file import load
 from service.virtual.run import VirtualRunError, record
 from telemetry.recording import Recording
+from telemetry.storage import save
 
 MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}
 PUSH = {"twsbr": 90.0, "monocab": 60.0}
@@ -79,7 +80,7 @@ def test_a_run_that_ends_in_order_is_no_fall(name: str) -> None:
 
 def test_the_command_line_says_when_it_falls_and_why(tmp_path: Path) -> None:
     path = tmp_path / "fallen.arrow"
-    fallen("twsbr").save(path)
+    save(fallen("twsbr"), path)
     done = CliRunner().invoke(app, ["identify", str(path), "--vehicle", "twsbr", "--method", "prediction_error"])
     said = " ".join(done.stderr.split())
     assert "the vehicle falls 1" in said

@@ -23,7 +23,8 @@ from estimators.fit.problem import Problem, problem, typical_motion
 from estimators.fit.sensor_errors import InputError
 from models.file.model_file import load_model
 from models.random.input_noise import noisy_inputs
-from telemetry.recording import Recording, load
+from telemetry.recording import Recording
+from telemetry.storage import load
 
 pytestmark = pytest.mark.timeout(300)
 

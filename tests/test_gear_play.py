@@ -22,6 +22,7 @@ from service.cli import app
 from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
+from telemetry.storage import save
 
 SEED = 74
 """Decided nothing."""
@@ -50,7 +51,7 @@ def recorded(experiment: str, vehicle: Path, *hide: str, seed: int = SEED) -> Pa
     path = vehicle.parent / f"{experiment}{len(hide)}_{seed}.arrow"
     if not path.exists():
         duration = 20.0 if experiment == "square" else 8.0
-        record(load(str(vehicle)), experiment, hide=hide, seed=seed, duration=duration).save(path)
+        save(record(load(str(vehicle)), experiment, hide=hide, seed=seed, duration=duration), path)
     return path
 
 

@@ -23,7 +23,7 @@ from service.control.api import ApiError
 from service.observer.online_estimators import online_estimators
 from service.vehicle_file.file import load
 from telemetry.candump import CandumpReader
-from telemetry.recording import load as load_recording
+from telemetry.storage import load as load_recording
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 

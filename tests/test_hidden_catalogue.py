@@ -22,6 +22,7 @@ from models.parts import Place
 from service.cli import app
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
+from telemetry.storage import save
 
 pytestmark = pytest.mark.patient
 
@@ -53,7 +54,7 @@ def recorded(effect: str, folder: Path, seed: int = SEED) -> Path:
     path = folder / f"{effect or 'clean'}{seed}.arrow"
     # 20 s are what the gate asks for with some to spare.
     hide = (LEVELS.get(effect, effect),) if effect else ()
-    record("monocab", "multisine", hide=hide, seed=seed, duration=20.0).save(path)
+    save(record("monocab", "multisine", hide=hide, seed=seed, duration=20.0), path)
     return path
 
 

@@ -29,6 +29,7 @@ from service.cli.identify_page import print_methods
 from service.vehicle_file.file import load
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
+from telemetry.storage import save
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EXAMPLE = runpy.run_path(str(EXAMPLES / "compare_methods.py"))
@@ -57,7 +58,7 @@ def files(recordings: list[Recording], tmp_path_factory: pytest.TempPathFactory)
     folder = tmp_path_factory.mktemp("recordings")
     paths = [folder / name for name in ("first_step.arrow", "second_step.arrow", "sweep.arrow")]
     for recording, path in zip(recordings, paths, strict=True):
-        recording.save(path)
+        save(recording, path)
     return paths
 
 

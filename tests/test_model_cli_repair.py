@@ -20,6 +20,7 @@ from service import cli
 from telemetry.channels import Channel, ChannelTable
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
+from telemetry.storage import load, save
 
 CHANNELS = ChannelTable((Channel("position", "m", ""), Channel("force", "N", "")))
 COULOMB, VISCOUS, MASS = 4.0, 3.0, 2.0
@@ -88,7 +89,7 @@ def carriage(path: Path, seed: int) -> Path:
             rate += step * acceleration(middle, pushed)
     measured = np.array(track) + 5e-4 * np.random.default_rng(seed + 1).standard_normal(rows)
     stamps = np.round(time * 1e9).astype(np.int64)
-    Recording(CHANNELS, stamps, {"position": measured, "force": force}).save(path)
+    save(Recording(CHANNELS, stamps, {"position": measured, "force": force}), path)
     return path
 
 
@@ -291,8 +292,8 @@ def test_a_recording_that_cannot_be_used_leaves_the_file_as_it_was(
 def test_a_held_out_recording_that_cannot_be_used_is_told_too(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
     mine, stuck = tmp_path / "mine.toml", tmp_path / "stuck.csv"
     mine.write_text(MODEL)
-    whole = Recording.load(recordings[0])
-    Recording(CHANNELS, whole.timestamp_ns, {**whole.values, "position": np.zeros(len(whole))}).save(stuck)
+    whole = load(recordings[0])
+    save(Recording(CHANNELS, whole.timestamp_ns, {**whole.values, "position": np.zeros(len(whole))}), stuck)
     with pytest.raises(UprightError, match="never moves"):
         upright("add", mine, "coulomb_friction", "-r", recordings[0], "--held-out", stuck)
     assert mine.read_text() == MODEL

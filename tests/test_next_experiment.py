@@ -31,6 +31,7 @@ from service.vehicle_file.file import VehicleFile, load
 from service.virtual.run import record
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
+from telemetry.storage import save
 
 VEHICLE = load("monocab")
 PAIR = ("viscous_friction", "coulomb_friction")
@@ -262,7 +263,7 @@ def test_the_command_runs_the_experiment_that_separates(tmp_path: Path) -> None:
 def test_a_part_of_the_recordings_is_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hold.arrow"
     whole = record("monocab", "hold", seed=6, duration=2.0)
-    whole.save(path)
+    save(whole, path)
     seen: list[Recording] = []
 
     def separating(

@@ -28,8 +28,8 @@ from service.observer.process import Observer, link
 from service.offline import replay
 from telemetry.candump import CandumpReader
 from telemetry.channels import MONOCAB
-from telemetry.recording import load
 from telemetry.samples import CanFrame, Frame
+from telemetry.storage import load
 
 
 @pytest.fixture(scope="module", autouse=True)

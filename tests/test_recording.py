@@ -9,10 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
+from telemetry.arrow_file import ArrowStreamWriter
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.errors import RecordingError
-from telemetry.recording import Recording, load
-from telemetry.storage import ArrowStreamWriter
+from telemetry.recording import Recording
+from telemetry.storage import load, save
 
 START_NS = 1_730_301_035_277_560_123
 TWO = ChannelTable(MONOCAB[:2])
@@ -36,7 +37,7 @@ def assert_same_values(a: Recording, b: Recording) -> None:
 @pytest.mark.parametrize("suffix", [".arrow", ".parquet"])
 def test_arrow_and_parquet_keep_every_bit(tmp_path: Path, suffix: str) -> None:
     original = make()
-    original.save(tmp_path / f"run{suffix}")
+    save(original, tmp_path / f"run{suffix}")
     read = load(tmp_path / f"run{suffix}")
     assert_same_values(original, read)
     np.testing.assert_array_equal(original.timestamp_ns, read.timestamp_ns, strict=True)
@@ -45,7 +46,7 @@ def test_arrow_and_parquet_keep_every_bit(tmp_path: Path, suffix: str) -> None:
 
 def test_csv_keeps_every_value_and_nanosecond_since_the_start(tmp_path: Path) -> None:
     original = make()
-    original.save(tmp_path / "run.csv")
+    save(original, tmp_path / "run.csv")
     read = load(tmp_path / "run.csv")
     assert_same_values(original, read)
     np.testing.assert_array_equal(original.timestamp_ns - original.timestamp_ns[0], read.timestamp_ns)
@@ -175,7 +176,7 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
 
 
 def test_a_parquet_file_that_was_cut_off(tmp_path: Path) -> None:
-    make().save(tmp_path / "run.parquet")
+    save(make(), tmp_path / "run.parquet")
     content = (tmp_path / "run.parquet").read_bytes()
     (tmp_path / "run.parquet").write_bytes(content[: len(content) // 2])
     with pytest.raises(RecordingError, match="no whole Parquet file"):

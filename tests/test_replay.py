@@ -16,8 +16,8 @@ from service.vehicle_file.file import load
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
-from telemetry.recording import load as load_file
 from telemetry.samples import CanFrame, Frame
+from telemetry.storage import load as load_file
 
 VEHICLE = load("monocab")
 

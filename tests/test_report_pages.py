@@ -20,6 +20,7 @@ from models import library
 from service.cli import app
 from service.vehicle_file.file import load
 from telemetry.recording import Recording
+from telemetry.storage import save
 from tests.test_report import HASH, HOSTILE, Page
 
 VEHICLE = load("monocab")
@@ -70,7 +71,7 @@ def comparison_page() -> Page:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("pages") / "sweep.csv"
-    sweep().save(path)
+    save(sweep(), path)
     return path
 
 

@@ -19,6 +19,7 @@ from service.cli import app
 from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
+from telemetry.storage import save
 
 pytestmark = pytest.mark.patient
 
@@ -41,7 +42,7 @@ def recorded(experiment: str, vehicle: Path) -> Path:
     path = vehicle.parent / f"{experiment}.arrow"
     if not path.exists():
         duration = 16.0 if experiment == "square" else 8.0
-        record(load(str(vehicle)), experiment, hide=["input_delay"], seed=SEED, duration=duration).save(path)
+        save(record(load(str(vehicle)), experiment, hide=["input_delay"], seed=SEED, duration=duration), path)
     return path
 
 

@@ -22,6 +22,7 @@ from service.cli import app
 from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR
+from telemetry.storage import save
 
 SEED = 83
 """Decided nothing."""
@@ -52,7 +53,7 @@ def upright(*arguments: Any) -> Any:
 def recorded(experiment: str, folder: Path, *hide: str, seed: int = SEED, duration: float = EXCITED) -> Path:
     """A robot in a draught, as one that a person starts."""
     path = folder / f"{experiment}.arrow"
-    record("twsbr", experiment, hide=["disturbance", *hide], seed=seed, duration=duration).save(path)
+    save(record("twsbr", experiment, hide=["disturbance", *hide], seed=seed, duration=duration), path)
     return path
 
 

@@ -27,6 +27,7 @@ from service.cli import app
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
+from telemetry.storage import save
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "estimate_robot.py"))
 MODEL = get("twsbr")
@@ -111,7 +112,7 @@ def test_windows_begin_where_the_filter_is(complete: BoundedFit) -> None:
 
 def test_the_command_estimates_the_robot(tmp_path: Path) -> None:
     path = tmp_path / "square.arrow"
-    run("square").save(path)
+    save(run("square"), path)
     done = CliRunner().invoke(app, ["identify", str(path), "--vehicle", "twsbr", "--json"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)["methods"]

@@ -33,6 +33,7 @@ from models.random.disturbance import disturbed, undisturbed
 from service.vehicle_file.file import load
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
+from telemetry.storage import load as load_recording
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(
@@ -322,7 +323,7 @@ RIGHT = {
 )
 def test_records_of_another_simulator(measured_data: Path, name: str, effect: str | None) -> None:
     """What they hide is first, or tied with the first: a delay of what drives a model is one of what it shows."""
-    found = _diagnosed(Recording.load(measured_data / "shaken" / f"{name}.csv"))
+    found = _diagnosed(load_recording(measured_data / "shaken" / f"{name}.csv"))
     if effect is None:
         assert found.verdict is Verdict.ADEQUATE
         assert not found.findings

@@ -12,7 +12,7 @@ from rig import rig
 
 from service.control.sequence import Phase
 from service.vehicle_file.file import load
-from telemetry.recording import load as load_recording
+from telemetry.storage import load as load_recording
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(120)]
 

@@ -35,6 +35,7 @@ from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.channels import TWSBR
 from telemetry.recording import Recording
+from telemetry.storage import save
 
 VEHICLE = load("twsbr")
 MODEL = nominal_model("twsbr")
@@ -218,7 +219,7 @@ def test_a_model_file_keeps_and_says_how_long_it_takes(tmp_path: Path) -> None:
 def test_nobody_has_to_say_from_where(tmp_path: Path) -> None:
     """A clean run, diagnosed from its first row on: the seconds of settling have no name."""
     path = tmp_path / "square.arrow"
-    run().save(path)
+    save(run(), path)
     words = ["diagnose", str(path), "--vehicle", "twsbr", "--effect", "static_torque", "--effect", "viscous_friction"]
     done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
     assert json.loads(done.stdout)["verdict"] == "adequate", done.output

@@ -31,6 +31,7 @@ from service.vehicle_file.file import VehicleFile, load
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
+from telemetry.storage import save
 
 VEHICLE = load("twsbr")
 TRUE = TwsbrTruth().table_1
@@ -199,7 +200,7 @@ def test_the_command_runs_the_experiment_that_separates(first: Recording, tmp_pa
         yield result(ExitCode.REFUSED, "interlock", "The left wheel is off.")
 
     path = tmp_path / "first.arrow"
-    first.save(path)
+    save(first, path)
     socket = tmp_path / "x.sock"
 
     async def run() -> tuple[int, str]:

@@ -24,6 +24,8 @@ from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
+from telemetry.storage import load as load_recording
+from telemetry.storage import save
 
 VEHICLE = load("twsbr")
 TRUTH = get("twsbr").change(TwsbrTruth().table_1)
@@ -103,7 +105,7 @@ def test_a_model_that_falls_over_has_no_number_but_a_reason() -> None:
 
 def test_the_command_tells_it(tmp_path: Path) -> None:
     path = tmp_path / "square.arrow"
-    recorded("square").save(path)
+    save(recorded("square"), path)
     arguments = ["compare", str(path), "--vehicle", "twsbr", "--model", "twsbr", "--json"]
     done = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
@@ -131,8 +133,8 @@ class TestTheRecordedLoop:
     def test_needs_no_metadata(self, tmp_path: Path) -> None:
         """A CSV has none: where the excitation enters is found from the voltages."""
         path = tmp_path / "run.csv"
-        recorded("square").save(path)
-        known, bare = (recorded_loop(VEHICLE, each) for each in (recorded("square"), Recording.load(path)))
+        save(recorded("square"), path)
+        known, bare = (recorded_loop(VEHICLE, each) for each in (recorded("square"), load_recording(path)))
         assert isinstance(known, Loop)
         assert isinstance(bare, Loop)
         assert (bare.begins, bare.ends) == (known.begins, known.ends)

@@ -47,8 +47,8 @@ from service.virtual.run import VirtualRunError, record
 from simulation.hidden import UnknownEffectError
 from simulation.twsbr.plant import TwsbrPlant
 from telemetry.channels import TWSBR
-from telemetry.recording import load as load_recording
 from telemetry.samples import CanFrame
+from telemetry.storage import load as load_recording
 
 VEHICLE = load("twsbr")
 FILE = Path(VEHICLE.path).read_text()

@@ -13,7 +13,7 @@ from serving import connect, serving, until
 
 from service.control.api import RENEWAL_PERIOD, ExitCode
 from service.control.loop import Mode
-from telemetry.recording import load
+from telemetry.storage import load
 
 pytestmark = pytest.mark.timeout(120)
 

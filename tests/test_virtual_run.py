@@ -16,7 +16,7 @@ from service.virtual.run import ClosedLoop, VirtualRunError, record
 from simulation.config import PlantTruth
 from simulation.hidden import UnknownEffectError
 from telemetry.recording import Recording
-from telemetry.recording import load as load_recording
+from telemetry.storage import load as load_recording
 
 TRUTH = PlantTruth()
 SHORT = 2.0

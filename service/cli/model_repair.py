@@ -255,9 +255,9 @@ def _support(vehicle: str | None) -> float | None:
 def _load(path: Path, vehicle: str | None) -> Recording:
     from service.cli.batch import load_recording
     from telemetry.clock import by_the_clock
-    from telemetry.recording import Recording
+    from telemetry.storage import load
 
-    found = by_the_clock(Recording.load(path)) if vehicle is None else load_recording(path, vehicle)
+    found = by_the_clock(load(path)) if vehicle is None else load_recording(path, vehicle)
     return replace(found, source=path.name)
 
 

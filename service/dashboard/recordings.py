@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from telemetry.errors import RecordingError, UprightError
-from telemetry.recording import Recording
+from telemetry.storage import load
 
 SUFFIXES = (".arrow", ".parquet", ".csv")
 MOST_LISTED = 500
@@ -66,7 +66,7 @@ class Folder:
         Raises UnknownRecording, RecordingError.
         """
         path = self.find(name)
-        recording = Recording.load(path)
+        recording = load(path)
         step = max(1, math.ceil(len(recording) / max(2, min(points, MOST_POINTS))))
         return {
             "name": name,

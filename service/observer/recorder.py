@@ -17,10 +17,10 @@ from typing import IO, Any
 
 import numpy as np
 
+from telemetry.arrow_file import ArrowStreamWriter
 from telemetry.candump import format_frames
 from telemetry.channels import ChannelTable
 from telemetry.samples import CanFrame, Frame
-from telemetry.storage import ArrowStreamWriter
 
 NEVER_NS = 1 << 62
 

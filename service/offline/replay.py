@@ -20,7 +20,7 @@ from service.control.rows import rows_from_frames
 from service.observer.online_estimators import EstimatorBank, online_estimators
 from service.offline import export
 from service.vehicle_file.file import VehicleFile
-from telemetry import recording as recordings
+from telemetry import storage
 from telemetry.candump import CandumpReader
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
@@ -31,7 +31,7 @@ AGE = "drive_age"
 BATCH = 1000
 """Rows between two looks at the time."""
 
-CONVERTED = (*recordings.SUFFIXES, *export.SUFFIXES)
+CONVERTED = (*storage.SUFFIXES, *export.SUFFIXES)
 
 
 def load(path: Path, vehicle: VehicleFile) -> Recording:
@@ -42,7 +42,7 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
     """
     if Path(path).suffix == ".log":
         return from_raw_log(path, vehicle)
-    return with_age(recordings.load(path), vehicle)
+    return with_age(storage.load(path), vehicle)
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
@@ -90,7 +90,7 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
         source=str(path),
     )
     try:
-        return _completed(rebuilt, recordings.load(Path(path).with_suffix(".arrow")))
+        return _completed(rebuilt, storage.load(Path(path).with_suffix(".arrow")))
     except RecordingError as error:
         notes = [rebuilt.truncated, f"{', '.join(not_on_the_bus(channels))} are unknown: {error}"]
         return replace(rebuilt, truncated="; ".join(filter(None, notes)))
@@ -144,7 +144,7 @@ def convert(recording: Recording, path: Path) -> None:
         if path.suffix in export.SUFFIXES:
             export.export(recording, path)
         else:
-            recording.save(path)
+            storage.save(recording, path)
     except OSError as error:
         raise RecordingError(
             str(path),
