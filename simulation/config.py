@@ -10,19 +10,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 from simulation.disturbance import Disturbance, RandomTorque
 from simulation.hidden import MONOCAB, Registry, sizes_of
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
 from telemetry.samples import Vector3
 
-if TYPE_CHECKING:
-    from simulation.machine import Machine
-
 
 class Truth(Protocol):
-    """The physics of one kind of vehicle as it really is, and the way from there to something that moves."""
+    """The physics of one kind of vehicle as it really is; simulation.kinds makes something of it that moves."""
 
     @property
     def gravity(self) -> float:
@@ -37,10 +34,6 @@ class Truth(Protocol):
     @property
     def registry(self) -> Registry:
         """What this kind of vehicle can hide."""
-        ...
-
-    def build(self, config: SimulationConfig) -> Machine:
-        """The mechanics, at rest. Raises UnknownEffectError."""
         ...
 
 
@@ -96,11 +89,6 @@ class PlantTruth:
     @property
     def registry(self) -> Registry:
         return MONOCAB
-
-    def build(self, config: SimulationConfig) -> Machine:
-        from simulation.plant import Plant
-
-        return Plant(config)
 
 
 @dataclass(frozen=True, slots=True)

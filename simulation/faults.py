@@ -6,14 +6,13 @@ Seconds count from the first SYNC that the vehicle sees, so that they do not dep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from simulation.bus.drive_node import VirtualDrive
+from simulation.bus.machine import Machine
 from telemetry.errors import UprightError
-
-if TYPE_CHECKING:
-    from simulation.vehicle import VirtualVehicle
 
 OVERCURRENT, CURRENT_ERROR = 0x2310, 0x02
 GAP = 0.04
@@ -39,41 +38,66 @@ class Fault:
     drive: str | None = None
 
 
+class Stream(Protocol):
+    """The frame sets of an IMU, which may stop."""
+
+    silent: bool
+
+    def recover(self) -> None:
+        """End a silence."""
+        ...
+
+
+class Faulty(Protocol):
+    """A vehicle that faults happen to."""
+
+    @property
+    def imu_stream(self) -> Stream: ...
+    @property
+    def drives(self) -> Mapping[str, VirtualDrive]: ...
+    @property
+    def plant(self) -> Machine: ...
+
+    def later(self, seconds: float, action: Callable[[], None]) -> None:
+        """Do so after so many s."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class FaultKind:
     """What a fault is; `strike` makes it happen."""
 
     meaning: str
     of_drive: bool
-    strike: Callable[[VirtualVehicle, str], None]
+    strike: Callable[[Faulty, str], None]
 
 
-def _imu_gap(vehicle: VirtualVehicle, drive: str) -> None:
+def _imu_gap(vehicle: Faulty, drive: str) -> None:
     vehicle.imu_stream.silent = True
     vehicle.later(GAP, vehicle.imu_stream.recover)
 
 
-def _drive_restart(vehicle: VirtualVehicle, name: str) -> None:
+def _drive_restart(vehicle: Faulty, name: str) -> None:
     drive = vehicle.drives[name]
     drive.connected = False
     drive.servo.restart(vehicle.plant.time)
     vehicle.later(RESTART, lambda: _reconnect(vehicle, name))
 
 
-def _reconnect(vehicle: VirtualVehicle, name: str) -> None:
+def _reconnect(vehicle: Faulty, name: str) -> None:
     vehicle.drives[name].connected = True
     vehicle.drives[name].boot()
 
 
-def _imu(flag: str) -> Callable[[VirtualVehicle, str], None]:
+def _imu(flag: str) -> Callable[[Faulty, str], None]:
     return lambda vehicle, _: setattr(vehicle.imu_stream, flag, True)
 
 
-def _drive(flag: str) -> Callable[[VirtualVehicle, str], None]:
+def _drive(flag: str) -> Callable[[Faulty, str], None]:
     return lambda vehicle, name: setattr(vehicle.drives[name], flag, False)
 
 
-def _overcurrent(vehicle: VirtualVehicle, name: str) -> None:
+def _overcurrent(vehicle: Faulty, name: str) -> None:
     vehicle.drives[name].fail(OVERCURRENT, CURRENT_ERROR)
 
 

@@ -8,10 +8,7 @@ Bouc-Wen (Wen, J. Eng. Mech. 102, 1976):  z' = (v / yield) (1 - |z|^n (1 + sgn(v
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from simulation.plant import Plant
+from typing import Protocol
 
 BRISTLE_DEFLECTION = 1.0e-4
 """rad of roll at which the bristles begin to slide."""
@@ -19,6 +16,17 @@ BRISTLE_DAMPING = 0.03
 """s, damping over stiffness of the bristles."""
 STRIBECK_RATE = 0.01
 """rad/s at which most of the breakaway torque is gone."""
+
+
+class Rolling(Protocol):
+    """What friction on the roll axis feels of a vehicle: rad/s, N m, and s a step."""
+
+    @property
+    def roll_rate(self) -> float: ...
+    @property
+    def gyroscopic_torque(self) -> float: ...
+    @property
+    def step_size(self) -> float: ...
 
 
 class LuGreFriction:
@@ -34,7 +42,7 @@ class LuGreFriction:
         """N m at which the bristles slide, at this `rate` (rad/s) and `load` (N m)."""
         return self._size
 
-    def torque(self, plant: Plant) -> float:
+    def torque(self, plant: Rolling) -> float:
         """N m on the roll axis, where the gyroscopic torque is the load; called once a step."""
         return self.force(plant.roll_rate, plant.gyroscopic_torque, plant.step_size)
 
@@ -102,7 +110,7 @@ class BoucWenHysteresis:
         self._size = size
         self._state = 0.0
 
-    def torque(self, plant: Plant) -> float:
+    def torque(self, plant: Rolling) -> float:
         travel = plant.roll_rate * plant.step_size / self.YIELD
         state = self._state
         if travel * state > 0.0:

@@ -15,15 +15,15 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from simulation.bus.machine import Machine, Motion
+from simulation.bus.servo_drive import ServoDrive
 from simulation.config import DriveNode, PlantTruth, SimulationConfig
 from simulation.contact import Supports
 from simulation.gimbal import Gimbal
 from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
-from simulation.machine import Machine, Motion
 from simulation.roll_effects import roll_effects
 from simulation.servo_axis import AxisMode, ServoAxis
-from simulation.servo_drive import ServoDrive
 from telemetry.samples import Vector3
 
 DEFAULT_GIMBAL_PER_TURN = 2.0 * math.pi / 100.0

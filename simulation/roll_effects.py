@@ -7,29 +7,42 @@ inertia * roll'' = gravity_stiffness * sin(roll) + gyroscopic torque + ...
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 from simulation.friction import (
     AsymmetricFriction,
     BoucWenHysteresis,
     LoadDependentFriction,
     LuGreFriction,
+    Rolling,
     StribeckFriction,
 )
-
-if TYPE_CHECKING:
-    from simulation.plant import Plant
-
+from simulation.gimbal import Gimbal
 
 EVENT_TIME = 10.0
 """s after the first SYNC at which a person sits down, unless something else is asked for."""
 
 
+class RollingVehicle(Rolling, Protocol):
+    """What an effect on the roll axis sees of the vehicle: rad and s."""
+
+    @property
+    def roll(self) -> float: ...
+    @property
+    def roll_acceleration(self) -> float: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def event_clock(self) -> float: ...
+    @property
+    def gimbals(self) -> Sequence[Gimbal]: ...
+
+
 class RollEffect(Protocol):
     """A torque on the roll axis."""
 
-    def torque(self, plant: Plant) -> float:
+    def torque(self, plant: RollingVehicle) -> float:
         """N m, for this step; called once a step."""
         ...
 
@@ -37,10 +50,10 @@ class RollEffect(Protocol):
 class _Formula:
     """An effect without memory."""
 
-    def __init__(self, formula: Callable[[Plant], float]) -> None:
+    def __init__(self, formula: Callable[[RollingVehicle], float]) -> None:
         self._formula = formula
 
-    def torque(self, plant: Plant) -> float:
+    def torque(self, plant: RollingVehicle) -> float:
         return self._formula(plant)
 
 
@@ -60,7 +73,7 @@ class FlexibleMode:
         self._twist = 0.0
         self._twist_rate = 0.0
 
-    def torque(self, plant: Plant) -> float:
+    def torque(self, plant: RollingVehicle) -> float:
         spring = self._stiffness * self._twist + self._damping * self._twist_rate
         self._twist_rate += plant.step_size * (-spring / self.cabin - plant.roll_acceleration)
         self._twist += plant.step_size * self._twist_rate
@@ -82,7 +95,7 @@ def _quadratic(size: float) -> RollEffect:
 def _progressive(size: float) -> RollEffect:
     scale = 0.05  # rad, where the progression leaves the cubic behind
 
-    def formula(plant: Plant) -> float:
+    def formula(plant: RollingVehicle) -> float:
         ratio = plant.roll / scale
         return -6.0 * size * scale**3 * (math.sinh(ratio) - ratio)
 
@@ -107,7 +120,7 @@ def _drift(size: float) -> RollEffect:
 
 
 def _imbalance(size: float) -> RollEffect:
-    def formula(plant: Plant) -> float:
+    def formula(plant: RollingVehicle) -> float:
         return 0.5 * size * sum(math.sin(gimbal.angle) for gimbal in plant.gimbals)
 
     return _Formula(formula)
@@ -157,7 +170,7 @@ class _Late:
     def __init__(self, effect: RollEffect, onset: float) -> None:
         self._effect, self._onset = effect, onset
 
-    def torque(self, plant: Plant) -> float:
+    def torque(self, plant: RollingVehicle) -> float:
         return self._effect.torque(plant) if plant.event_clock >= self._onset else 0.0
 
 

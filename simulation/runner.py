@@ -18,7 +18,7 @@ from time import monotonic
 
 import can
 
-from simulation.bus_port import BusPort, PortStatistics, Received
+from simulation.bus.port import BusPort, PortStatistics, Received
 from simulation.config import SimulationConfig
 from simulation.faults import Fault
 from simulation.vehicle import SYNC_ID, VirtualVehicle

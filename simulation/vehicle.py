@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from simulation.bus.drive_node import VirtualDrive
+from simulation.bus.imu_node import VirtualImu
+from simulation.bus.machine import Machine
+from simulation.bus.object_dictionary import SimulationError
 from simulation.config import DriveNode, SimulationConfig
-from simulation.drive_node import VirtualDrive
 from simulation.faults import FAULTS, Fault
-from simulation.imu_node import VirtualImu
-from simulation.machine import Machine
-from simulation.object_dictionary import SimulationError
+from simulation.kinds import machine
 
 SYNC_ID = 0x080
 START_NS = 1_000_000_000_000
@@ -75,7 +76,7 @@ class VirtualVehicle:
 
     def __init__(self, config: SimulationConfig, send: SendFrame, faults: Sequence[Fault] = ()) -> None:
         self.config = config
-        self.plant = config.plant.build(config)
+        self.plant = machine(config)
         self.imu = VirtualImu(
             config.imu,
             rate=config.rate,

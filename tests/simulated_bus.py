@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from simulation.bus.drive_node import VirtualDrive
 from simulation.config import DriveNode, SimulationConfig
-from simulation.drive_node import VirtualDrive
 from simulation.faults import Fault
 from simulation.vehicle import VirtualVehicle
 

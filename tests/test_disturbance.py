@@ -11,6 +11,7 @@ from typing import Any
 import hidden_effects_stand_in as stand_in
 import numpy as np
 import pytest
+from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from typer.testing import CliRunner
 
 from estimators.identify.run import nominal_model
@@ -26,7 +27,6 @@ from service.hidden_effects.vehicles import drawn
 from service.vehicle_file.file import load
 from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import record
-from simulation.closed_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from simulation.disturbance import Disturbance, RandomTorque
 from simulation.hidden import MONOCAB, UnknownEffectError, parse_disturbance, parse_hidden

@@ -30,8 +30,8 @@ from service.offline import replay
 from service.offline.recorded_loop import recorded_loop
 from service.vehicle_file.file import VehicleFile, load
 from service.virtual.run import record
+from simulation.bus.imu_node import SensorPath
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
-from simulation.imu_node import SensorPath
 from telemetry.recording import Recording
 
 LATENCY = 0.0075

@@ -17,9 +17,9 @@ import canopen
 import pytest
 from simulated_bus import EDS, ENABLE, MASTER, SHUTDOWN, SWITCH_ON, drive_nodes
 
+from simulation.bus.power_state import PowerState
 from simulation.config import SimulationConfig
 from simulation.faults import parse_faults
-from simulation.power_state import PowerState
 from simulation.runner import Runner
 
 CONFIG = SimulationConfig(drives=drive_nodes())

@@ -19,10 +19,10 @@ from simulated_bus import (
     drive_nodes,
 )
 
+from simulation.bus.object_dictionary import SimulationError
+from simulation.bus.power_state import Command, PowerState, command_of
 from simulation.config import SimulationConfig
 from simulation.faults import UnknownFaultError, parse_faults
-from simulation.object_dictionary import SimulationError
-from simulation.power_state import Command, PowerState, command_of
 from simulation.servo_axis import AxisMode
 
 RPM = 200.0

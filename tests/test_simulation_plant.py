@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 
 from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
-from simulation.closed_loop import ClosedLoopRun, Measured, simulate_closed_loop
+from simulation.bus.imu_node import VirtualImu
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from simulation.contact import Supports
 from simulation.hidden import HIDDEN, UnknownEffectError, parse_hidden, sizes_of
-from simulation.imu_node import VirtualImu
 from simulation.plant import Plant
 from simulation.servo_axis import AxisMode
 from telemetry.samples import CanFrame

@@ -17,12 +17,13 @@ from simulated_bus import DISABLE_VOLTAGE, MASTER, QUICK_STOP, SHUTDOWN, SWITCH_
 
 from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
+from simulation.bus.imu_node import VirtualImu
+from simulation.bus.object_dictionary import SimulationError
+from simulation.bus.power_state import PowerState
 from simulation.config import DriveNode, ImuNode, SimulationConfig
 from simulation.faults import parse_faults
 from simulation.hidden import UnknownEffectError, parse_hidden, sizes_of
-from simulation.imu_node import VirtualImu
-from simulation.object_dictionary import SimulationError
-from simulation.power_state import PowerState
+from simulation.kinds import machine
 from simulation.runner import Runner
 from simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
 from simulation.twsbr.hidden import TWSBR, TWSBR_HIDDEN, TWSBR_UNLISTED
@@ -47,7 +48,7 @@ ENABLE = 0x0F
 def robot(truth: TwsbrTruth = TRUTH, hide: Sequence[str] = (), **options: object) -> TwsbrPlant:
     hidden, onsets = parse_hidden(hide, TWSBR)
     config = SimulationConfig(plant=truth, rate=RATE, imu=IMU, hidden=hidden, onsets=onsets, **options)  # type: ignore[arg-type]
-    return truth.build(config)
+    return machine(config)
 
 
 def run_for(plant: TwsbrPlant, seconds: float) -> None:
@@ -300,7 +301,7 @@ def with_imu(hidden: dict[str, float | None]) -> np.ndarray:
     """True tilt by cycle, (n,): two seconds from 3 deg, so that the wheels turn, balanced by what the IMU says."""
     onsets = {"torque_step": 0.5} if "torque_step" in hidden else {}
     config = SimulationConfig(plant=TRUTH, rate=RATE, imu=IMU, hidden=hidden, onsets=onsets)
-    plant = TRUTH.build(config)
+    plant = machine(config)
     plant.event_origin = 0.0
     plant.place(math.radians(3.0))
     imu = VirtualImu(IMU, rate=RATE, seed=1, gravity=9.81, sizes=config.sizes, falling_axis=1)

@@ -63,12 +63,6 @@ class Mechanics:
         self._motor_friction = truth.motor_friction
         self._wheel_friction = truth.wheel_friction
 
-    @property
-    def free_tilt_inertia(self) -> float:
-        """kg m^2 that a torque on the tilt accelerates upright on level ground, while the wheels turn freely."""
-        mixed = self._coupling - self._lumped
-        return self._tilt_inertia - mixed * mixed / self._travel_inertia
-
     def rates(self, state: State, left: Drive, right: Drive, held: Held) -> State:
         """Its coordinates' rates, then their accelerations, with these motors and further torques."""
         travel, turn, tilt, left_rotor, right_rotor, travel_rate, turn_rate, tilt_rate, left_speed, right_speed = state

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from simulation.config import SimulationConfig
 from simulation.hidden import Registry
 from simulation.twsbr.hidden import TWSBR
-
-if TYPE_CHECKING:
-    from simulation.twsbr.plant import TwsbrPlant
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +71,13 @@ class TwsbrTruth:
 
     @property
     def falling_inertia(self) -> float:
-        from simulation.twsbr.mechanics import Mechanics
-
-        return Mechanics(self).free_tilt_inertia
+        """kg m^2 that a torque on the tilt accelerates upright on level ground, while the wheels turn freely."""
+        radius, rotors = self.wheel_radius, 2.0 * self.gear_ratio**2 * self.rotor_inertia
+        travel = 3.0 * self.wheel_mass * radius**2 + self.body_mass * radius**2 + rotors
+        tilt = self.body_mass * self.centre_of_gravity_height**2 + self.tilt_inertia + rotors
+        mixed = self.body_mass * radius * self.centre_of_gravity_height - rotors
+        return tilt - mixed * mixed / travel
 
     @property
     def registry(self) -> Registry:
         return TWSBR
-
-    def build(self, config: SimulationConfig) -> TwsbrPlant:
-        from simulation.twsbr.plant import TwsbrPlant
-
-        return TwsbrPlant(config)

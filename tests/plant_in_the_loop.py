@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.bus.imu_node import VirtualImu
 from simulation.config import SimulationConfig
-from simulation.imu_node import VirtualImu
 from simulation.plant import Plant
 from simulation.vehicle import START_NS
 from telemetry.samples import ImuSample

@@ -10,8 +10,8 @@ import canopen
 from canopen.objectdictionary import ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
+from simulation.bus.objects import MAX_PDO_BYTES, MAX_PDOS, STRUCT_CODES, Pdo, keys_by_name
 from simulation.config import DriveNode
-from simulation.objects import MAX_PDO_BYTES, MAX_PDOS, STRUCT_CODES, Pdo, keys_by_name
 from telemetry.errors import UprightError
 
 NOT_IN_USE = 0x8000_0000

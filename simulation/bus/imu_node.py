@@ -13,8 +13,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from simulation.bus.machine import Machine, Motion
 from simulation.config import ImuNode
-from simulation.machine import Machine, Motion
 from telemetry.samples import Vector3
 
 STANDARD_GRAVITY = 9.80665

@@ -15,10 +15,9 @@ import canopen
 from canopen.objectdictionary import ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from simulation.config import DriveNode
-from simulation.drive_application import DriveApplication
-from simulation.node_network import NodeNetwork, Send
-from simulation.object_dictionary import (
+from simulation.bus.drive_application import DriveApplication
+from simulation.bus.node_network import NodeNetwork, Send
+from simulation.bus.object_dictionary import (
     MAPPING,
     RPDO,
     TPDO,
@@ -28,8 +27,9 @@ from simulation.object_dictionary import (
     read_pdo,
     write_default_pdos,
 )
-from simulation.objects import ERROR_REGISTER, MAX_PDOS, MODE, Pdo
-from simulation.power_state import PowerState
+from simulation.bus.objects import ERROR_REGISTER, MAX_PDOS, MODE, Pdo
+from simulation.bus.power_state import PowerState
+from simulation.config import DriveNode
 
 COMMUNICATION_ERROR = 0x10
 HEARTBEAT_LOST, RPDO_LATE, PDO_TOO_SHORT, LEFT_OPERATIONAL = 0x8130, 0x8250, 0x8210, 0x8100

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
+from simulation.bus.drive_application import DriveApplication
 from simulation.config import DriveNode
-from simulation.drive_application import DriveApplication
 from telemetry.samples import Vector3
 
 Motion = tuple[float, ...]

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from simulation.bus.objects import CONTROLWORD, ERROR_CODE, ERROR_REGISTER, MODE, STATUSWORD
+from simulation.bus.power_state import PowerState, PowerStateMachine
 from simulation.config import DriveNode
-from simulation.objects import CONTROLWORD, ERROR_CODE, ERROR_REGISTER, MODE, STATUSWORD
-from simulation.power_state import PowerState, PowerStateMachine
 
 HALT = 0x100
 

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import math
 
-from simulation.config import DriveNode
-from simulation.drive_application import HALT, DriveApplication, permille, wrapped
-from simulation.objects import (
+from simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
+from simulation.bus.objects import (
     CONTROLWORD,
     MODE,
     MODE_DISPLAY,
@@ -26,7 +25,8 @@ from simulation.objects import (
     VL_DEMAND,
     VL_TARGET_VELOCITY,
 )
-from simulation.power_state import PowerState
+from simulation.bus.power_state import PowerState
+from simulation.config import DriveNode
 from simulation.servo_axis import AxisMode, ServoAxis
 
 VELOCITY = 2

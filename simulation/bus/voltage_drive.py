@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from simulation.config import DriveNode
-from simulation.drive_application import HALT, DriveApplication, permille, wrapped
-from simulation.objects import (
+from simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
+from simulation.bus.objects import (
     CONTROLWORD,
     MODE,
     MODE_DISPLAY,
@@ -24,7 +23,8 @@ from simulation.objects import (
     VELOCITY_ACTUAL,
     VOLTAGE_DEMAND,
 )
-from simulation.power_state import PowerState
+from simulation.bus.power_state import PowerState
+from simulation.config import DriveNode
 
 VOLTAGE = -1
 STANDSTILL_RATE = 0.5
