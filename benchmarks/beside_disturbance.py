@@ -26,10 +26,10 @@ from estimators.methods.prediction_error import prediction_error
 from models.library import ACTUATORS
 from service.cli.diagnose import default_budget
 from service.hidden_effects.trial import Bench
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
 from telemetry.errors import UprightError
+from vehicles.file import load
 
 LEARNED = "gyro_bias"
 """The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""

@@ -1,9 +1,9 @@
 """The roll filter against optical ground truth, beside VQF in the same run: `python benchmarks/broad.py [TRIAL]...`
 
 Each BROAD trial (Laidig et al., Data 6(7), 2021) is encoded as the CAN frames of an LPMS-IG1, replayed through
-`drivers.imu` and the roll filter with the setting that ships in vehicles/monocab.toml, and scored as BROAD does: RMS of
-the inclination error, the angle between the estimated and the true up vector, over the movement phase where there is
-ground truth. VQF (6-D: gyro and accelerometer) runs on the readings themselves.
+`drivers.imu` and the roll filter with the setting that ships in vehicles/monocab/vehicle.toml, and scored as BROAD
+does: RMS of the inclination error, the angle between the estimated and the true up vector, over the movement phase
+where there is ground truth. VQF (6-D: gyro and accelerometer) runs on the readings themselves.
 
 VQF takes a gyro reading for the mean over the interval that ends at it; the roll filter takes it for the rate at one
 instant, which then lies half an interval back. So its estimate is carried over that half interval with the last rate,
@@ -106,8 +106,8 @@ def inclination_rmse(trial: Trial, up: Array, latency: float) -> float:
 
 
 def shipped_filter(rate: float) -> RollFilterConfig:
-    """The setting of vehicles/monocab.toml, on an IMU held in the hand: no lever arm."""
-    table = tomllib.loads((ROOT / "vehicles" / "monocab.toml").read_text())["imu"]["filter"]
+    """The setting of vehicles/monocab/vehicle.toml, on an IMU held in the hand: no lever arm."""
+    table = tomllib.loads((ROOT / "vehicles" / "monocab" / "vehicle.toml").read_text())["imu"]["filter"]
     return RollFilterConfig(rate=rate, **table)
 
 

@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from service.control.api import ApiError, call
 from service.dashboard.app import Dashboard, Settings
-from service.vehicle_file.sections import VehicleFile
+from vehicles.sections import VehicleFile
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 

@@ -12,7 +12,7 @@ from dashboard_parts import broker, browser, opened, server
 from dashboard_story import Story, Teller
 from playwright.sync_api import Browser, Page
 
-from service.vehicle_file.file import load
+from vehicles.file import load
 
 HOURS = 4.0
 AHEAD = 20.0

@@ -12,9 +12,9 @@ import numpy as np
 import paho.mqtt.client as mqtt
 
 from service.mqtt.payloads import TelemetryBatches
-from service.vehicle_file.sections import VehicleFile
 from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
+from vehicles.sections import VehicleFile
 
 STATE = {
     "vehicle": "monocab", "mode": "running", "experiment": "multisine", "phase": "excite", "code": "", "reason": "",

@@ -26,8 +26,8 @@ from scipy.stats import t as student
 
 from drivers.bus_address import connect
 from service.control.assembly import imu_config
-from service.vehicle_file.file import load
-from service.vehicle_file.sections import VehicleFile
+from vehicles.file import load
+from vehicles.sections import VehicleFile
 
 BUS = "udp_multicast:239.74.163.91"
 PAGES = 10

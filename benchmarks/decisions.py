@@ -40,13 +40,13 @@ from models.effects.catalogue import CATALOGUE
 from models.library import ACTUATORS
 from service.hidden_effects.cases import pairs
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import HIDDEN, UNLISTED
 from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
 from telemetry.clock import by_the_clock
 from telemetry.csv_file import read_csv
 from telemetry.errors import UprightError
+from vehicles.file import load
 
 HERE = Path(__file__).parent
 SHARED = HERE.parents[1] / "shared"

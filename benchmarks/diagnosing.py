@@ -25,9 +25,9 @@ from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
 from estimators.identify.run import nominal_model, with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.recording import Recording
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -23,7 +23,7 @@ from service.hidden_effects.cases import Case
 from service.hidden_effects.disturbances import DRAWN
 from service.hidden_effects.trial import WITHIN_95, Bench, disturbance_of
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file.file import load
+from vehicles.file import load
 
 EDGES = (0.0, 0.2, 1.0, np.inf)
 """s: correlation times are told apart by these."""

@@ -28,11 +28,11 @@ from estimators.identify.run import nominal_model, with_values
 from models.model import Model
 from service.hidden_effects.disturbances import DRAWN, Disturbances, parse_disturbances, sensor_floor
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from service.virtual.vehicle import TWINS
 from simulation.config import ImuNode, Truth
 from telemetry.recording import Recording
+from vehicles.file import load
 
 LEVELS = (0.01, 0.05, 0.2, 0.5)
 EXPERIMENTS = {"monocab": "multisine", "twsbr": "square"}

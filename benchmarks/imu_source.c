@@ -1,4 +1,4 @@
-/* A virtual LPMS-IG1 at rest: the frame sets of vehicles/monocab.toml, at an exact rate.  imu_source IFACE RATE
+/* A virtual LPMS-IG1 at rest: the frame sets of vehicles/monocab/vehicle.toml, at an exact rate.  imu_source IFACE RATE
  *
  * CANopen ids 18Ah, 28Ah, 38Ah; two 32-bit floats a frame: acceleration xyz in g, angular rate xyz in deg/s. The last
  * bits are noise, as a reading that never changes is taken for that of a stuck sensor. */

@@ -33,12 +33,12 @@ from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import LiveFinding
 from estimators.identify.run import nominal_model
 from estimators.recursive.predictor import Seen
-from service.vehicle_file.file import load
 from service.virtual.run import BOOT_TIME, record
 from simulation.hidden import HIDDEN, LATE, UNLISTED
 from simulation.vehicle import START_NS
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 REPEATS = 5

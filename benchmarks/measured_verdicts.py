@@ -34,10 +34,10 @@ from models.file.model_file import load_model
 from models.model import Model
 from models.parts import Disturbance
 from service.cli.diagnose import default_budget
-from service.vehicle_file.file import load as vehicle
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load
+from vehicles.file import load as vehicle
 
 HERE = Path(__file__).parent
 ROWS = 8192

@@ -36,11 +36,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.config import PlantTruth
 from telemetry.storage import load as load_recording
 from telemetry.storage import save
+from vehicles.file import load
 
 METHODS = ("prediction_error", "output_error", "least_squares", "instrumental_variables")
 PEERS = ("recursive_least_squares", "recursive_instrumental_variables")

@@ -34,11 +34,11 @@ from diagnosis.prediction.compare import compare
 from models.library import get
 from service.offline.recorded_loop import recorded_loop
 from service.offline.replay import live_diagnosis
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.storage import save
+from vehicles.file import load
 
 OTHERS = ("sine", "doublet", "sine_stream")
 FURTHEST = 0.5
@@ -85,7 +85,7 @@ def upright(*arguments: object) -> dict[str, Any]:
 
 def vehicle(folder: Path, softer: bool) -> Path:
     """The shipped vehicle file, or one with a softer controller."""
-    text = (resources.files("vehicles") / "twsbr.toml").read_text(encoding="utf-8")
+    text = (resources.files("vehicles") / "twsbr" / "vehicle.toml").read_text(encoding="utf-8")
     for old, new in SOFTER.items() if softer else ():
         assert text.count(old) == 1, old
         text = text.replace(old, new)

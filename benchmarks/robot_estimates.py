@@ -31,10 +31,10 @@ from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.validation import on_others
 from models.expressions import number
 from models.library.twsbr import TOLD_NEAR_UPRIGHT
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import TWSBR
+from vehicles.file import load
 
 VEHICLE = load("twsbr")
 GIVEN = VEHICLE.parameters

@@ -25,9 +25,9 @@ from diagnosis.rivals import Rival, fitted_rivals
 from estimators.identify.run import nominal_model, with_values
 from models.model import Model
 from service.offline.next_experiment import experiments_of
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.recording import Recording
+from vehicles.file import load
 
 VEHICLE = load("twsbr")
 EXCITED = 6.8

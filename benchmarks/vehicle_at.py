@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from service.cli import main
-from service.vehicle_file.file import load
+from vehicles.file import load
 
 
 def at_rate(rate: float) -> str:

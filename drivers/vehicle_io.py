@@ -1,7 +1,7 @@
 """The vehicle as the control loop sees it: CAN frames in, IMU samples and drive values out; setpoints in, frames out.
 
 Live control and replay of a raw log run this same code, so what a recording holds can be rebuilt from its frames. What
-the drives' values mean for one kind of vehicle (a precession rate, a wheel angle) is said by `service.kinds`.
+the drives' values mean for one kind of vehicle (a precession rate, a wheel angle) is said by `vehicles.registry`.
 """
 
 from __future__ import annotations

@@ -20,10 +20,10 @@ from typing import Any
 from diagnosis.report.method_figure import save_methods
 from estimators.identify.run import identify
 from service.cli.identify_page import print_methods
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.config import PlantTruth, SimulationConfig
 from telemetry.recording import Recording
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 PLANT = PlantTruth()

@@ -11,9 +11,9 @@ import sys
 import estimators
 from estimators.identify.run import with_values
 from models import library
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry import storage
+from vehicles.file import load
 
 if len(sys.argv) > 1:
     recording = storage.load(sys.argv[1])

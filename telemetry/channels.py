@@ -53,7 +53,7 @@ _EXCITATION = Channel(
     "1",
     "value of the excitation, as what it is added to: rad on the reference, rad/s or V on the controller output",
 )
-_PHASE = Channel("phase", "1", "phase of the experiment, see service.control.sequence.Phase")
+_PHASE = Channel("phase", "1", "phase of the experiment, see vehicles.phases.Phase")
 
 MONOCAB = ChannelTable(
     (

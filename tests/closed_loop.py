@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivers.bus import BusDown
-from service.vehicle_file.file import VehicleFile, load
 from service.virtual import run as virtual_run
 from telemetry.samples import CanFrame
+from vehicles.file import VehicleFile, load
 
 
 class ClosedLoop(virtual_run.ClosedLoop):

@@ -12,8 +12,8 @@ from typing import Any
 import small_vehicle
 
 from service.observer.client import ObserverClient
-from service.vehicle_file.file import load
 from telemetry.samples import Frame
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from models.control_design import RollDesign
-from service.control.excitation import Excitation, InjectionPoint
-from service.monocab.controller import RollController, design
-from service.monocab.rise import Lowering, RiseFromRest, rise_rate
-from service.vehicle_file.file import VehicleFile, load
+from vehicles.excitation import Excitation, InjectionPoint
+from vehicles.file import VehicleFile, load
+from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.rise import Lowering, RiseFromRest, rise_rate
 
 RATES = (100, 250, 500)
 SUBSTEP = 0.001

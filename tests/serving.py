@@ -12,9 +12,9 @@ from typing import Any
 
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
-from service.vehicle_file.file import load
-from service.vehicle_file.sections import VehicleFile
 from service.virtual.serving import virtual_vehicle_beside
+from vehicles.file import load
+from vehicles.sections import VehicleFile
 
 
 def steady() -> VehicleFile:

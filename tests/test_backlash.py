@@ -13,11 +13,11 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
 from models.effects.catalogue import find
 from models.library import get
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.config import PlantTruth
 from simulation.gimbal import LOAD_SHARE, PLAY_STIFFNESS
 from simulation.hidden import HIDDEN
+from vehicles.file import load
 
 pytestmark = pytest.mark.patient
 

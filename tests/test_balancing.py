@@ -10,9 +10,9 @@ from itertools import pairwise
 import pytest
 from roll_plant import RATES, SETTLE, Log, Plant, balance, designed, get_down, get_up, peak, vehicle_at
 
-from service.control.excitation import make_excitation
-from service.monocab.rise import RiseState, lowering_side, lowering_travel
-from service.vehicle_file.file import load
+from vehicles.excitation import make_excitation
+from vehicles.file import load
+from vehicles.monocab.rise import RiseState, lowering_side, lowering_travel
 
 
 @pytest.mark.parametrize("rate", RATES)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import broad
-from service.vehicle_file import file as vehicle_file
+from vehicles import file as vehicle_file
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.others_recordings import SENSORS, OthersVehicle
-from service.cli.batch import load_recording
+from service.cli.inputs import load_recording
 from telemetry.channels import Channel, ChannelTable
 from telemetry.clock import by_the_clock, jitter
 from telemetry.recording import Recording

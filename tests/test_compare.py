@@ -23,10 +23,10 @@ from models.model import Model
 from models.parts import ModelError
 from service.cli.compare import read_models
 from service.cli.compare_page import comparison_table
-from service.vehicle_file.file import load
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from vehicles.file import load
 
 SUPPORT = float(np.radians(4.0))
 CAD = library.get("monocab_roll").add("static_torque")

@@ -22,7 +22,7 @@ import typer
 import yaml
 
 from service.cli import app
-from service.vehicle_file.file import load
+from vehicles.file import load
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PLAIN, CAN = "docker-compose.yml", "docker-compose.can.yml"

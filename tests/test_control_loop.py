@@ -8,13 +8,13 @@ import pytest
 from closed_loop import ClosedLoop
 
 from drivers.cia402.states import State
-from service import kinds
 from service.control import assembly
 from service.control.loop import Mode
 from service.control.rows import rows_from_frames
-from service.control.sequence import Phase
-from service.vehicle_file.file import VehicleFile, load
 from telemetry.channels import MONOCAB
+from vehicles import registry
+from vehicles.file import VehicleFile, load
+from vehicles.phases import Phase
 
 ROLL = MONOCAB.index_of("roll")
 PRECESSION = MONOCAB.index_of("precession")
@@ -74,7 +74,7 @@ def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
     live = [frame for frame in closed.witness.frames if start_ns <= frame.timestamp_ns <= end_ns]
     raw = [frame for frame in closed.raw if start_ns <= frame.timestamp_ns]
     io, roll_filter = assembly.vehicle_io(closed.vehicle), assembly.roll_filter(closed.vehicle)
-    rows = rows_from_frames(raw, io, kinds.of(closed.vehicle, io), roll_filter, start_ns)
+    rows = rows_from_frames(raw, io, registry.kind_of(closed.vehicle, io), roll_filter, start_ns)
     rebuilt = [row for row in rows if row.timestamp_ns <= end_ns]
     measured = MONOCAB.index_of("drive_age") + 1
     assert len(live) > 4000

@@ -29,9 +29,9 @@ from topology import LEASE, Topology, topology, vehicle_text
 
 from service.dashboard.app import Dashboard, Settings
 from service.dashboard.units import AMPLITUDE, LIMITS
-from service.vehicle_file.file import FILES, load
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
+from vehicles.file import FILES, load
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 

@@ -14,11 +14,11 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from estimators.identify.run import nominal_model, with_values
 from models.effect import Effect, EffectParameter, Family
 from models.parts import Place
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -24,7 +24,6 @@ from service.hidden_effects.summary import summarise
 from service.hidden_effects.trial import SUBJECT, Bench, virtual
 from service.hidden_effects.trial import run as run_case
 from service.hidden_effects.vehicles import drawn
-from service.vehicle_file.file import load
 from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import record
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
@@ -35,6 +34,7 @@ from simulation.twsbr.hidden import TWSBR
 from simulation.twsbr.plant import TwsbrPlant
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
+from vehicles.file import load
 
 STEP = 1.0 / 3000.0
 """s, the plant's at 250 Hz."""

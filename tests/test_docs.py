@@ -11,8 +11,8 @@ import typer
 from pydantic import BaseModel
 
 from service.cli import app
-from service.vehicle_file.file import FILES
 from telemetry.channels import TABLES
+from vehicles.file import FILES
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"

@@ -15,11 +15,11 @@ from estimators.contract import Estimate, EstimationError, ParameterEstimate, St
 from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
 from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import MODES, Loop, predict, windows_of
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.config import PlantTruth
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording, describe
+from vehicles.file import load
 
 CHANNELS = ("precession_rate_setpoint", "precession_rate", "drive_age", "roll_rate")
 FINE = 1e-4

@@ -16,8 +16,8 @@ from diagnosis.fits.refit import full, gained, surety, with_effect
 from diagnosis.prepare.workspace import Workspace
 from estimators.fit.result import inverse
 from estimators.identify.run import nominal_model, with_values
-from service.vehicle_file.file import load
 from service.virtual.run import record
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.control.excitation import (
+from vehicles.excitation import (
     Doublet,
     Excitation,
     ExcitationError,
@@ -18,7 +18,7 @@ from service.control.excitation import (
     Sweep,
     make_excitation,
 )
-from service.vehicle_file.file import ExperimentSection, load
+from vehicles.file import ExperimentSection, load
 
 SHIPPED = load("monocab").experiments
 RATE = 250.0

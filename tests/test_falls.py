@@ -20,11 +20,11 @@ from models import library
 from models.natural_time import USUAL, natural_time
 from service.cli import app
 from service.control import assembly
-from service.control.sequence import Phase
-from service.vehicle_file.file import load
 from service.virtual.run import VirtualRunError, record
 from telemetry.recording import Recording
 from telemetry.storage import save
+from vehicles.file import load
+from vehicles.phases import Phase
 
 MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}
 PUSH = {"twsbr": 90.0, "monocab": 60.0}

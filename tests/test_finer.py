@@ -12,9 +12,9 @@ from models.effects.catalogue import find
 from models.expressions import number
 from models.file.document import ModelFile
 from models.file.model_file import read, write
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

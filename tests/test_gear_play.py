@@ -19,10 +19,10 @@ from benchmarks.robot_diagnosis import vehicle as vehicle_file
 from diagnosis.lack_of_fit.adequacy import LEFT_STRUCK
 from models import library
 from service.cli import app
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 from telemetry.storage import save
+from vehicles.file import load
 
 SEED = 74
 """Decided nothing."""

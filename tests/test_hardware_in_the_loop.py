@@ -21,9 +21,9 @@ from rig import HEARTBEAT_TIMEOUT, UPRIGHT, Rig
 
 from service.control.api import ApiError
 from service.observer.online_estimators import online_estimators
-from service.vehicle_file.file import load
 from telemetry.candump import CandumpReader
 from telemetry.storage import load as load_recording
+from vehicles.file import load
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(300)]
 

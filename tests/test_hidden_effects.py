@@ -39,11 +39,11 @@ from service.hidden_effects.terms import measured, regression
 from service.hidden_effects.trial import SUBJECT, Bench, run, virtual
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
-from service.vehicle_file.file import load
 from simulation.config import PlantTruth
 from simulation.hidden import HIDDEN, UNLISTED, UnknownEffectError, sizes_of
 from simulation.roll_effects import roll_effects
 from telemetry.recording import Recording
+from vehicles.file import load
 
 pytestmark = pytest.mark.timeout(300)
 """Worker processes import numpy and SciPy anew, many times over; on a busy machine that takes a minute a test."""

@@ -26,10 +26,10 @@ from models.file.model_file import write
 from models.parts import ModelError
 from service.cli import app
 from service.cli.identify_page import print_methods
-from service.vehicle_file.file import load
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import save
+from vehicles.file import load
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EXAMPLE = runpy.run_path(str(EXAMPLES / "compare_methods.py"))

@@ -13,9 +13,9 @@ from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.change_points import MOST, at_instants
 from diagnosis.score.whitened import Whitened, project
 from estimators.identify.run import nominal_model, with_values
-from service.vehicle_file.file import load
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -28,11 +28,11 @@ from service.hidden_effects.trial import Bench, disturbance_of
 from service.hidden_effects.vehicles import drawn
 from service.offline import replay
 from service.offline.recorded_loop import recorded_loop
-from service.vehicle_file.file import VehicleFile, load
 from service.virtual.run import record
 from simulation.bus.imu_node import SensorPath
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from telemetry.recording import Recording
+from vehicles.file import VehicleFile, load
 
 LATENCY = 0.0075
 """s: not a whole number of rows, and the drives are sampled after the IMU."""

@@ -24,9 +24,9 @@ from models.compiler.kernel import compile_model
 from models.parts import ModelError
 from models.random.disturbance import disturbed
 from models.segment import Segment
-from service.cli.output import missing_effects
 from service.observer.news import News
 from service.observer.online_estimators import online_estimators
+from service.output import missing_effects
 from service.virtual.run import BOOT_TIME, record
 from simulation.vehicle import START_NS
 from telemetry.channels import MONOCAB

@@ -30,7 +30,7 @@ from models.file.model_file import load_model, parse, read, write
 from models.model import Model
 from models.parts import Actuator, Disturbance, Input, Joint, ModelError, Output, Parameter, Place, Sensor, State
 from service import cli
-from service.vehicle_file.file import load
+from vehicles.file import load
 
 OWN = """
 title = "Pendulum on a motor"    # my own

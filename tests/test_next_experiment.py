@@ -25,13 +25,13 @@ from models import library
 from models.model import Model
 from service.cli import app
 from service.control.api import ApiServer, ExitCode, Message, result
-from service.control.sequence import Phase
 from service.offline.next_experiment import experiments_of, separating, suggest_for
-from service.vehicle_file.file import VehicleFile, load
 from service.virtual.run import record
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from telemetry.storage import save
+from vehicles.file import VehicleFile, load
+from vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 PAIR = ("viscous_friction", "coulomb_friction")

@@ -25,8 +25,8 @@ from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
 from estimators.identify.run import nominal_model
 from service.cli import app
-from service.cli.batch import load_recording
-from service.vehicle_file.file import load
+from service.cli.inputs import load_recording
+from vehicles.file import load
 
 pytestmark = pytest.mark.patient
 

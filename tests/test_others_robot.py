@@ -14,7 +14,7 @@ from benchmarks.others_robot import EFFECTS, OthersRobot, hill
 from estimators.data.as_recorded import as_recorded
 from models.library import get
 from service.cli import app
-from service.cli.batch import load_recording
+from service.cli.inputs import load_recording
 from service.virtual.run import record
 
 pytestmark = pytest.mark.patient

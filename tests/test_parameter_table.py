@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from service.cli.output import parameter_table
+from service.output import parameter_table
 
 ESTIMATES = {
     "recursive_instrumental_variables": {

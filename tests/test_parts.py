@@ -18,11 +18,11 @@ from models.effects.catalogue import CATALOGUE
 from models.library import ACTUATORS, get
 from models.model import Model
 from models.parts import Place
-from service.vehicle_file.file import load
 from simulation.hidden import HIDDEN
 from telemetry.channels import TABLES
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 LOOPS = [with_values(each, VEHICLE.parameters.values, VEHICLE.parameters.deviations) for each in ACTUATORS["monocab"]]

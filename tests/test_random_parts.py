@@ -30,11 +30,11 @@ from models.parts import Disturbance, ModelError
 from models.parts import NarrowBand as KnownBand
 from models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
 from service.offline.replay import load as load_recording
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import MONOCAB, UnknownEffectError, parse_narrow_band
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
 from telemetry.recording import Recording
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(

@@ -26,11 +26,11 @@ from models import library
 from models.model import Model
 from models.parts import Hold
 from service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.recording import Recording
 from telemetry.samples import Frame
+from vehicles.file import load
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,15 @@ import pytest
 from closed_loop import ClosedLoop
 from scipy.io import loadmat
 
-from service.control.sequence import Phase
 from service.observer.recorder import Recorder
 from service.offline import replay
-from service.vehicle_file.file import load
 from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame, Frame
 from telemetry.storage import load as load_file
+from vehicles.file import load
+from vehicles.phases import Phase
 
 VEHICLE = load("monocab")
 

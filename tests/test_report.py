@@ -21,9 +21,9 @@ from diagnosis.report.words import headline
 from estimators.disturbance_estimate import rms
 from estimators.fit.disturbance import disturbances
 from estimators.identify.run import nominal_model, with_values
-from service.vehicle_file.file import load
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

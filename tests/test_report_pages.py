@@ -18,10 +18,10 @@ from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.identify.run import identify
 from models import library
 from service.cli import app
-from service.vehicle_file.file import load
 from telemetry.recording import Recording
 from telemetry.storage import save
 from tests.test_report import HASH, HOSTILE, Page
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").add("static_torque").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})

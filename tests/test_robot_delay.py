@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
 from models.library import get
 from service.cli import app
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 from telemetry.storage import save
+from vehicles.file import load
 
 pytestmark = pytest.mark.patient
 

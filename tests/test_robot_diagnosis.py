@@ -19,10 +19,10 @@ from typer.testing import CliRunner
 from diagnosis.diagnose import diagnose
 from estimators.identify.run import nominal_model, with_values
 from service.cli import app
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR
 from telemetry.storage import save
+from vehicles.file import load
 
 SEED = 83
 """Decided nothing."""

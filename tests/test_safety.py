@@ -9,10 +9,11 @@ from dataclasses import replace
 import pytest
 
 from drivers.imu import ImuHealth
-from service.control.safety import OK, Code, DriveObservation, Observation, Reaction, Safety
-from service.monocab.axes import GimbalMeasurement
-from service.monocab.kind import bounds
-from service.vehicle_file.file import load
+from service.control.safety import DriveObservation, Observation, Safety
+from vehicles.bounds import OK, Code, Reaction
+from vehicles.file import load
+from vehicles.monocab.axes import GimbalMeasurement
+from vehicles.monocab.kind import bounds
 
 VEHICLE = load("monocab")
 SAFETY = Safety(bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period)

@@ -18,8 +18,8 @@ from estimators.fit.maximum_likelihood import fit
 from estimators.identify.run import nominal_model, with_values
 from models import library
 from models.effects.catalogue import CATALOGUE
-from service.vehicle_file.file import load
 from tests.virtual_records import multisine
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -31,10 +31,10 @@ from models.model import Model
 from models.parts import Filter, Input, ModelError, Output, Parameter, Sensor, State
 from models.segment import Segment
 from models.sensing import FILTERED
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.recording import Recording
 from telemetry.samples import ImuSample
+from vehicles.file import load
 
 ROLL = library.get("monocab_roll")
 IMU = ROLL.sensors[0]

@@ -30,10 +30,10 @@ from models.library.axis import axis
 from models.model import Model
 from models.parts import Disturbance, Place, State
 from models.random.disturbance import disturbed, undisturbed
-from service.vehicle_file.file import load
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(

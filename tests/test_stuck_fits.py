@@ -7,8 +7,8 @@ from diagnosis.parts import diagnose_actuators
 from estimators.identify.run import nominal_model, with_values
 from models.effects.catalogue import find
 from models.library import ACTUATORS
-from service.vehicle_file.file import load
 from service.virtual.run import record
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 VALUES, DEVIATIONS = VEHICLE.parameters.values, VEHICLE.parameters.deviations

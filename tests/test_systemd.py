@@ -91,7 +91,7 @@ def installed() -> None:
     _run("install", "-D", "-m", "644", systemd / "upright.sysusers", "/etc/sysusers.d/upright.conf")
     _run("systemd-sysusers")
     _run("install", "-D", "-m", "644", systemd / "upright.env", "/etc/upright/upright.env")
-    vehicle = (REPOSITORY / "vehicles" / "monocab.toml").read_text()
+    vehicle = (REPOSITORY / "vehicles" / "monocab" / "vehicle.toml").read_text()
     for key, value in SLOWER.items():
         vehicle, changed = re.subn(rf"^{key} = \S+", f"{key} = {value}", vehicle, count=1, flags=re.MULTILINE)
         assert changed, key

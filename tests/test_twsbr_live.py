@@ -16,12 +16,12 @@ from models.expressions import number
 from models.library.twsbr import COUNT, TOLD_NEAR_UPRIGHT
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import replay
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 from telemetry.samples import Frame
+from vehicles.file import load
 
 VEHICLE = load("twsbr")
 GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}

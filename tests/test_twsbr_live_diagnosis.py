@@ -31,11 +31,11 @@ from models.model import Model
 from service.cli import app
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import live_diagnosis
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 from telemetry.storage import save
+from vehicles.file import load
 
 VEHICLE = load("twsbr")
 MODEL = nominal_model("twsbr")

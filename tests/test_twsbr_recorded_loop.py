@@ -17,15 +17,15 @@ from diagnosis.prediction.compare import compare
 from models.library import get
 from models.model import Model
 from service.cli import app
-from service.control.sequence import Phase
 from service.offline.recorded_loop import recorded_loop
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
 from telemetry.storage import save
+from vehicles.file import load
+from vehicles.phases import Phase
 
 VEHICLE = load("twsbr")
 TRUTH = get("twsbr").change(TwsbrTruth().table_1)

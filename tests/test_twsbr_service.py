@@ -26,22 +26,15 @@ from drivers.cia402.config import DriveConfig
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State
 from models.library.twsbr import TWSBR as MODEL
-from service import kinds
 from service.cli import app
 from service.control import api, assembly
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
 from service.control.rows import rows_from_frames
-from service.control.safety import OK, Code, Observation, Reaction, Safety
-from service.control.sequence import Phase
+from service.control.safety import Observation, Safety
 from service.observer.online_estimators import online_estimators
 from service.offline import replay
 from service.offline.recorded_loop import recorded_loop
-from service.twsbr.axes import WheelMeasurement
-from service.twsbr.controller import GRAVITY, TiltController, WheelReturn
-from service.twsbr.handling import RISE_TIMEOUT
-from service.twsbr.kind import bounds
-from service.vehicle_file.file import VehicleFileError, load
 from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import VirtualRunError, record
 from simulation.hidden import UnknownEffectError
@@ -49,6 +42,14 @@ from simulation.twsbr.plant import TwsbrPlant
 from telemetry.channels import TWSBR
 from telemetry.samples import CanFrame
 from telemetry.storage import load as load_recording
+from vehicles import registry
+from vehicles.bounds import OK, Code, Reaction
+from vehicles.file import VehicleFileError, load
+from vehicles.phases import Phase
+from vehicles.twsbr.axes import WheelMeasurement
+from vehicles.twsbr.controller import GRAVITY, TiltController, WheelReturn
+from vehicles.twsbr.handling import RISE_TIMEOUT
+from vehicles.twsbr.kind import bounds
 
 VEHICLE = load("twsbr")
 FILE = Path(VEHICLE.path).read_text()
@@ -303,7 +304,7 @@ def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
     live = [frame for frame in closed.witness.frames if start_ns <= frame.timestamp_ns <= end_ns]
     raw = [frame for frame in closed.raw if start_ns <= frame.timestamp_ns]
     io = assembly.vehicle_io(VEHICLE)
-    rows = rows_from_frames(raw, io, kinds.of(VEHICLE, io), assembly.roll_filter(VEHICLE), start_ns)
+    rows = rows_from_frames(raw, io, registry.kind_of(VEHICLE, io), assembly.roll_filter(VEHICLE), start_ns)
     measured = TWSBR.index_of("drive_age") + 1
     rebuilt = [(row.timestamp_ns, row.values[:measured]) for row in rows if row.timestamp_ns <= end_ns]
     assert len(live) > 4000

@@ -19,9 +19,9 @@ from estimators.fit.problem import problem
 from estimators.identify.run import nominal_model, with_values
 from models.effects.catalogue import find
 from models.library import ACTUATORS, get
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

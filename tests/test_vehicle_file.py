@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from service.vehicle_file.file import VehicleFileError, load, shipped
+from vehicles.file import VehicleFileError, load, shipped
 
-MONOCAB = (Path(__file__).parent.parent / "vehicles" / "monocab.toml").read_text()
+MONOCAB = (Path(__file__).parent.parent / "vehicles" / "monocab" / "vehicle.toml").read_text()
 
 
 def changed(tmp_path: Path, old: str, new: str) -> str:

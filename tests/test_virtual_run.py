@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from service.control import assembly
-from service.control.sequence import Phase
 from service.observer.recorder import Recorder
-from service.vehicle_file.file import load
 from service.virtual.run import ClosedLoop, VirtualRunError, record
 from simulation.config import PlantTruth
 from simulation.hidden import UnknownEffectError
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
+from vehicles.file import load
+from vehicles.phases import Phase
 
 TRUTH = PlantTruth()
 SHORT = 2.0

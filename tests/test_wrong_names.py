@@ -19,9 +19,9 @@ from models.effect import Effect
 from models.effects.catalogue import find
 from models.parts import ModelError
 from models.segment import Segment
-from service.vehicle_file.file import load
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
+from vehicles.file import load
 
 VEHICLE = load("monocab")
 MODEL = with_values(

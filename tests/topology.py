@@ -28,7 +28,7 @@ the page's own timer was seen 0.3 s late, and its signs 0.4 s apart. What 300 ms
 
 def vehicle_text(**durations: float) -> str:
     """The shipped vehicle file with a patient lease, and experiments of these durations, s."""
-    text = (REPOSITORY / "vehicles" / "monocab.toml").read_text()
+    text = (REPOSITORY / "vehicles" / "monocab" / "vehicle.toml").read_text()
     text = text.replace("\n[imu]", f"lease = {LEASE}\n\n[imu]", 1)
     for name, seconds in durations.items():
         head, mark, rest = text.partition(f"[experiments.{name}]")

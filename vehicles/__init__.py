@@ -1,1 +1,1 @@
-"""The vehicle files that ship with upright, read by `service.vehicle_file.file.load`."""
+"""The vehicle files that ship with upright, read by `vehicles.file.load`."""

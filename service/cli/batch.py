@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
-from service.cli.output import check_folder, page, parameter_table, people, print_json
+from service.cli.inputs import fitting, identified_model, load_recording, working
+from service.output import check_folder, page, parameter_table, print_json
 
 if TYPE_CHECKING:
-    from models.model import Model
-    from service.vehicle_file.file import VehicleFile
-    from telemetry.recording import Recording
+    pass
 
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
 VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")]
@@ -77,7 +74,7 @@ def identify(
 
     from estimators.identify.run import identify as run
     from service.offline.machine import is_of, support_of
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     file = load(vehicle)
     subject = identified_model(model, file)
@@ -128,17 +125,6 @@ def identify(
         raise typer.Exit(1)
 
 
-def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
-    """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
-    from estimators.identify.run import nominal_model, with_values
-    from models.file.model_file import load_model
-
-    if name is not None and name.endswith(".toml"):
-        return load_model(name)
-    model = nominal_model(vehicle.vehicle.kind) if name is None else load_model(name)
-    return with_values(model, vehicle.parameters.values, vehicle.parameters.deviations)
-
-
 def truths(options: list[str]) -> dict[str, float]:
     """Name to value of `--truth`."""
     known = {}
@@ -153,25 +139,10 @@ def truths(options: list[str]) -> dict[str, float]:
     return known
 
 
-@contextmanager
-def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
-    """A progress bar over all fits, on stderr."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=people, transient=True) as progress:
-        task = progress.add_task("reading", total=None)
-
-        def told(method: str, label: str, done: int, total: int) -> None:
-            progress.update(task, description=f"{method}: {Path(label).name}", completed=done, total=total)
-
-        yield told
-
-
 def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
     """Run recordings or raw CAN logs through the live estimators again: the same numbers, bit for bit."""
     from service.offline.replay import replay as run
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     file = load(vehicle)
     results = {}
@@ -198,41 +169,3 @@ def convert(
         step(f"writing {target.name}")
         run(load_recording(source, vehicle, as_stamped=True), target)
     page.print(f"{target}: {target.stat().st_size} bytes")
-
-
-def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
-    """A recording of any kind; a file that was cut off is read as far as it goes, and said; so is a fall.
-
-    Time stamps that jitter beside samples that do not are set to their clock, but for those who run a recording again
-    or pass it on, `as_stamped`.
-    """
-    from estimators.data.segments import falls_at
-    from estimators.identify.run import nominal_model
-    from service.offline.replay import load as load_any
-    from service.vehicle_file.file import load
-    from telemetry.clock import by_the_clock
-
-    file = load(vehicle)
-    recording = load_any(path, file)
-    if not as_stamped:
-        recording = by_the_clock(recording)
-    if recording.truncated:
-        people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
-    falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)
-    if falls is not None:
-        why = recording.metadata.get("end_reason", "").rstrip(".")
-        what = f"the vehicle falls {falls:.1f} s after the start{f' ({why})' if why else ''}. No fit uses the rest."
-        people.print(f"[yellow]{path}: {what}[/yellow]")
-    return recording
-
-
-@contextmanager
-def working() -> Iterator[Any]:
-    """A spinner with the present step in words, on stderr."""
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    with Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=people, transient=True
-    ) as progress:
-        task = progress.add_task("reading")
-        yield lambda text: progress.update(task, description=text)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.output import page, people, print_json
+from service.output import page, people, print_json
 
 if TYPE_CHECKING:
     from service.hidden_effects.cases import Grid
@@ -161,7 +161,7 @@ def _grid(
 ) -> Grid:
     """The grid that the options ask for. Raises UnknownEffectError, and BadParameter for what cannot be."""
     from service.hidden_effects.cases import QUICK, Grid
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     base = QUICK if quick else Grid()
     if excitations is not None:

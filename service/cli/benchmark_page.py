@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from service.cli.output import page
+from service.output import page
 
 if TYPE_CHECKING:
     from service.hidden_effects.summary import Figure, Merit, Summary

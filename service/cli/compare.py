@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.output import check_folder, page, people, print_json
+from service.output import check_folder, page, people, print_json
 
 if TYPE_CHECKING:
     from models.model import Model
-    from service.vehicle_file.file import VehicleFile
+    from vehicles.file import VehicleFile
 
 CAD = "CAD"
 
@@ -45,11 +45,11 @@ def compare(
     Each recording is compared by itself. What noise alone would leave is the measure: its size is read from the record.
     """
     from diagnosis.prediction.compare import compare as run
-    from service.cli.batch import load_recording, working
     from service.cli.compare_page import print_comparisons
+    from service.cli.inputs import load_recording, working
     from service.offline.machine import name_of, support_of
     from service.offline.recorded_loop import recorded_loop
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     if picture is not None:
         from diagnosis.report.method_figure import check_suffix
@@ -103,7 +103,7 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
     own where none is given.
     """
     from estimators.contract import EstimationError
-    from service.cli.batch import identified_model
+    from service.cli.inputs import identified_model
     from service.offline.machine import is_of
 
     models: dict[str, Model] = {}

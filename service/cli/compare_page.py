@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from diagnosis.report.sentences import disturbance_text
-from service.cli.output import page
+from service.output import page
 
 if TYPE_CHECKING:
     from diagnosis.prediction.compare import Comparison

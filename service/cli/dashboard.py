@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.output import people
+from service.output import people
 
 
 def register(app: typer.Typer) -> None:
@@ -42,7 +42,7 @@ def dashboard(
     import uvicorn
 
     from service.dashboard.app import Dashboard, Settings
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     if not websocket.startswith(("ws://", "wss://")) or any(sign in websocket for sign in " ;,'\""):
         raise typer.BadParameter("is ws://HOST:PORT or wss://HOST:PORT", param_hint="--websocket")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.output import page, people, print_json
+from service.output import page, people, print_json
 
 if TYPE_CHECKING:
     from diagnosis.diagnose import Diagnosis
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from estimators.budget import Budget
     from models.effect import Effect
     from models.model import Model
-    from service.vehicle_file.file import VehicleFile
     from telemetry.recording import Recording
+    from vehicles.file import VehicleFile
 
 
 SUFFIXES = (".toml", ".py")
@@ -99,11 +99,11 @@ def diagnose(
     from estimators.identify.run import with_values
     from models.effects.catalogue import CATALOGUE
     from models.library import ACTUATORS
-    from service.cli.batch import identified_model, load_recording
+    from service.cli.inputs import identified_model, load_recording
     from service.offline.machine import is_of, name_of, support_of
     from service.offline.next_experiment import suggest_for
     from service.offline.recorded_loop import recorded_loop
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     for target in (auto, report):
         if target is not None and not target.absolute().parent.is_dir():

@@ -18,7 +18,7 @@ from diagnosis.report.sentences import (
     to_within,
     untried_sentence,
 )
-from service.cli.output import page
+from service.output import page
 
 HEADLINES = {
     Verdict.ADEQUATE: ("green", "adequate", "The model explains the recordings {to_within}."),

@@ -21,7 +21,7 @@ from estimators.identify.rows import (
     value_text,
 )
 from estimators.identify.table import Domain
-from service.cli.output import page
+from service.output import page
 
 GAP = 1
 

@@ -12,9 +12,9 @@ from models.model import Model
 from service.cli.diagnose import provenance
 from service.offline.machine import name_of, support_of
 from service.offline.recorded_loop import recorded_loop
-from service.vehicle_file.file import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
+from vehicles.file import VehicleFile
 
 
 def save_report(

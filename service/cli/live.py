@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.output import page, people
+from service.output import page, people
 
 if TYPE_CHECKING:
-    from service.vehicle_file.file import VehicleFile
     from simulation.disturbance import Disturbance
+    from vehicles.file import VehicleFile
 
 VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
 BusOption = Annotated[
@@ -62,16 +62,16 @@ def demo(
     import math
 
     from diagnosis.prediction.compare import compare as compare_models
-    from service.cli.batch import load_recording, working
     from service.cli.compare import estimates_beside, read_models
     from service.cli.compare_page import comparison_table
+    from service.cli.inputs import load_recording, working
     from service.cli.talk import follow
     from service.demo.figure import save_run
     from service.demo.run import run_demo
     from service.demo.story import STORIES
     from service.observer.online_estimators import online_estimators
-    from service.vehicle_file.file import load
     from service.virtual.vehicle import asked_disturbance
+    from vehicles.file import load
 
     file = load(vehicle)
     given, story = file.parameters, STORIES[file.vehicle.kind]
@@ -119,9 +119,9 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
     import math
 
     from estimators.identify.run import identify
-    from service.cli.batch import fitting, identified_model, load_recording
     from service.cli.compare import estimates_beside
     from service.cli.identify_page import print_methods
+    from service.cli.inputs import fitting, identified_model, load_recording
 
     recording = load_recording(path, file.path).between(begin, math.inf)
     cad = file.parameters
@@ -154,9 +154,9 @@ def simulate(
     """
     import threading
 
-    from service.vehicle_file.file import load
     from service.virtual import vehicle as virtual_vehicle
     from simulation.faults import parse_faults
+    from vehicles.file import load
 
     file = load(vehicle)
     drives, imu = buses(file, bus)
@@ -200,9 +200,9 @@ def serve(
 
     from service.control.api import default_socket
     from service.control.daemon import Daemon, Places
-    from service.vehicle_file.file import load
     from service.virtual.serving import BUS, virtual_vehicle_beside
     from service.virtual.vehicle import asked_disturbance
+    from vehicles.file import load
 
     file = load(vehicle)
     if mqtt is not None:

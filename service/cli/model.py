@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from service.cli import model_repair
-from service.cli.output import page, print_json
+from service.output import page, print_json
 
 model = typer.Typer(
     help="Models: their equations, and the physical effects that can be added to them.", no_args_is_help=True
@@ -147,7 +147,7 @@ def new(
     start = library.get(base)
     entry = {"action": "new", "date": _now()}
     if vehicle is not None:
-        from service.vehicle_file.file import load
+        from vehicles.file import load
 
         parameters = load(vehicle).parameters
         known = {parameter.name for parameter in start.parameters}

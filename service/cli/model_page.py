@@ -12,7 +12,7 @@ from rich.text import Text
 from models.model import Model
 from models.parts import Hold, Parameter
 from models.rendering import text
-from service.cli.output import page
+from service.output import page
 
 WIDE = 110
 """Columns that a table of parameters with their meaning takes."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.output import page, print_json
+from service.output import page, print_json
 
 if TYPE_CHECKING:
     from diagnosis.revise.result import Repair
@@ -162,7 +162,7 @@ def drop_test(
     from diagnosis.revise.drop_tests import drop_tests
     from models.file.history import before_fits
     from models.file.model_file import read
-    from service.cli.batch import working
+    from service.cli.inputs import working
 
     model, support = before_fits(read(file)), _support(vehicle)
     loaded = [_load(path, vehicle) for path in recordings]
@@ -186,7 +186,7 @@ def _start(name: str, vehicle: str | None) -> ModelFile:
     model = load_model(name)
     if vehicle is not None:
         from estimators.identify.run import with_values
-        from service.vehicle_file.file import load
+        from vehicles.file import load
 
         parameters = load(vehicle).parameters
         model = with_values(model, parameters.values, parameters.deviations)
@@ -228,7 +228,7 @@ def _repair(
 ) -> Repair:
     from diagnosis.revise.revision import repair
     from models.file.history import before_fits
-    from service.cli.batch import working
+    from service.cli.inputs import working
 
     support = _support(vehicle)
     training, tried = ([_load(path, vehicle) for path in paths] for paths in (recordings, held_out))
@@ -247,13 +247,13 @@ def _repair(
 def _support(vehicle: str | None) -> float | None:
     if vehicle is None:
         return None
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     return load(vehicle).support
 
 
 def _load(path: Path, vehicle: str | None) -> Recording:
-    from service.cli.batch import load_recording
+    from service.cli.inputs import load_recording
     from telemetry.clock import by_the_clock
     from telemetry.storage import load
 

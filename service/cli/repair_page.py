@@ -12,7 +12,7 @@ from diagnosis.report.sentences import disturbance_text
 from diagnosis.revise.drop_tests import DropTest
 from diagnosis.revise.result import Budget, FittedParameter, Repair
 from estimators.numbers import significant
-from service.cli.output import page
+from service.output import page
 
 BAR = 60
 """Columns of the budget's bar."""

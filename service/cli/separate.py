@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.cli.output import people
+from service.output import people
 from telemetry.errors import UprightError
 
 
@@ -23,10 +23,10 @@ def chosen_experiment(
 
     Raises NothingSeparates, and ModelError for an effect that the vehicle's model cannot have.
     """
-    from service.cli.batch import identified_model, load_recording
     from service.cli.diagnose import share_done
+    from service.cli.inputs import identified_model, load_recording
     from service.offline.next_experiment import separating
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     file = load(vehicle)
     loaded = [load_recording(Path(path), vehicle).between(begin, end) for path in recordings]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.output import page, print_json
+from service.output import page, print_json
 
 config = typer.Typer(help="Vehicle files: check them, show them, list every key.", no_args_is_help=True)
 
@@ -25,13 +25,13 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 
     Exit code 1 names the first key that is wrong and the remedy.
     """
-    from service import kinds
     from service.control import assembly
     from service.control.sequence import plan
-    from service.vehicle_file.file import load
+    from vehicles import registry
+    from vehicles.file import load
 
     vehicle = load(file)
-    kind = kinds.of(vehicle, assembly.vehicle_io(vehicle))
+    kind = registry.kind_of(vehicle, assembly.vehicle_io(vehicle))
     pilot = kind.pilot()
     plans = {name: plan(vehicle, name, pilot, kind.angle) for name in vehicle.experiments}
     load_percent = assembly.bus_load(vehicle)
@@ -59,7 +59,7 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config show monocab --json`")
 def show(file: FileArgument, json: JsonOption = False) -> None:
     """Show a vehicle file as it was understood, defaults filled in."""
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     vehicle = load(file)
     if json:
@@ -75,6 +75,6 @@ def show(file: FileArgument, json: JsonOption = False) -> None:
 @config.command(epilog="Example: `upright config schema > vehicle.schema.json`")
 def schema() -> None:
     """Print the JSON Schema of vehicle files: every key, its meaning and unit."""
-    from service.vehicle_file import file as vehicle_file
+    from vehicles import file as vehicle_file
 
     print_json(vehicle_file.schema())

@@ -12,14 +12,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from drivers.cia402.config import DriveConfig, find_eds
 from drivers.cia402.drive import Drive
 from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollFilter, RollFilterConfig
-from service.vehicle_file.sections import DriveSection, VehicleFile
 from telemetry.channels import TABLES, ChannelTable
+from vehicles.drives import drive_config
+from vehicles.sections import VehicleFile
 
 
 @cache
@@ -31,29 +31,6 @@ def version() -> str:
 def channels(vehicle: VehicleFile) -> ChannelTable:
     """The channel table of a vehicle."""
     return TABLES[vehicle.vehicle.kind]
-
-
-def drive_config(vehicle: VehicleFile, drive: DriveSection) -> DriveConfig:
-    """The driver's configuration of one drive."""
-    return DriveConfig(
-        name=drive.name,
-        role=drive.role,
-        node=drive.node,
-        direction=drive.direction,
-        axis_per_turn=drive.axis_per_turn,
-        mode=drive.mode,
-        increments_per_turn=drive.increments_per_turn,
-        velocity_unit_rpm=drive.velocity_unit_rpm,
-        rated_torque=drive.rated_torque,
-        setpoint_resolution=drive.setpoint_resolution,
-        eds=str(find_eds(drive.eds, drive=drive.name, folder=Path(vehicle.path).parent)),
-        vendor_id=drive.vendor_id,
-        product_code=drive.product_code,
-        stop_reaction=drive.stop_reaction,
-        rpdo=tuple(tuple(pdo) for pdo in drive.rpdo),
-        tpdo=tuple(tuple(pdo) for pdo in drive.tpdo),
-        target_velocity_fine_index=drive.target_velocity_fine_index,
-    )
 
 
 def imu_config(vehicle: VehicleFile) -> ImuConfig:

@@ -20,10 +20,11 @@ from typing import Any
 from service.control.api import GONE, ExitCode, Message, result
 from service.control.lease import LOOK, Lease
 from service.control.loop import ControlLoop, Mode
-from service.control.sequence import ExperimentRun, Phase
+from service.control.sequence import ExperimentRun
 from service.observer.client import ObserverClient
 from service.observer.news import News
-from service.vehicle_file.sections import VehicleFile
+from vehicles.phases import Phase
+from vehicles.sections import VehicleFile
 
 PROGRESS_PERIOD = 0.2
 """s between two lines of progress."""

@@ -24,13 +24,13 @@ from service.control.api import ApiServer
 from service.control.commands import Commands
 from service.control.health import HealthReports
 from service.control.loop import QUICK_STOP_TIME, ControlLoop, Mode
+from service.control.mqtt_replies import MqttReplies
 from service.control.notify import Notifier
 from service.control.readiness import drive_states
-from service.mqtt.replies import MqttReplies
 from service.observer.client import ObserverClient
-from service.vehicle_file.file import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame
+from vehicles.file import VehicleFile
 
 RECONNECT_PERIOD = 0.5
 """s between attempts to open a bus that went down, and to set up drives that did not answer."""

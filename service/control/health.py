@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.control import assembly
-from service.vehicle_file.sections import VehicleFile
+from vehicles.sections import VehicleFile
 
 
 class HealthReports:

@@ -16,16 +16,18 @@ from typing import Any, Protocol
 from drivers.bus import BusDown
 from drivers.cia402.drive import Drive
 from drivers.vehicle_io import VehicleIo
-from service import kinds
 from service.control import assembly
 from service.control.notify import Notifier
 from service.control.readiness import interlocks, observation, observe
 from service.control.rows import row
-from service.control.safety import OK, Reaction, Safety, Verdict
-from service.control.sequence import BALANCING, POWERED, UPRIGHT, ExperimentRun, Phase, plan
-from service.kind import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement
-from service.vehicle_file.sections import VehicleFile
+from service.control.safety import Safety
+from service.control.sequence import ExperimentRun, plan
 from telemetry.samples import CanFrame, Frame, ImuSample
+from vehicles import registry
+from vehicles.bounds import OK, Reaction, Verdict
+from vehicles.contract import IDLE, QUICK_STOP, Command, Kind, Lean, Measurement
+from vehicles.phases import BALANCING, POWERED, UPRIGHT, Phase
+from vehicles.sections import VehicleFile
 
 SYNC = 0x080
 HEARTBEAT = 0x700
@@ -86,7 +88,7 @@ class ControlLoop:
     ) -> None:
         self.vehicle = vehicle
         self.io: VehicleIo = assembly.vehicle_io(vehicle)
-        self.kind: Kind[Any] = kinds.of(vehicle, self.io)
+        self.kind: Kind[Any] = registry.kind_of(vehicle, self.io)
         self.mode = Mode.STARTING
         self.code = "starting"
         self.reason = "setting up the drives"

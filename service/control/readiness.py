@@ -10,8 +10,8 @@ from drivers.imu import ImuHealth
 from drivers.vehicle_io import VehicleIo
 from service.control.safety import DriveObservation, Observation
 from service.control.sequence import AT_REST_ANGLE, AT_REST_RATE
-from service.kind import Kind, Lean, Measurement
-from service.vehicle_file.sections import VehicleFile
+from vehicles.contract import Kind, Lean, Measurement
+from vehicles.sections import VehicleFile
 
 FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 

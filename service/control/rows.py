@@ -13,8 +13,8 @@ from typing import Any
 from drivers.cia402.states import State
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollFilter, RollState
-from service.kind import Command, Kind, Measurement
 from telemetry.samples import CanFrame, Frame
+from vehicles.contract import Command, Kind, Measurement
 
 NAN = float("nan")
 UNKNOWN = Command(State.UNKNOWN, NAN, NAN, NAN)

@@ -16,124 +16,18 @@ quick stop leaves a fall of a few degrees at most. The worst is judged first: a 
     upright          not fallen
 
 IMU and drives are the same for every vehicle. What else is watched is data: `Bound`s, which each kind of vehicle makes
-of its limits (`service.monocab.kind`, `service.twsbr.kind`). Every comparison is written so that a NaN fails it.
+of its limits (`vehicles.monocab.kind`, `vehicles.twsbr.kind`). Every comparison is written so that a NaN fails it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import Enum, StrEnum
-from math import degrees, isfinite
 from operator import attrgetter
 from typing import Any
 
 from drivers.imu import ImuHealth
-
-
-class Reaction(Enum):
-    """What a verdict asks for."""
-
-    CONTINUE = "continue"
-    END_EXPERIMENT = "end the experiment in order"
-    STOP_NOW = "quick stop"
-
-
-class Code(StrEnum):
-    """Why, for programs. Some are of one kind of vehicle only."""
-
-    OK = "ok"
-    IMU_SILENT = "imu_silent"
-    IMU_STUCK = "imu_stuck"
-    IMU_OUT_OF_RANGE = "imu_out_of_range"
-    IMU_FORMAT = "imu_format"
-    NOT_FINITE = "not_finite"
-    ROLL = "roll"
-    ROLL_RATE = "roll_rate"
-    TILT = "tilt"
-    TILT_RATE = "tilt_rate"
-    FALLEN = "fallen"
-    DRIVE_SILENT = "drive_silent"
-    DRIVE_EMERGENCY = "drive_emergency"
-    DRIVE_RESTARTED = "drive_restarted"
-    DRIVE_NOT_ENABLED = "drive_not_enabled"
-    SETPOINT = "setpoint"
-    PRECESSION = "precession"
-    PRECESSION_RATE = "precession_rate"
-    GIMBAL_MISMATCH = "gimbal_mismatch"
-    TRIM_POSITION = "trim_position"
-    WHEEL_RATE = "wheel_rate"
-    TRAVEL = "travel"
-    DEADLINE = "deadline"
-    PRECESSION_BUDGET = "precession_budget"
-    TRAVEL_BUDGET = "travel_budget"
-    OBSERVER_GONE = "observer_gone"
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """The answer for one cycle."""
-
-    code: Code
-    reaction: Reaction
-    text: str
-
-
-OK = Verdict(Code.OK, Reaction.CONTINUE, "")
-"""All is well: always this very object."""
-
-
-class When(Enum):
-    """In which part of a run a bound holds; each is within the one before."""
-
-    ALWAYS = "always"
-    ARMED = "armed"
-    BALANCING = "balancing"
-    UPRIGHT = "upright"
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """How people read a quantity: `per_si` of it make one SI unit."""
-
-    name: str
-    per_si: float = 1.0
-    digits: int = 2
-
-
-DEGREES = Unit("deg", degrees(1.0))
-DEGREES_A_SECOND = Unit("deg/s", degrees(1.0))
-
-
-@dataclass(frozen=True, slots=True)
-class Bound:
-    """A quantity of an `Observation` (a dotted name, as in "axes.precession") that must stay within +-`limit` (SI).
-
-    Beyond a bound with `advice` the experiment ends in order, which leaves time to follow it; beyond any other one the
-    vehicle is stopped.
-    """
-
-    code: Code
-    what: str
-    of: str
-    limit: float
-    unit: Unit
-    when: When = When.ARMED
-    advice: str = ""
-
-    def verdict(self, value: float) -> Verdict:
-        """On a `value` (SI) that is not within it."""
-        if not isfinite(value):
-            return _stop(Code.NOT_FINITE, f"{self.what} is {value}, not a number")
-        unit, limit = self.unit, self.limit * self.unit.per_si
-        if self.advice:
-            text = f"{self.what} used up: {value * unit.per_si:.1f} of {limit:g} {unit.name}; {self.advice}"
-            return Verdict(self.code, Reaction.END_EXPERIMENT, text)
-        return _stop(
-            self.code,
-            f"{self.what} of {value * unit.per_si:.{unit.digits}f} {unit.name} is beyond the limit of "
-            f"{limit:.{unit.digits}f} {unit.name}",
-        )
+from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, stop
 
 
 @dataclass(slots=True)
@@ -203,15 +97,13 @@ class Safety:
     def judge(self, seen: Observation) -> Verdict:
         """The verdict on one cycle; `OK` itself, without any allocation, when all is well."""
         if not seen.imu_age <= self._longest_silence:
-            return _stop(
+            return stop(
                 Code.IMU_SILENT,
                 f"no complete IMU frame set for {seen.imu_age * 1e3:.1f} ms, longer than {self.missed_cycles} cycles "
                 f"of {self.period * 1e3:g} ms",
             )
         if seen.imu_health is not ImuHealth.OK:
-            return _stop(
-                _IMU_CODES[seen.imu_health], seen.imu_text or f"the IMU is not usable: {seen.imu_health.value}"
-            )
+            return stop(_IMU_CODES[seen.imu_health], seen.imu_text or f"the IMU is not usable: {seen.imu_health.value}")
         for read, limit, bound in self._always:
             if not -limit <= read(seen) <= limit:
                 return bound.verdict(read(seen))
@@ -229,7 +121,7 @@ class Safety:
             if not -limit <= read(seen) <= limit:
                 return bound.verdict(read(seen))
         if seen.late_cycles >= self.missed_cycles:
-            return _stop(
+            return stop(
                 Code.DEADLINE,
                 f"{seen.late_cycles} control cycles in a row were late for their {self.period * 1e3:g} ms",
             )
@@ -250,17 +142,13 @@ class Safety:
 
     def _drive_fault(self, drive: DriveObservation) -> Verdict:
         if drive.emergency:
-            return _stop(Code.DRIVE_EMERGENCY, f"drive {drive.name} reports: {drive.emergency}")
+            return stop(Code.DRIVE_EMERGENCY, f"drive {drive.name} reports: {drive.emergency}")
         if drive.restarted:
-            return _stop(Code.DRIVE_RESTARTED, f"drive {drive.name} restarted by itself: its set-up is lost")
+            return stop(Code.DRIVE_RESTARTED, f"drive {drive.name} restarted by itself: its set-up is lost")
         if not drive.age <= self._longest_silence:
-            return _stop(
+            return stop(
                 Code.DRIVE_SILENT,
                 f"drive {drive.name} has not answered for {drive.age * 1e3:.1f} ms, longer than "
                 f"{self.missed_cycles} cycles of {self.period * 1e3:g} ms",
             )
-        return _stop(Code.DRIVE_NOT_ENABLED, f"drive {drive.name} left Operation enabled: it is in {drive.state}")
-
-
-def _stop(code: Code, text: str) -> Verdict:
-    return Verdict(code, Reaction.STOP_NOW, text)
+        return stop(Code.DRIVE_NOT_ENABLED, f"drive {drive.name} left Operation enabled: it is in {drive.state}")

@@ -5,21 +5,20 @@
 Every experiment is the whole way, so that each has one verb, one recording, and ends where a person may touch the
 vehicle. `ExperimentRun.step` is called once a control cycle and answers with what the drives shall do now; it knows
 no bus and no clock, only the time that the samples carry. The phases are those of every vehicle; how one gets up,
-balances and gets down is its kind's own (`service.kind.Handling`).
+balances and gets down is its kind's own (`vehicles.contract.Handling`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from math import degrees
 from typing import Any
 
 from drivers.cia402.states import State
-from service.control.excitation import Excitation, make_excitation
-from service.kind import HOLD, IDLE, Command, Handling, Lean, Pilot
-from service.vehicle_file.sections import VehicleFile
-from telemetry.channels import NOTHING_RUNS
+from vehicles.contract import HOLD, IDLE, Command, Handling, Lean, Pilot
+from vehicles.excitation import Excitation, make_excitation
+from vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
+from vehicles.sections import VehicleFile
 
 AT_REST_ANGLE = 0.0175
 """rad (1 deg): how near to a support's angle counts as resting on it."""
@@ -27,57 +26,6 @@ AT_REST_ANGLE = 0.0175
 AT_REST_RATE = 0.01
 """rad/s of that angle."""
 
-
-class Phase(IntEnum):
-    """Where an experiment is; recorded in channel `phase`."""
-
-    NONE = NOTHING_RUNS
-    REST = 1
-    ENABLE = 2
-    CENTRE = 3
-    RISE = 4
-    SETTLE = 5
-    EXCITE = 6
-    FADE = 7
-    LOWER = 8
-    CENTRE_BACK = 9
-    DISABLE = 10
-
-    @property
-    def text(self) -> str:
-        """What a person reads."""
-        return _TEXTS[self]
-
-
-_TEXTS = {
-    Phase.NONE: "nothing runs",
-    Phase.REST: "at rest: the roll filter settles",
-    Phase.ENABLE: "enabling the drives",
-    Phase.CENTRE: "on the support: bringing the drives to the middle",
-    Phase.RISE: "rising from the support",
-    Phase.SETTLE: "upright: settling",
-    Phase.EXCITE: "exciting",
-    Phase.FADE: "excitation over: settling",
-    Phase.LOWER: "lowering onto the support",
-    Phase.CENTRE_BACK: "on the support: bringing the drives back",
-    Phase.DISABLE: "disabling the drives",
-}
-
-DURATIONS = {Phase.REST: 4.0, Phase.SETTLE: 3.0, Phase.FADE: 1.5}
-"""s of the phases that just take their time."""
-
-TIMEOUTS = {Phase.ENABLE: 5.0, Phase.CENTRE: 30.0, Phase.LOWER: 12.0, Phase.CENTRE_BACK: 30.0, Phase.DISABLE: 3.0}
-"""s after which a phase that should have ended counts as failed. ENABLE bears a drive's pause before re-enabling."""
-
-POWERED = frozenset(set(Phase) - {Phase.NONE, Phase.REST, Phase.ENABLE, Phase.DISABLE})
-"""Phases in which every drive must be in Operation enabled."""
-
-BALANCING = frozenset({Phase.RISE, Phase.SETTLE, Phase.EXCITE, Phase.FADE, Phase.LOWER})
-"""Phases off the support."""
-
-
-UPRIGHT = frozenset({Phase.SETTLE, Phase.EXCITE, Phase.FADE})
-"""Phases in which the vehicle is to stay up."""
 
 _NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase.LOWER}
 

@@ -34,9 +34,9 @@ from service.dashboard.charts import CHARTS
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording
 from service.dashboard.units import AMPLITUDE, LIMITS
-from service.vehicle_file.file import VehicleFile
 from telemetry.channels import TABLES
 from telemetry.errors import UprightError
+from vehicles.file import VehicleFile
 
 STATIC = Path(__file__).with_name("static")
 LOCAL = ["localhost", "127.0.0.1", "[::1]"]

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 
 from estimators.recursive import torque_balance
 from service.control import assembly
-from service.control.sequence import Phase
 from service.demo.story import DARK, LIGHT, STORIES, Panel, Story
-from service.vehicle_file.file import VehicleFile
 from telemetry.recording import Recording
+from vehicles.file import VehicleFile
+from vehicles.phases import Phase
 
 PERIOD = 0.25
 """s between two looks at the estimates."""

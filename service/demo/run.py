@@ -15,15 +15,15 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from service.cli.output import missing_effects, page, parameter_table, people
 from service.control import api
 from service.control.daemon import Daemon, Places
 from service.control.loop import Mode
 from service.mqtt.embedded_broker import EmbeddedBroker
-from service.vehicle_file.file import VehicleFile
+from service.output import missing_effects, page, parameter_table, people
 from service.virtual.serving import virtual_vehicle_beside
 from service.virtual.vehicle import usual_disturbance
 from telemetry.errors import UprightError
+from vehicles.file import VehicleFile
 
 BUS = "virtual:upright-demo"
 READY_TIMEOUT = 30.0

@@ -79,7 +79,7 @@ def diagnosis(
     from diagnosis.parts import diagnose_parts
     from estimators.identify.run import with_values
     from models.library import ACTUATORS
-    from service.vehicle_file.file import load
+    from vehicles.file import load
 
     cad = load("monocab").parameters
     actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.library import get
-from service.vehicle_file.file import VehicleFile, load
 from simulation.config import PlantTruth, SimulationConfig
+from vehicles.file import VehicleFile, load
 
 LATENCY = 0.006
 """s of the IMU, as the vehicle file has it: more than the real one may be shorter by, for no IMU tells the future."""

@@ -24,12 +24,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from service.beside import beside
 from service.mqtt.client import GOODBYE_TIME, MqttConfig, MqttConfigError
 from service.mqtt.home_assistant import discovery
 from service.mqtt.payloads import TelemetryBatches, parameters
 from service.mqtt.thread import MqttThread
 from service.observer import link
-from service.observer.beside import beside
 from service.observer.live_prediction import LivePrediction, live_prediction
 from service.observer.news import News
 from service.observer.online_estimators import EstimatorBank, online_estimators

@@ -9,7 +9,7 @@ from __future__ import annotations
 from estimators.contract import EstimationError
 from estimators.identify.run import nominal_model
 from models.model import Model
-from service.vehicle_file.sections import VehicleFile
+from vehicles.sections import VehicleFile
 
 
 def is_of(model: Model, vehicle: VehicleFile) -> bool:

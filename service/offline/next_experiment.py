@@ -6,8 +6,8 @@ which knows no vehicle. How the loop of one kind of vehicle is predicted is in i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from diagnosis.diagnose import Diagnosis, Verdict
@@ -18,12 +18,11 @@ from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime
 from models.model import Model
 from models.parts import ModelError
-from service.control.excitation import ExcitationError, InjectionPoint
-from service.monocab import predicted as monocab
-from service.twsbr import predicted as twsbr
-from service.vehicle_file.sections import VehicleFile
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
+from vehicles import registry
+from vehicles.excitation import ExcitationError, InjectionPoint
+from vehicles.sections import VehicleFile
 
 SMALL = 0.03
 """Share of its typical size at which an effect is looked at to find the size at which it just shows."""
@@ -34,34 +33,9 @@ DETECTABLE = 10.8
 """nats that the smallest effect is worth that is found with 99 % probability at 1 % false alarms: (2 x 2.33)^2 / 2."""
 
 
-@dataclass(frozen=True, slots=True)
-class Prediction:
-    """How the loop of one kind of vehicle is predicted.
-
-    It needs these outputs of a model and gives these inputs; `of` a vehicle file makes what predicts an experiment of
-    it by name. `untold` is what a record that is too poor for a diagnosis tells apart the least. `assumed` is a model
-    with what no recording has told yet of how late the loop's inputs act.
-    """
-
-    needs: frozenset[str]
-    gives: frozenset[str]
-    of: Callable[[Any], Callable[[str], Experiment]]
-    untold: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
-    assumed: Callable[[Model], Model] = lambda model: model
-
-
-PREDICTIONS = {
-    "monocab": Prediction(monocab.NEEDS, monocab.GIVES, monocab.predictor),
-    "twsbr": Prediction(twsbr.NEEDS, twsbr.GIVES, twsbr.predictor, twsbr.UNTOLD, twsbr.assumed),
-}
-"""By kind of vehicle."""
-
-
 def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, str]]:
     """The experiments of a vehicle file that can be predicted, and by name why the others are none."""
-    prediction = PREDICTIONS.get(vehicle.vehicle.kind)
-    if prediction is None:
-        return [], dict.fromkeys(vehicle.experiments, f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet")
+    prediction = registry.of(vehicle.vehicle.kind).prediction()
     predict = prediction.of(vehicle)
     found, left_out = [], {}
     for name, section in vehicle.experiments.items():
@@ -116,7 +90,9 @@ def _suggestion(
     budget: Budget,
 ) -> Mapping[str, Any] | None:
     if diagnosis.verdict is Verdict.INSUFFICIENT_DATA:
-        return _as_json(separating(vehicle, model, _prediction(vehicle, model).untold, progress=progress))
+        return _as_json(
+            separating(vehicle, model, registry.of(vehicle.vehicle.kind).prediction().untold, progress=progress)
+        )
     repaired = diagnosis.repaired
     if repaired is None:
         return None
@@ -155,7 +131,7 @@ def separating(
             bare = bare.remove(name)
     if recordings:
         return suggest(fitted_rivals(bare, recordings, vehicle.support, effects), experiments, progress)
-    bare = _prediction(vehicle, model).assumed(bare)
+    bare = registry.of(vehicle.vehicle.kind).prediction().assumed(bare)
     alone = Rival.assumed(NOTHING_MORE, bare)
     rivals = [_just_visible(bare, name, alone, experiments) for name in effects]
     return suggest(rivals, experiments, progress)
@@ -165,17 +141,9 @@ def _as_json(choice: Choice) -> Mapping[str, Any] | None:
     return choice.best.to_json() if choice.best is not None else None
 
 
-def _prediction(vehicle: VehicleFile, model: Model) -> Prediction:
-    prediction = PREDICTIONS.get(vehicle.vehicle.kind)
-    if prediction is None:
-        what = f"the loop of a {vehicle.vehicle.kind} cannot be predicted yet"
-        raise ModelError(f"model {model.name}", what, remedy="choose the next experiment by hand.")
-    return prediction
-
-
 def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
     """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
-    prediction = _prediction(vehicle, model)
+    prediction = registry.of(vehicle.vehicle.kind).prediction()
     lacking = prediction.needs - {each.name for each in model.outputs}
     lacking |= {each.name for each in model.inputs if each.usual is None} - prediction.gives
     if lacking:

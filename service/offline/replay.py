@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 
 from estimators.budget import UNLIMITED, Budget
-from service import kinds
 from service.control import assembly
 from service.control.rows import rows_from_frames
 from service.observer.online_estimators import EstimatorBank, online_estimators
 from service.offline import export
-from service.vehicle_file.file import VehicleFile
 from telemetry import storage
 from telemetry.candump import CandumpReader
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from vehicles import registry
+from vehicles.file import VehicleFile
 
 AGE = "drive_age"
 """The channels after this one, reference, excitation and phase, were never on the bus."""
@@ -72,7 +72,7 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
     channels = assembly.channels(vehicle)
     io = assembly.vehicle_io(vehicle)
     log = CandumpReader(path)
-    rows = list(rows_from_frames(log, io, kinds.of(vehicle, io), assembly.roll_filter(vehicle)))
+    rows = list(rows_from_frames(log, io, registry.kind_of(vehicle, io), assembly.roll_filter(vehicle)))
     if not rows:
         raise RecordingError(str(path), "", f"no row can be made of its frames: {_missing(io)}", remedy=_CHECK)
     table = np.array([row.values for row in rows], dtype=np.float64)

@@ -21,8 +21,6 @@ from drivers.cia402.nmt import NmtCommand, command_frame
 from service.control import assembly
 from service.control.loop import ControlLoop, Mode
 from service.control.notify import Notifier
-from service.control.sequence import DURATIONS, TIMEOUTS
-from service.vehicle_file.file import VehicleFile, load
 from service.virtual import vehicle as virtual_vehicle
 from simulation.config import SimulationConfig
 from simulation.faults import parse_faults
@@ -30,6 +28,8 @@ from simulation.vehicle import VirtualVehicle
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame, Frame
+from vehicles.file import VehicleFile, load
+from vehicles.phases import DURATIONS, TIMEOUTS
 
 Configure = Callable[[SimulationConfig], SimulationConfig]
 

@@ -16,10 +16,10 @@ from typing import Any
 import can
 
 from drivers.bus_address import connect
-from service.vehicle_file.sections import VehicleFile
 from service.virtual import vehicle as virtual_vehicle
 from simulation import runner
 from simulation.disturbance import Disturbance
+from vehicles.sections import VehicleFile
 
 BUS = "virtual:upright-virtual"
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 from drivers.bus_address import connect
 from drivers.cia402.config import find_eds
-from service.vehicle_file.sections import VehicleFile
 from simulation import runner
 from simulation.config import DriveNode, ImuNode, PlantTruth, SimulationConfig, Truth
 from simulation.disturbance import Disturbance
@@ -21,6 +20,7 @@ from simulation.faults import Fault
 from simulation.hidden import parse_disturbance, parse_hidden, parse_narrow_band
 from simulation.runner import RunStatistics
 from simulation.twsbr.truth import TwsbrTruth
+from vehicles.sections import VehicleFile
 
 
 @dataclass(frozen=True, slots=True)

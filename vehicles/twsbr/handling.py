@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import copysign, degrees
 
 from drivers.cia402.states import State
-from service.kind import HOLD, Command, Lean
-from service.twsbr.axes import WheelMeasurement, Wheels
-from service.twsbr.controller import TiltController
+from vehicles.contract import HOLD, Command, Lean
+from vehicles.twsbr.axes import WheelMeasurement, Wheels
+from vehicles.twsbr.controller import TiltController
 
 UPRIGHT = 0.035
 """rad (2 deg) of tilt, either way, within which the robot counts as up."""

@@ -26,8 +26,8 @@ from math import cos, expm1, log, pi, sin, sqrt
 
 import numpy as np
 
-from service.vehicle_file.sections import ExperimentSection
 from telemetry.errors import UprightError
+from vehicles.sections import ExperimentSection
 
 LONGEST_RAMP = 1.0
 """s over which a signal is faded in and out, or a tenth of its duration where that is shorter."""
@@ -59,7 +59,7 @@ class InjectionPoint(StrEnum):
 class Excitation:
     """A signal of `duration` seconds and at most +-`peak` at an injection point, faded in and out over `ramp` seconds.
 
-    The step is one that happens before the vehicle is upright (`service.monocab.rise.RiseFromRest` plays it, `peak`
+    The step is one that happens before the vehicle is upright (`vehicles.monocab.rise.RiseFromRest` plays it, `peak`
     being its size), so its value here is zero.
     """
 

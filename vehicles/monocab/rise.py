@@ -16,7 +16,7 @@ from enum import Enum
 from math import copysign, cos, degrees, pi
 
 from models.monocab import MonocabParameters
-from service.monocab.controller import RollController
+from vehicles.monocab.controller import RollController
 
 LIFT_OFF = 0.005
 """rad (0.3 deg) of roll away from rest that count as lifted off."""

@@ -22,12 +22,12 @@ import numpy as np
 
 from diagnosis.prediction.closed_loop import Controller, Limit
 from diagnosis.prediction.closed_loop_error import Loop
-from service.control.assembly import drive_config
-from service.control.excitation import InjectionPoint
-from service.control.sequence import Phase
-from service.twsbr.controller import TiltController
-from service.twsbr.file import TwsbrFile
 from telemetry.recording import Recording
+from vehicles.drives import drive_config
+from vehicles.excitation import InjectionPoint
+from vehicles.phases import Phase
+from vehicles.twsbr.controller import TiltController
+from vehicles.twsbr.file import TwsbrFile
 
 TILT = ("tilt", "tilt_rate")
 WHEELS = ("left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate")

@@ -1,7 +1,7 @@
 """The vehicle file: everything about one vehicle that is not code (TOML, checked by pydantic).
 
 `load("monocab")` reads a shipped file, `load("path/to/file.toml")` one of the user's own. Whatever is wrong ends in a
-`VehicleFileError` that names the file, the key and the remedy. The sections are in `service.vehicle_file.sections`,
+`VehicleFileError` that names the file, the key and the remedy. The sections are in `vehicles.sections`,
 those of one kind of vehicle in its own `file` module.
 """
 
@@ -10,19 +10,17 @@ from __future__ import annotations
 import difflib
 import hashlib
 import tomllib
+from functools import reduce
 from importlib import resources
+from operator import or_
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from service.monocab.file import MonocabFile
-from service.twsbr.file import TwsbrFile
-from service.vehicle_file.sections import DriveSection, ExperimentSection, VehicleFile
 from telemetry.errors import UprightError
-
-FILES: dict[str, type[VehicleFile]] = {"monocab": MonocabFile, "twsbr": TwsbrFile}
-"""What a file must hold, by the kind of vehicle."""
+from vehicles import registry
+from vehicles.sections import DriveSection, ExperimentSection, VehicleFile
 
 __all__ = ["DriveSection", "ExperimentSection", "VehicleFile", "VehicleFileError", "load", "schema", "shipped"]
 
@@ -38,7 +36,12 @@ class VehicleFileError(UprightError):
 
 def shipped() -> list[str]:
     """Names of the vehicle files that ship with upright."""
-    return sorted(entry.name[:-5] for entry in resources.files("vehicles").iterdir() if entry.name.endswith(".toml"))
+    return list(registry.names())
+
+
+def shipped_file(name: str) -> Path:
+    """The vehicle file that ships with upright under this name."""
+    return Path(str(resources.files("vehicles") / name / "vehicle.toml"))
 
 
 def load(name_or_path: str) -> VehicleFile:
@@ -49,7 +52,7 @@ def load(name_or_path: str) -> VehicleFile:
     """
     path = Path(name_or_path)
     if path.suffix != ".toml" and name_or_path in shipped():
-        path = Path(str(resources.files("vehicles") / f"{name_or_path}.toml"))
+        path = shipped_file(name_or_path)
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -68,7 +71,8 @@ def load(name_or_path: str) -> VehicleFile:
 
 def schema() -> dict[str, Any]:
     """The JSON Schema of vehicle files, of every kind."""
-    return TypeAdapter(MonocabFile | TwsbrFile).json_schema()
+    kinds = [registry.of(name).file for name in registry.names()]
+    return TypeAdapter(reduce(or_, kinds)).json_schema()
 
 
 def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
@@ -78,7 +82,8 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
     section = table.get("vehicle")
     name = section.get("kind") if isinstance(section, dict) else None
     # What the file says of its kind, if that is wrong, is found like any other mistake in it.
-    kind = FILES.get(str(name), MonocabFile)
+    known = registry.names()
+    kind = registry.of(name if name in known else known[0]).file
     try:
         return kind.model_validate({**table, "path": file, "configuration_hash": digest})
     except ValidationError as error:

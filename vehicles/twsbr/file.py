@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from pydantic import model_validator
 
-from service.vehicle_file.sections import (
+from vehicles.sections import (
     ControllerSection,
     LimitsSection,
     NotNegative,

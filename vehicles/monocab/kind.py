@@ -9,15 +9,15 @@ from typing import Any
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_design import RollDesign
-from service.control.excitation import Excitation, InjectionPoint
-from service.control.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
-from service.kind import Command, Lean
-from service.monocab.axes import GimbalMeasurement, Gimbals
-from service.monocab.controller import RollController, design
-from service.monocab.file import MonocabFile
-from service.monocab.handling import GimbalHandling
-from service.monocab.rise import RiseFromRest, rise_rate
 from telemetry.channels import MONOCAB, ChannelTable
+from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
+from vehicles.contract import Command, Lean
+from vehicles.excitation import Excitation, InjectionPoint
+from vehicles.monocab.axes import GimbalMeasurement, Gimbals
+from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.file import MonocabFile
+from vehicles.monocab.handling import GimbalHandling
+from vehicles.monocab.rise import RiseFromRest, rise_rate
 
 RATE_MARGIN = 1.5
 """How far the measured precession rate may exceed the setpoint's limit: the speed loop overshoots a little."""

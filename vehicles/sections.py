@@ -1,6 +1,6 @@
 """The sections of a vehicle file that all kinds of vehicle share, as pydantic models.
 
-What a kind adds is in its own `file` module (`service.monocab.file`, `service.twsbr.file`). Units are SI unless a key
+What a kind adds is in its own `file` module (`vehicles.monocab.file`, `vehicles.twsbr.file`). Units are SI unless a key
 ends in `_deg` or `_rpm`.
 """
 
@@ -30,7 +30,7 @@ class VehicleSection(Section):
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
     """Name in MQTT topics, recordings and the control socket."""
     kind: Literal["monocab", "twsbr"]
-    """What the vehicle is: chooses its channels, model, controller and way of getting up; see `service.kinds`."""
+    """What the vehicle is: chooses its channels, model, controller and way of getting up; see `vehicles.registry`."""
     description: str = ""
 
 

@@ -1,7 +1,7 @@
 """What differs between kinds of vehicle, as the code that they share sees it: four small interfaces.
 
-The vehicle file's `kind` chooses (`service.kinds`). Everything else in the daemon, from the bus to the recorder, is the
-same code for every vehicle, and asks
+The vehicle file's `kind` chooses (`vehicles.registry`). Everything else in the daemon, from the bus to the recorder, is
+the same code for every vehicle, and asks
 
     Kind        what do the drives' values mean, about which axis does it fall, what are its limits, what is recorded?
     Pilot       how is its controller designed?
@@ -13,14 +13,23 @@ same code for every vehicle, and asks
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from drivers.cia402.states import State
+from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from service.control.excitation import Excitation
-from service.control.safety import Bound
 from telemetry.channels import ChannelTable
+from vehicles.bounds import Bound
+from vehicles.excitation import Excitation
+from vehicles.sections import VehicleFile
+
+if TYPE_CHECKING:
+    from diagnosis.prediction.closed_loop import Experiment
+    from diagnosis.prediction.closed_loop_error import Loop
+    from models.model import Model
+    from telemetry.recording import Recording
 
 
 class Measurement(Protocol):
@@ -141,3 +150,34 @@ class Kind(Protocol[M]):
     def pilot(self) -> Pilot[M]:
         """The controller, designed from the vehicle file. Raises ControlDesignError."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """How the loop of one kind of vehicle is predicted.
+
+    It needs these outputs of a model and gives these inputs; `of` a vehicle file makes what predicts an experiment of
+    it by name. `untold` is what a record that is too poor for a diagnosis tells apart the least. `assumed` is a model
+    with what no recording has told yet of how late the loop's inputs act.
+    """
+
+    needs: frozenset[str]
+    gives: frozenset[str]
+    of: Callable[[Any], Callable[[str], Experiment]]
+    untold: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
+    assumed: Callable[[Model], Model] = lambda model: model
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleKind:
+    """All that is one kind of vehicle's own.
+
+    `file`: what its vehicle file holds; `kind` makes it of that and of its drivers. `recorded_loop`: what closed the
+    loop of a recording from the first row of its excitation on, or why it is not known, in words; `prediction`: how
+    that loop is predicted. Both import what they need when they are asked: the control process asks neither.
+    """
+
+    file: type[VehicleFile]
+    kind: Callable[[Any, VehicleIo], Kind[Any]]
+    recorded_loop: Callable[[Any, Recording], Loop | str]
+    prediction: Callable[[], Prediction]

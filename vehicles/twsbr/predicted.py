@@ -14,11 +14,11 @@ from math import degrees, radians
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
 from models.model import Model
-from service.control.excitation import Excitation, ExcitationError, make_excitation
-from service.control.sequence import DURATIONS, Phase
-from service.twsbr.controller import TiltController
-from service.twsbr.file import TwsbrFile
-from service.vehicle_file.sections import ExperimentSection
+from vehicles.excitation import Excitation, ExcitationError, make_excitation
+from vehicles.phases import DURATIONS, Phase
+from vehicles.sections import ExperimentSection
+from vehicles.twsbr.controller import TiltController
+from vehicles.twsbr.file import TwsbrFile
 
 NEEDS = frozenset({"tilt", "tilt_rate", "left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate"})
 """Outputs of a model that the controller needs."""

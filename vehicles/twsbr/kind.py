@@ -8,14 +8,14 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from service.control.excitation import Excitation
-from service.control.safety import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
-from service.kind import Command, Lean
-from service.twsbr.axes import WheelMeasurement, Wheels
-from service.twsbr.controller import TiltController
-from service.twsbr.file import TwsbrFile
-from service.twsbr.handling import WheelHandling
 from telemetry.channels import TWSBR, ChannelTable
+from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
+from vehicles.contract import Command, Lean
+from vehicles.excitation import Excitation
+from vehicles.twsbr.axes import WheelMeasurement, Wheels
+from vehicles.twsbr.controller import TiltController
+from vehicles.twsbr.file import TwsbrFile
+from vehicles.twsbr.handling import WheelHandling
 
 VOLTS, METRES, RADIANS_A_SECOND = Unit("V"), Unit("m", digits=3), Unit("rad/s", digits=1)
 

@@ -6,10 +6,10 @@ from math import copysign
 
 from drivers.cia402.states import State
 from models.monocab import MonocabParameters
-from service.kind import Command, Lean
-from service.monocab.axes import GimbalMeasurement
-from service.monocab.controller import RollController
-from service.monocab.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
+from vehicles.contract import Command, Lean
+from vehicles.monocab.axes import GimbalMeasurement
+from vehicles.monocab.controller import RollController
+from vehicles.monocab.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
 
 CENTRE_RATE = 0.08
 """rad/s: 264 N m at 3300 N m s, a quarter of what would lift the vehicle off the support."""

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from math import degrees, radians
 
-from service.twsbr.file import TwsbrFile
+from vehicles.twsbr.file import TwsbrFile
 
 GRAVITY = 9.81
 """m/s^2."""

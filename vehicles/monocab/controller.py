@@ -29,7 +29,7 @@ from math import radians
 
 from models.control_design import LqiGains, LqiWeights, RollDesign, design_roll_controller
 from models.monocab import MonocabParameters
-from service.monocab.file import MonocabFile
+from vehicles.monocab.file import MonocabFile
 
 WINDUP_TIME = 0.1
 """s in which back-calculation takes from the integral what the limits keep from the setpoint."""

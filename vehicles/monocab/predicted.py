@@ -9,10 +9,10 @@ from math import degrees, expm1, radians
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
 from models.control_design import RollDesign
-from service.control.excitation import Excitation, ExcitationError, make_excitation
-from service.monocab.controller import RollController, design
-from service.monocab.file import MonocabFile
-from service.vehicle_file.sections import ExperimentSection
+from vehicles.excitation import Excitation, ExcitationError, make_excitation
+from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.file import MonocabFile
+from vehicles.sections import ExperimentSection
 
 NEEDS = frozenset({"roll", "roll_rate"})
 """Outputs of a model that the controller needs."""

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from pydantic import model_validator
 
-from service.vehicle_file.sections import (
+from vehicles.sections import (
     ControllerSection,
     LimitsSection,
     NotNegative,
@@ -66,7 +66,7 @@ class MonocabCad(ParametersSection):
 
 
 class MonocabController(ControllerSection):
-    """Weights of the LQI design, and the lean that brings the gimbals back; see `service.monocab.controller`."""
+    """Weights of the LQI design, and the lean that brings the gimbals back; see `vehicles.monocab.controller`."""
 
     roll_weight: Positive
     roll_rate_weight: NotNegative

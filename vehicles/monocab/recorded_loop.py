@@ -25,12 +25,12 @@ from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import RUN_IN
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models.control_design import RollDesign
-from service.control.excitation import InjectionPoint
-from service.control.sequence import Phase
-from service.monocab.controller import RollController, design
-from service.monocab.file import MonocabFile
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
+from vehicles.excitation import InjectionPoint
+from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.file import MonocabFile
+from vehicles.phases import Phase
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,79 @@
+"""What commands read, and how they show that they are at it: recordings, models, a bar or a spinner on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from service.output import people
+
+if TYPE_CHECKING:
+    from models.model import Model
+    from telemetry.recording import Recording
+    from vehicles.file import VehicleFile
+
+
+def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
+    """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
+    from estimators.identify.run import nominal_model, with_values
+    from models.file.model_file import load_model
+
+    if name is not None and name.endswith(".toml"):
+        return load_model(name)
+    model = nominal_model(vehicle.vehicle.kind) if name is None else load_model(name)
+    return with_values(model, vehicle.parameters.values, vehicle.parameters.deviations)
+
+
+def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
+    """A recording of any kind; a file that was cut off is read as far as it goes, and said; so is a fall.
+
+    Time stamps that jitter beside samples that do not are set to their clock, but for those who run a recording again
+    or pass it on, `as_stamped`.
+    """
+    from estimators.data.segments import falls_at
+    from estimators.identify.run import nominal_model
+    from service.offline.replay import load as load_any
+    from telemetry.clock import by_the_clock
+    from vehicles.file import load
+
+    file = load(vehicle)
+    recording = load_any(path, file)
+    if not as_stamped:
+        recording = by_the_clock(recording)
+    if recording.truncated:
+        people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
+    falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)
+    if falls is not None:
+        why = recording.metadata.get("end_reason", "").rstrip(".")
+        what = f"the vehicle falls {falls:.1f} s after the start{f' ({why})' if why else ''}. No fit uses the rest."
+        people.print(f"[yellow]{path}: {what}[/yellow]")
+    return recording
+
+
+@contextmanager
+def working() -> Iterator[Any]:
+    """A spinner with the present step in words, on stderr."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    with Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=people, transient=True
+    ) as progress:
+        task = progress.add_task("reading")
+        yield lambda text: progress.update(task, description=text)
+
+
+@contextmanager
+def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
+    """A progress bar over all fits, on stderr."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=people, transient=True) as progress:
+        task = progress.add_task("reading", total=None)
+
+        def told(method: str, label: str, done: int, total: int) -> None:
+            progress.update(task, description=f"{method}: {Path(label).name}", completed=done, total=total)
+
+        yield told

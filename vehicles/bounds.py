@@ -1,0 +1,117 @@
+"""What is watched of a vehicle beyond IMU and drives, and what a safety verdict says: bounds as data, codes,
+reactions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from math import degrees, isfinite
+
+
+class Reaction(Enum):
+    """What a verdict asks for."""
+
+    CONTINUE = "continue"
+    END_EXPERIMENT = "end the experiment in order"
+    STOP_NOW = "quick stop"
+
+
+class Code(StrEnum):
+    """Why, for programs. Some are of one kind of vehicle only."""
+
+    OK = "ok"
+    IMU_SILENT = "imu_silent"
+    IMU_STUCK = "imu_stuck"
+    IMU_OUT_OF_RANGE = "imu_out_of_range"
+    IMU_FORMAT = "imu_format"
+    NOT_FINITE = "not_finite"
+    ROLL = "roll"
+    ROLL_RATE = "roll_rate"
+    TILT = "tilt"
+    TILT_RATE = "tilt_rate"
+    FALLEN = "fallen"
+    DRIVE_SILENT = "drive_silent"
+    DRIVE_EMERGENCY = "drive_emergency"
+    DRIVE_RESTARTED = "drive_restarted"
+    DRIVE_NOT_ENABLED = "drive_not_enabled"
+    SETPOINT = "setpoint"
+    PRECESSION = "precession"
+    PRECESSION_RATE = "precession_rate"
+    GIMBAL_MISMATCH = "gimbal_mismatch"
+    TRIM_POSITION = "trim_position"
+    WHEEL_RATE = "wheel_rate"
+    TRAVEL = "travel"
+    DEADLINE = "deadline"
+    PRECESSION_BUDGET = "precession_budget"
+    TRAVEL_BUDGET = "travel_budget"
+    OBSERVER_GONE = "observer_gone"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The answer for one cycle."""
+
+    code: Code
+    reaction: Reaction
+    text: str
+
+
+OK = Verdict(Code.OK, Reaction.CONTINUE, "")
+"""All is well: always this very object."""
+
+
+class When(Enum):
+    """In which part of a run a bound holds; each is within the one before."""
+
+    ALWAYS = "always"
+    ARMED = "armed"
+    BALANCING = "balancing"
+    UPRIGHT = "upright"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """How people read a quantity: `per_si` of it make one SI unit."""
+
+    name: str
+    per_si: float = 1.0
+    digits: int = 2
+
+
+DEGREES = Unit("deg", degrees(1.0))
+DEGREES_A_SECOND = Unit("deg/s", degrees(1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A quantity of an `Observation` (a dotted name, as in "axes.precession") that must stay within +-`limit` (SI).
+
+    Beyond a bound with `advice` the experiment ends in order, which leaves time to follow it; beyond any other one the
+    vehicle is stopped.
+    """
+
+    code: Code
+    what: str
+    of: str
+    limit: float
+    unit: Unit
+    when: When = When.ARMED
+    advice: str = ""
+
+    def verdict(self, value: float) -> Verdict:
+        """On a `value` (SI) that is not within it."""
+        if not isfinite(value):
+            return stop(Code.NOT_FINITE, f"{self.what} is {value}, not a number")
+        unit, limit = self.unit, self.limit * self.unit.per_si
+        if self.advice:
+            text = f"{self.what} used up: {value * unit.per_si:.1f} of {limit:g} {unit.name}; {self.advice}"
+            return Verdict(self.code, Reaction.END_EXPERIMENT, text)
+        return stop(
+            self.code,
+            f"{self.what} of {value * unit.per_si:.{unit.digits}f} {unit.name} is beyond the limit of "
+            f"{limit:.{unit.digits}f} {unit.name}",
+        )
+
+
+def stop(code: Code, text: str) -> Verdict:
+    return Verdict(code, Reaction.STOP_NOW, text)

@@ -1,0 +1,41 @@
+"""The kinds of vehicle that there are: each folder beside this file that has a `vehicle` module is one.
+
+    registry.of("monocab").recorded_loop(vehicle, recording)
+
+A further kind is a further folder; nothing here, nor anywhere else, names one.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from pkgutil import iter_modules
+from typing import Any
+
+import vehicles
+from drivers.vehicle_io import VehicleIo
+from vehicles.contract import Kind, VehicleKind
+from vehicles.sections import VehicleFile
+
+
+@cache
+def names() -> tuple[str, ...]:
+    """Of all kinds, as a vehicle file's `kind` has them."""
+    folders = sorted(each.name for each in iter_modules(vehicles.__path__) if each.ispkg)
+    return tuple(each for each in folders if find_spec(f"vehicles.{each}.vehicle"))
+
+
+@cache
+def of(name: str) -> VehicleKind:
+    """The kind with this name. Raises KeyError."""
+    if name not in names():
+        raise KeyError(name)
+    found = import_module(f"vehicles.{name}.vehicle").KIND
+    assert isinstance(found, VehicleKind)
+    return found
+
+
+def kind_of(vehicle: VehicleFile, io: VehicleIo) -> Kind[Any]:
+    """The kind of a vehicle, with its drivers."""
+    return of(vehicle.vehicle.kind).kind(vehicle, io)
