@@ -23,12 +23,12 @@ from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.parts import diagnose_parts
 from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
-from models.library import ACTUATORS
 from service.cli.diagnose import default_budget
 from service.hidden_effects.trial import Bench
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
 from telemetry.errors import UprightError
+from vehicles import registry
 from vehicles.file import load
 
 LEARNED = "gyro_bias"
@@ -64,7 +64,7 @@ def tried(effect: str, times: Sequence[float], seed: int, duration: float, corre
     vehicle = load(VEHICLE)
     cad, hide = vehicle.parameters, LEVELS.get(effect, effect)
     model = Bench().nominal
-    actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS[VEHICLE]]
+    actuators = [with_values(each, cad.values, cad.deviations) for each in registry.of(VEHICLE).models().actuators]
     still = record(VEHICLE, "multisine", hide=[hide], seed=seed, duration=duration)
     own = prediction_error(model, [still], support=vehicle.support).disturbance[0].std or 0.0
     answers = []

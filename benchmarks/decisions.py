@@ -34,10 +34,9 @@ from benchmarks import free_decays, measured_verdicts, others_recordings
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.gates import Round, Tried, Unseen, decide, gated
 from diagnosis.parts import diagnose_parts
-from estimators.identify.run import nominal_model, with_values
 from models.effect import Effect, Family
 from models.effects.catalogue import CATALOGUE
-from models.library import ACTUATORS
+from models.model import Model
 from service.hidden_effects.cases import pairs
 from service.hidden_effects.vehicles import drawn
 from service.virtual.run import record
@@ -46,6 +45,7 @@ from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
 from telemetry.clock import by_the_clock
 from telemetry.csv_file import read_csv
 from telemetry.errors import UprightError
+from vehicles import registry
 from vehicles.file import load
 
 HERE = Path(__file__).parent
@@ -127,6 +127,13 @@ def _monocabs() -> Iterator[Case]:
             yield _monocab(f"monocab {how} {name} of the demo", {name: DEMO.get(name, 1.0)}, shaken, SEED + 1)
 
 
+def bare(model: Model) -> Model:
+    """`model` without the effects that identification assumes: these are to be found."""
+    for each in model.effects:
+        model = model.remove(each.name)
+    return model
+
+
 DEMO: Mapping[str, float] = {"backlash": 0.02, "load_dependent_friction": 0.05, "gyro_bias": 1.0}
 """Levels, where that of the demo stops the vehicle."""
 
@@ -134,12 +141,10 @@ DEMO: Mapping[str, float] = {"backlash": 0.02, "load_dependent_friction": 0.05, 
 def _monocab(name: str, levels: Mapping[str, float], shaken: bool, seed: int) -> Case:
     def diagnosed() -> Diagnosis:
         vehicle, known = drawn(seed), load("monocab")
-        cad = known.parameters
         hide = [*(f"{each}={level:g}" for each, level in levels.items()), *([SHAKEN] if shaken else [])]
         run = record(vehicle.file, "multisine", hide=hide, seed=seed, duration=30.0, configure=vehicle.configured)
-        own = with_values(nominal_model("monocab").remove("static_torque"), cad.values, cad.deviations)
-        actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]
-        return diagnose_parts(own, actuators, [run], support=known.support)
+        models = registry.models_of(known)
+        return diagnose_parts(bare(models.nominal), models.actuators, [run], support=known.support)
 
     return Case(name, tuple(levels), any(each in UNLISTED for each in levels), diagnosed)
 
@@ -161,7 +166,7 @@ def _robot(name: str, hidden: str, level: float, seed: int) -> Case:
     def diagnosed() -> Diagnosis:
         known = load("twsbr")
         hide = [each for each in (hidden, f"disturbance={level:g}" if level else "") if each]
-        model = with_values(nominal_model("twsbr"), known.parameters.values, known.parameters.deviations)
+        model = bare(registry.models_of(known).nominal)
         return diagnose(model, [record("twsbr", "square", hide=hide, seed=seed)], support=known.support)
 
     names = (AS_NAMED.get(hidden, hidden),) if hidden else ()
@@ -178,13 +183,11 @@ def _of_others() -> Iterator[Case]:
 def _others_diagnosed(how: Mapping[str, Any]) -> Callable[[], Diagnosis]:
     def diagnosed() -> Diagnosis:
         known = load("monocab")
-        cad = known.parameters
         with tempfile.TemporaryDirectory() as folder:
             vehicle = others_recordings.OthersVehicle(rate=200, noise=5.0, sweep=False, seed=SEED, **how)
             run = by_the_clock(read_csv(vehicle.write(Path(folder) / "table.csv")))
-        own = with_values(nominal_model("monocab").remove("static_torque"), cad.values, cad.deviations)
-        actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]
-        return diagnose_parts(own, actuators, [run], support=known.support)
+        models = registry.models_of(known)
+        return diagnose_parts(bare(models.nominal), models.actuators, [run], support=known.support)
 
     return diagnosed
 

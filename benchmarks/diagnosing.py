@@ -23,11 +23,12 @@ from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
 from service.virtual.run import record
 from telemetry.recording import Recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -20,7 +20,7 @@ import numpy as np
 
 from estimators.methods.prediction_error import prediction_error
 from service.hidden_effects.cases import Case
-from service.hidden_effects.disturbances import DRAWN
+from service.hidden_effects.disturbances import drawn_for
 from service.hidden_effects.trial import WITHIN_95, Bench, disturbance_of
 from service.hidden_effects.vehicles import drawn
 from vehicles.file import load
@@ -54,7 +54,7 @@ class Record:
 
 def tried(number: int, excitation: str, duration: float) -> Record:
     """The record with this number."""
-    bench, case = Bench(duration=duration, disturbances=DRAWN["monocab"]), Case((), 0.0, 1.0, excitation, number)
+    bench, case = Bench(duration=duration, disturbances=drawn_for("monocab")), Case((), 0.0, 1.0, excitation, number)
     vehicle = drawn(case.seed("vehicle"))
     true, _ = disturbance_of(case, bench, vehicle)
     assert true is not None

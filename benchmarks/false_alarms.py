@@ -24,15 +24,16 @@ from diagnosis.score.score_test import screen
 from diagnosis.score.whitened import Whitened
 from estimators.data.segments import after_settling
 from estimators.fit.maximum_likelihood import fit
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.model import Model
-from service.hidden_effects.disturbances import DRAWN, Disturbances, parse_disturbances, sensor_floor
+from service.hidden_effects.disturbances import Disturbances, drawn_for, parse_disturbances, sensor_floor
 from service.hidden_effects.vehicles import drawn
 from service.virtual.run import record
-from service.virtual.vehicle import TWINS
 from simulation.config import ImuNode, Truth
 from telemetry.recording import Recording
+from vehicles import registry
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 LEVELS = (0.01, 0.05, 0.2, 0.5)
 EXPERIMENTS = {"monocab": "multisine", "twsbr": "square"}
@@ -50,7 +51,7 @@ def bare(name: str) -> Model:
 def clean(name: str, experiment: str, disturbances: Disturbances | None, seed: int) -> Recording:
     """A recording with nothing missing: of the MONOCAB that this seed draws, or of another vehicle as it is."""
     if name != "monocab":
-        return record(name, experiment, hide=shaken(disturbances, TWINS[name].truth, seed), seed=seed)
+        return record(name, experiment, hide=shaken(disturbances, registry.of(name).twin().truth, seed), seed=seed)
     vehicle = drawn(seed)
     hide = shaken(disturbances, vehicle.plant, seed)
     return record(vehicle.file, experiment, hide=hide, seed=seed, configure=vehicle.configured)
@@ -113,7 +114,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     try:
-        disturbances = parse_disturbances(arguments.disturbance, DRAWN[arguments.vehicle])
+        disturbances = parse_disturbances(arguments.disturbance, drawn_for(arguments.vehicle))
     except ValueError as error:
         parser.error(f"--disturbance: {error}")
     print(disturbances.conditions if disturbances else "no disturbance", flush=True)

@@ -31,7 +31,6 @@ from scipy.stats import binomtest, chi2
 
 from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import LiveFinding
-from estimators.identify.run import nominal_model
 from estimators.recursive.predictor import Seen
 from service.virtual.run import BOOT_TIME, record
 from simulation.hidden import HIDDEN, LATE, UNLISTED
@@ -39,6 +38,7 @@ from simulation.vehicle import START_NS
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 REPEATS = 5

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.diagnose import Diagnosis, diagnose
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.stopwatch import stopwatch
 from examples import emps, quarter_drone, unbalanced_disk
 from models.file.model_file import load_model
@@ -38,6 +38,7 @@ from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load
 from vehicles.file import load as vehicle
+from vehicles.registry import nominal_model
 
 HERE = Path(__file__).parent
 ROWS = 8192

@@ -25,7 +25,7 @@ from scipy.stats import binomtest
 from estimators.combinations import combinations
 from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.methods.prediction_error import predicted_percent
 from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.validation import on_others
@@ -35,6 +35,7 @@ from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import TWSBR
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 GIVEN = VEHICLE.parameters

@@ -22,12 +22,13 @@ from diagnosis.fits.refit import full
 from diagnosis.next_experiment import Choice, suggest
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import Rival, fitted_rivals
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.model import Model
 from service.offline.next_experiment import experiments_of
 from service.virtual.run import record
 from telemetry.recording import Recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 EXCITED = 6.8

@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.report.method_figure import save_methods
-from estimators.identify.run import identify
+from estimators.identify.run import identify, with_values
 from service.cli.identify_page import print_methods
 from service.virtual.run import record
 from simulation.config import PlantTruth, SimulationConfig
 from telemetry.recording import Recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 PLANT = PlantTruth()
@@ -48,7 +49,8 @@ def runs(steps: int = 4, sweeps: int = 3, seconds: float = 60.0) -> list[Recordi
 def compare(recordings: Sequence[Recording], methods: Sequence[str] = ()) -> dict[str, Any]:
     """What `upright identify --json` says of these recordings."""
     parameters, support = VEHICLE.parameters, VEHICLE.support
-    known = {"deviations": parameters.deviations, "bandwidth": BANDWIDTH}
+    model = with_values(nominal_model("monocab"), parameters.values, parameters.deviations)
+    known = {"deviations": parameters.deviations, "bandwidth": BANDWIDTH, "model": model}
     return identify(recordings, parameters.values, support, methods, **known)
 
 

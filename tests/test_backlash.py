@@ -10,7 +10,7 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.effects.catalogue import find
 from models.library import get
 from service.virtual.run import record
@@ -18,6 +18,7 @@ from simulation.config import PlantTruth
 from simulation.gimbal import LOAD_SHARE, PLAY_STIFFNESS
 from simulation.hidden import HIDDEN
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 pytestmark = pytest.mark.patient
 

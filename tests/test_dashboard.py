@@ -28,10 +28,10 @@ from starlette.exceptions import HTTPException
 from topology import LEASE, Topology, topology, vehicle_text
 
 from service.dashboard.app import Dashboard, Settings
-from service.dashboard.units import AMPLITUDE, LIMITS
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
-from vehicles.file import FILES, load
+from vehicles import registry
+from vehicles.file import load
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 
@@ -601,10 +601,12 @@ def test_it_says_what_is_stale_and_comes_back(watched: Watched, parts: Topology)
     watched.wrong[:] = before
 
 
-@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("kind", registry.names())
 def test_every_limit_and_amplitude_has_a_unit(kind: str) -> None:
-    assert set(FILES[kind].model_fields["limits"].annotation.model_fields) <= LIMITS.keys()  # type: ignore[union-attr]
-    assert AMPLITUDE[kind]
+    found = registry.of(kind)
+    limits = found.file.model_fields["limits"].annotation
+    assert set(limits.model_fields) <= found.views.limits.keys()  # type: ignore[union-attr]
+    assert found.views.amplitude
 
 
 def test_an_effect_is_added_where_it_was_found(tmp_path: Path) -> None:

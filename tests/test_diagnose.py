@@ -11,7 +11,7 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.effect import Effect, EffectParameter, Family
 from models.parts import Place
 from service.virtual.run import record
@@ -19,6 +19,7 @@ from simulation.hidden import HIDDEN
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

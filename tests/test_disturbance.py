@@ -14,7 +14,6 @@ import pytest
 from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from typer.testing import CliRunner
 
-from estimators.identify.run import nominal_model
 from service.cli import app
 from service.hidden_effects.answers import ADEQUATE, Answer
 from service.hidden_effects.by_disturbance import thirds
@@ -34,7 +33,9 @@ from simulation.twsbr.hidden import TWSBR
 from simulation.twsbr.plant import TwsbrPlant
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
+from vehicles import registry as vehicles_registry
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 STEP = 1.0 / 3000.0
 """s, the plant's at 250 Hz."""
@@ -239,7 +240,7 @@ def test_programs_have_none_unless_they_ask() -> None:
 @pytest.mark.parametrize("vehicle", ["monocab", "twsbr"])
 def test_a_vehicle_that_a_person_starts_is_shaken(vehicle: str) -> None:
     file = load(vehicle)
-    registry = virtual_vehicle.TWINS[vehicle].truth.registry
+    registry = vehicles_registry.of(vehicle).twin().truth.registry
     assert any(joint.disturbance is not None for joint in nominal_model(vehicle).joints)
     for hide in ([], ["static_torque"]):
         assert virtual_vehicle.asked_disturbance(file, hide) == registry.disturbance

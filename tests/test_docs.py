@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from service.cli import app
 from telemetry.channels import TABLES
-from vehicles.file import FILES
+from vehicles import registry
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
@@ -37,12 +37,12 @@ def test_every_link_leads_somewhere(page: Path) -> None:
     assert not missing
 
 
-@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("kind", registry.names())
 def test_every_key_of_a_vehicle_file_is_explained(kind: str) -> None:
     page = (DOCS / "reference" / "vehicle-file.md").read_text()
     internal = {"path", "configuration_hash"}
     # A parameter's value, std and unit are explained together, in one line.
-    keys = {key for section, key in _sections(FILES[kind]) if section != "ParameterEntry"} - internal
+    keys = {key for section, key in _sections(registry.of(kind).file) if section != "ParameterEntry"} - internal
     assert len(keys) > 60
     assert not sorted(key for key in keys if f"`{key}`" not in page)
 

@@ -15,9 +15,10 @@ from diagnosis.exchange import exchange, put_together, taken_apart
 from diagnosis.fits.refit import full, gained, surety, with_effect
 from diagnosis.prepare.workspace import Workspace
 from estimators.fit.result import inverse
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from service.virtual.run import record
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diagnosis.diagnose import Verdict, diagnose
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.effects.catalogue import find
 from models.expressions import number
 from models.file.document import ModelFile
@@ -15,6 +15,7 @@ from models.file.model_file import read, write
 from service.virtual.run import record
 from simulation.friction import BRISTLE_DAMPING, BRISTLE_DEFLECTION
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

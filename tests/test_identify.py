@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import estimators
 from diagnosis.report.method_figure import method_figure, save_methods
 from estimators.contract import EstimationError
-from estimators.identify.run import identify, nominal_model, plan, with_values
+from estimators.identify.run import identify, plan, with_values
 from estimators.identify.table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
 from models.file.document import ModelFile
 from models.file.model_file import write
@@ -30,6 +30,7 @@ from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EXAMPLE = runpy.run_path(str(EXAMPLES / "compare_methods.py"))
@@ -64,7 +65,8 @@ def files(recordings: list[Recording], tmp_path_factory: pytest.TempPathFactory)
 
 def run(*arguments: Any, **settings: Any) -> dict[str, Any]:
     recordings, *methods = arguments
-    return identify(recordings, KNOWN.values, SUPPORT, methods, deviations=KNOWN.deviations, **settings)
+    usual = {"model": with_values(nominal_model("monocab"), KNOWN.values, KNOWN.deviations)}
+    return identify(recordings, KNOWN.values, SUPPORT, methods, deviations=KNOWN.deviations, **{**usual, **settings})
 
 
 def values(entry: Mapping[str, Any]) -> dict[str, float]:

@@ -12,10 +12,11 @@ from diagnosis.prepare.candidates import candidates_for
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.change_points import MOST, at_instants
 from diagnosis.score.whitened import Whitened, project
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -20,10 +20,10 @@ from estimators.fit.released import freed
 from estimators.identify.run import with_values
 from estimators.methods.drive_lag import drive_lag
 from estimators.methods.prediction_error import prediction_error
-from models.library import ACTUATORS, get
+from models.library import get
 from models.model import Model
 from service.hidden_effects.cases import Case
-from service.hidden_effects.disturbances import DRAWN
+from service.hidden_effects.disturbances import drawn_for
 from service.hidden_effects.trial import Bench, disturbance_of
 from service.hidden_effects.vehicles import drawn
 from service.offline import replay
@@ -32,6 +32,7 @@ from service.virtual.run import record
 from simulation.bus.imu_node import SensorPath
 from simulation.config import ImuNode, PlantTruth, SimulationConfig
 from telemetry.recording import Recording
+from vehicles import registry
 from vehicles.file import VehicleFile, load
 
 LATENCY = 0.0075
@@ -173,7 +174,7 @@ def test_the_live_estimators_take_recordings_without_it() -> None:
 def verdict(recording: Recording) -> tuple[Verdict, list[str]]:
     found = diagnose_parts(
         known(get("monocab_roll")),
-        [known(each) for each in ACTUATORS["monocab"]],
+        [known(each) for each in registry.of("monocab").models().actuators],
         [recording],
         support=load("monocab").support,
     )
@@ -214,7 +215,7 @@ def test_what_is_held_and_off_is_no_disturbance() -> None:
     """A vehicle of the benchmark whose trim mass is two standard deviations higher than its file says, and moves when
     the vehicle is shaken. Beside the height of the file the disturbance takes over what it does. It is the one of 200
     where that showed most."""
-    bench, case = Bench(disturbances=DRAWN["monocab"]), Case((), 0.0, 1.0, "multisine", 9057)
+    bench, case = Bench(disturbances=drawn_for("monocab")), Case((), 0.0, 1.0, "multisine", 9057)
     its = drawn(case.seed("vehicle"))
     true, _ = disturbance_of(case, bench, its)
     assert true is not None

@@ -16,7 +16,7 @@ from diagnosis.live.naming import Gathered, LiveFinding, LiveResult
 from diagnosis.prepare.candidates import candidates_for
 from diagnosis.prepare.workspace import attached
 from estimators.fit.disturbance import is_of_disturbance
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.recursive.predictor import Seen
@@ -31,6 +31,7 @@ from service.virtual.run import BOOT_TIME, record
 from simulation.vehicle import START_NS
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
+from vehicles.registry import nominal_model
 
 GIVEN: dict[str, Any] = {
     "parameters": VEHICLE.parameters.values,

@@ -20,7 +20,7 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
 from estimators.budget import Budget, OutOfTime
 from estimators.fit.problem import problem
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models import library
 from models.model import Model
 from service.cli import app
@@ -32,6 +32,7 @@ from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import VehicleFile, load
 from vehicles.phases import Phase
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 PAIR = ("viscous_friction", "coulomb_friction")

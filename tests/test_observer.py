@@ -19,7 +19,6 @@ import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
 from diagnosis.live.live import LiveDiagnosis
-from estimators.identify.run import nominal_model
 from estimators.recursive.torque_balance import make as make_plain
 from service.observer.client import ObserverClient
 from service.observer.online_estimators import EstimatorBank, online_estimators
@@ -30,6 +29,7 @@ from telemetry.candump import CandumpReader
 from telemetry.channels import MONOCAB
 from telemetry.samples import CanFrame, Frame
 from telemetry.storage import load
+from vehicles.registry import nominal_model
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -23,10 +23,10 @@ from diagnosis.fits.look_ahead import FORESEEN, foresees, foretold_share
 from diagnosis.fits.refit import FullFit, full, with_effect
 from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
-from estimators.identify.run import nominal_model
 from service.cli import app
 from service.cli.inputs import load_recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 pytestmark = pytest.mark.patient
 

@@ -13,19 +13,21 @@ from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.parts import diagnose_actuators, diagnose_parts, merged, quiet
 from diagnosis.prepare.actuator_samples import on_time
 from estimators.data.segments import ramp_shortfall
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.effects.catalogue import CATALOGUE
-from models.library import ACTUATORS, get
+from models.library import get
 from models.model import Model
 from models.parts import Place
 from simulation.hidden import HIDDEN
 from telemetry.channels import TABLES
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
+from vehicles import registry
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
-LOOPS = [with_values(each, VEHICLE.parameters.values, VEHICLE.parameters.deviations) for each in ACTUATORS["monocab"]]
+LOOPS = registry.models_of(VEHICLE).actuators
 COMMANDED = [each for each in CATALOGUE.values() if each.place is Place.ACTUATOR]
 
 

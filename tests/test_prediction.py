@@ -9,9 +9,10 @@ import pytest
 import small_vehicle
 
 from estimators.identify.prediction import free_motion, sensor_noise
-from estimators.identify.run import identify
+from estimators.identify.run import identify, with_values
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
+from vehicles.registry import nominal_model
 
 SUPPORT = float(np.radians(4.0))
 RECURSIVE = ("recursive_least_squares", "recursive_instrumental_variables")
@@ -22,6 +23,7 @@ CAD = {
     "trim_mass": 500.0,
     "trim_height": 0.4,
 }
+MODEL = with_values(nominal_model("monocab"), CAD, {})
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,7 @@ def test_free_motion_ends_at_the_support_at_gaps_and_at_unknown_values(sweep: Re
 
 
 def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
-    document = identify([sweep], CAD, SUPPORT, RECURSIVE)
+    document = identify([sweep], CAD, SUPPORT, RECURSIVE, model=MODEL)
     json.dumps(document, allow_nan=False)
     assert tuple(document["methods"]) == RECURSIVE
     for method in document["methods"].values():
@@ -60,7 +62,7 @@ def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
 def test_a_missing_channel_is_named(sweep: Recording) -> None:
     names = [channel for channel in sweep.channels if channel.name != "drive_age"]
     fewer = Recording(ChannelTable(names), sweep.timestamp_ns, {c.name: sweep.values[c.name] for c in names})
-    entry = identify([fewer], CAD, SUPPORT, RECURSIVE)["methods"][RECURSIVE[0]]
+    entry = identify([fewer], CAD, SUPPORT, RECURSIVE, model=MODEL)["methods"][RECURSIVE[0]]
     assert entry["status"] == "missing_channel"
     assert "drive_age" in entry["reason"]
 
@@ -68,6 +70,8 @@ def test_a_missing_channel_is_named(sweep: Recording) -> None:
 def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
     step = small_vehicle.recording(*small_vehicle.run(1, 8.0, from_support=True), 0)
     method = RECURSIVE[0]
-    alone, both = (identify(given, CAD, SUPPORT, [method])["methods"][method] for given in ([step], [step, sweep]))
+    alone, both = (
+        identify(given, CAD, SUPPORT, [method], model=MODEL)["methods"][method] for given in ([step], [step, sweep])
+    )
     name = "static_torque.torque"
     assert both["parameters"][name]["std"] < alone["parameters"][name]["std"]

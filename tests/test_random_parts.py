@@ -21,7 +21,7 @@ from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstim
 from estimators.fit.disturbance import disturbances
 from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from models.file.model_file import parse, read
 from models.file.model_file import write as write_model
@@ -35,6 +35,7 @@ from simulation.hidden import MONOCAB, UnknownEffectError, parse_narrow_band
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
 from telemetry.recording import Recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(

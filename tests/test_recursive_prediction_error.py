@@ -17,7 +17,7 @@ from scipy.optimize import lsq_linear
 
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.segments import DataError, segments
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.frame_chunks import Chunk, FrameChunks, join
 from estimators.recursive.gauss_newton import RecursiveGaussNewton
@@ -31,6 +31,7 @@ from telemetry.channels import MONOCAB, ChannelTable
 from telemetry.recording import Recording
 from telemetry.samples import Frame
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 Array = NDArray[np.float64]
 

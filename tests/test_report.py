@@ -20,10 +20,11 @@ from diagnosis.report.tables import p_text
 from diagnosis.report.words import headline
 from estimators.disturbance_estimate import rms
 from estimators.fit.disturbance import disturbances
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from telemetry.recording import Recording
 from tests.virtual_records import multisine
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -15,13 +15,14 @@ from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import Provenance, write_comparison, write_identification
 from diagnosis.report.drawing import looks
 from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.identify.run import identify
+from estimators.identify.run import identify, with_values
 from models import library
 from service.cli import app
 from telemetry.recording import Recording
 from telemetry.storage import save
 from tests.test_report import HASH, HOSTILE, Page
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").add("static_torque").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})
@@ -45,7 +46,8 @@ def compared() -> list[Comparison]:
 
 @cache
 def document() -> dict[str, Any]:
-    return identify([sweep()], VEHICLE.parameters.values, VEHICLE.support, METHODS)
+    model = with_values(nominal_model("monocab"), VEHICLE.parameters.values, {})
+    return identify([sweep()], VEHICLE.parameters.values, VEHICLE.support, METHODS, model=model)
 
 
 def check(text: str) -> Page:

@@ -17,12 +17,13 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from diagnosis.diagnose import diagnose
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from service.cli import app
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 SEED = 83
 """Decided nothing."""

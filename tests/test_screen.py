@@ -15,11 +15,12 @@ from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import DETECTABLE, Screen, screen
 from diagnosis.score.whitened import Whitened, project
 from estimators.fit.maximum_likelihood import fit
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models import library
 from models.effects.catalogue import CATALOGUE
 from tests.virtual_records import multisine
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

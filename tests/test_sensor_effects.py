@@ -15,7 +15,7 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.prepare.candidates import candidates_for
 from diagnosis.score.score_test import DETECTABLE
 from estimators.data.as_recorded import as_recorded
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.roll_filter import RollFilter, RollFilterConfig
 from models import library, rendering
 from models.compiler.equations import compose
@@ -35,6 +35,7 @@ from service.virtual.run import record
 from telemetry.recording import Recording
 from telemetry.samples import ImuSample
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 ROLL = library.get("monocab_roll")
 IMU = ROLL.sensors[0]

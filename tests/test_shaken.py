@@ -22,7 +22,7 @@ from estimators.fit.innovations import NoiseModel
 from estimators.fit.likelihood import Likelihood
 from estimators.fit.maximum_likelihood import MUCH, Begin, Fit, fit, noise_of
 from estimators.fit.problem import Problem, problem
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from estimators.numbers import with_error
 from models.effect import Effect, EffectParameter, EffectState, Family
@@ -34,6 +34,7 @@ from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 NOMINAL = with_values(nominal_model("monocab"), VEHICLE.parameters.values, VEHICLE.parameters.deviations).remove(

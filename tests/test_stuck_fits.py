@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from diagnosis.diagnose import diagnose
 from diagnosis.parts import diagnose_actuators
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.effects.catalogue import find
-from models.library import ACTUATORS
 from service.virtual.run import record
+from vehicles import registry
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 VALUES, DEVIATIONS = VEHICLE.parameters.values, VEHICLE.parameters.deviations
@@ -19,7 +20,7 @@ def test_the_model_alone_goes_on_from_where_its_fit_seemed_to_settle() -> None:
     """It was 1,200 nats short, and so was each effect beside it: none looked missing."""
     hide = ("input_deadband=0.0110519", "load_dependent_friction=0.00994092")
     recording = record("monocab", "multisine", hide=hide, seed=239602470, duration=30.0)
-    actuators = [with_values(each, VALUES, DEVIATIONS) for each in ACTUATORS["monocab"]]
+    actuators = [with_values(each, VALUES, DEVIATIONS) for each in registry.of("monocab").models().actuators]
     candidates = [find(name) for name in ("input_deadband", "input_gain", "input_asymmetry")]
     found = diagnose_actuators(actuators, [recording], support=VEHICLE.support, candidates=candidates)
     assert [each.effect for each in found.findings] == ["input_deadband"]

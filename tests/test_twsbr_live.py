@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estimators.contract import Estimate, Status
-from estimators.identify.run import identify, nominal_model
+from estimators.identify.run import identify
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
@@ -22,6 +22,7 @@ from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 from telemetry.samples import Frame
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}

@@ -22,7 +22,6 @@ from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import LiveResult
 from estimators.contract import EstimationError
 from estimators.data.segments import after_settling
-from estimators.identify.run import nominal_model
 from estimators.recursive.frame_chunks import Chunk, FrameChunks
 from models import library
 from models.file.document import ModelFile
@@ -36,6 +35,7 @@ from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 MODEL = nominal_model("twsbr")

@@ -19,7 +19,7 @@ from diagnosis.diagnose import Diagnosis, Finding, Verdict
 from diagnosis.next_experiment import ENOUGH, suggest
 from diagnosis.prediction.closed_loop import simulate
 from diagnosis.rivals import NOTHING_MORE, Rival, fitted_rivals
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.library import get
 from models.model import Model
 from models.parts import ModelError
@@ -32,6 +32,7 @@ from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import VehicleFile, load
 from vehicles.phases import Phase
+from vehicles.registry import nominal_model
 
 VEHICLE = load("twsbr")
 TRUE = TwsbrTruth().table_1

@@ -16,12 +16,14 @@ from estimators.data.segments import after_settling
 from estimators.fit.likelihood import FLOOR
 from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models.effects.catalogue import find
-from models.library import ACTUATORS, get
+from models.library import get
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
+from vehicles import registry
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(
@@ -87,7 +89,7 @@ def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_l
     hide = ("input_asymmetry=0.0008", "load_dependent_friction=0.01")
     recording = record("monocab", "multisine", hide=hide, seed=83, duration=30.0)
     values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
-    actuators = [with_values(each, values, deviations) for each in ACTUATORS["monocab"]]
+    actuators = [with_values(each, values, deviations) for each in registry.of("monocab").models().actuators]
     candidates = [find(name) for name in ("input_asymmetry", "input_gain", "input_delay", "actuator_lag")]
     found = diagnose_actuators(actuators, [recording], support=VEHICLE.support, candidates=candidates)
     (finding,) = found.findings

@@ -11,7 +11,7 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_STRUCK, SHAPED, Adequacy
 from diagnosis.lack_of_fit.shapes import Shape
 from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from models import library
 from models.attach import check_names
 from models.compiler.kernel import compile_model
@@ -22,6 +22,7 @@ from models.segment import Segment
 from service.virtual.run import record
 from simulation.hidden import HIDDEN
 from vehicles.file import load
+from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
 MODEL = with_values(

@@ -13,7 +13,7 @@ the same code for every vehicle, and asks
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -24,11 +24,14 @@ from telemetry.channels import ChannelTable
 from vehicles.bounds import Bound
 from vehicles.excitation import Excitation
 from vehicles.sections import VehicleFile
+from vehicles.views import Views
 
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop import Experiment
     from diagnosis.prediction.closed_loop_error import Loop
+    from estimators.contract import Estimator
     from models.model import Model
+    from simulation.config import Truth
     from telemetry.recording import Recording
 
 
@@ -169,15 +172,40 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True)
+class Models:
+    """Of one kind of vehicle: the one that is identified, with what identification assumes beside its equations, and
+    those of the actuators alone, of which the one that fits is chosen; none where these are part of the first."""
+
+    nominal: Model
+    actuators: tuple[Model, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow."""
+
+    truth: Truth
+    eds: str
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleKind:
     """All that is one kind of vehicle's own.
 
-    `file`: what its vehicle file holds; `kind` makes it of that and of its drivers. `recorded_loop`: what closed the
-    loop of a recording from the first row of its excitation on, or why it is not known, in words; `prediction`: how
-    that loop is predicted. Both import what they need when they are asked: the control process asks neither.
+    `file`: what its vehicle file holds; `kind` makes it of that and of its drivers; `views` is what people see of it.
+    `models`: the one that is identified, and those of its actuators. `regressions` run along with it, made of CAD
+    values, their standard deviations and the angle on a support, rad. `recorded_loop`: what closed the loop of a
+    recording from the first row of its excitation on, or why it is not known, in words; `prediction`: how that loop is
+    predicted; `twin`: its virtual vehicle, which `shaken` (RMS from and to, in the unit of the force it falls by) is
+    pushed by in benchmarks. What is a function imports what it needs when it is asked.
     """
 
     file: type[VehicleFile]
     kind: Callable[[Any, VehicleIo], Kind[Any]]
+    views: Views
+    models: Callable[[], Models]
+    regressions: Callable[[Mapping[str, float], Mapping[str, float], float], list[Estimator]]
     recorded_loop: Callable[[Any, Recording], Loop | str]
     prediction: Callable[[], Prediction]
+    twin: Callable[[], Twin]
+    shaken: tuple[float, float]

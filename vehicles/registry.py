@@ -15,7 +15,8 @@ from typing import Any
 
 import vehicles
 from drivers.vehicle_io import VehicleIo
-from vehicles.contract import Kind, VehicleKind
+from models.model import Model
+from vehicles.contract import Kind, Models, VehicleKind
 from vehicles.sections import VehicleFile
 
 
@@ -39,3 +40,19 @@ def of(name: str) -> VehicleKind:
 def kind_of(vehicle: VehicleFile, io: VehicleIo) -> Kind[Any]:
     """The kind of a vehicle, with its drivers."""
     return of(vehicle.vehicle.kind).kind(vehicle, io)
+
+
+def nominal_model(kind: str) -> Model:
+    """The model that a vehicle of this kind is identified with."""
+    return of(kind).models().nominal
+
+
+def models_of(vehicle: VehicleFile) -> Models:
+    """The models of a vehicle, each with the values of its file."""
+    from estimators.identify.run import with_values
+
+    known, found = vehicle.parameters, of(vehicle.vehicle.kind).models()
+    nominal, *actuators = (
+        with_values(each, known.values, known.deviations) for each in (found.nominal, *found.actuators)
+    )
+    return Models(nominal, tuple(actuators))

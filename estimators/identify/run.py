@@ -30,7 +30,6 @@ from estimators.identify.table import METHODS, Domain, Method, experiment_of, un
 from estimators.recursive.torque_balance import Method as BalanceMethod
 from estimators.recursive.torque_balance import TorqueBalance
 from estimators.stopwatch import stopwatch
-from models import library
 from models.compiler.kernel import compile_model
 from models.model import Model
 from telemetry.channels import ChannelTable
@@ -40,12 +39,6 @@ from telemetry.recording import Recording
 RECURSIVE_FITS = ("recursive_output_error", "recursive_prediction_error")
 REGRESSIONS = ("least_squares", "instrumental_variables")
 COMPILED = ("output_error", "output_error_simplex", "prediction_error", *RECURSIVE_FITS)
-NOMINAL: dict[str, tuple[str, tuple[str, ...]]] = {
-    "monocab": ("monocab_roll", ("static_torque",)),
-    "twsbr": ("twsbr", ()),
-}
-"""By kind of vehicle: the model that is identified, and the effects that are added to it, as in the paper."""
-
 Progress = Callable[[str, str, int, int], None]
 """Told the method, the recording, how many fits are done, and of how many."""
 
@@ -57,17 +50,6 @@ class Task:
     method: Method
     recordings: tuple[int, ...]
     label: str
-
-
-def nominal_model(kind: str) -> Model:
-    """The model that a vehicle of this kind is identified with. Raises EstimationError where there is none."""
-    if kind not in NOMINAL:
-        raise EstimationError(f"vehicle kind {kind}", "there is no model for it", remedy="name one: --model.")
-    name, effects = NOMINAL[kind]
-    model = library.get(name)
-    for effect in effects:
-        model = model.add(effect)
-    return model
 
 
 def with_values(model: Model, parameters: Mapping[str, float], deviations: Mapping[str, float]) -> Model:
@@ -86,7 +68,7 @@ def identify(
     methods: Sequence[str] = (),
     *,
     deviations: Mapping[str, float] | None = None,
-    model: Model | None = None,
+    model: Model,
     every: bool = False,
     bandwidth: float | None = None,
     progress: Progress = lambda method, label, done, total: None,
@@ -94,13 +76,11 @@ def identify(
     """The document of `identify --json`: by method its parameters, fit, status, reason, seconds, runs and their mean.
 
     `parameters` and `deviations` are the vehicle file's; `support` is in rad. `methods` are names of
-    estimators.identify.table, by default all. `model` comes with its own values; by default it is that of a MONOCAB
-    with the vehicle's. With `every`, each method takes all recordings; `bandwidth` rad/s is that of the filter of
-    least_squares and instrumental_variables. `progress` is told what begins and how much is done. KeyboardInterrupt
-    ends it early: what is missing then is "cancelled". Raises EstimationError for an unknown method.
+    estimators.identify.table, by default all. `model` comes with its own values. With `every`, each method takes all
+    recordings; `bandwidth` rad/s is that of the filter of least_squares and instrumental_variables. `progress` is told
+    what begins and how much is done. KeyboardInterrupt ends it early: what is missing then is "cancelled". Raises
+    EstimationError for an unknown method.
     """
-    if model is None:
-        model = with_values(nominal_model("monocab"), parameters, deviations or {})
     subject = Subject(model, parameters, deviations or {}, support, bandwidth)
     chosen = _chosen(methods, subject)
     experiments = [experiment_of(recording) for recording in recordings]

@@ -13,9 +13,6 @@ MODELS: dict[str, Model] = {
     model.name: model for model in (MONOCAB_ROLL, MONOCAB_REDUCED, MONOCAB_FULL, *SPEED_LOOPS, TWSBR, AXIS)
 }
 
-ACTUATORS: dict[str, tuple[Model, ...]] = {"monocab": SPEED_LOOPS}
-"""By kind of vehicle, what its actuators may be between the command and their measured motion."""
-
 
 def get(name: str) -> Model:
     """The shipped model `name`. Raises ModelError that lists the names there are."""

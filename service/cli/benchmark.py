@@ -184,7 +184,7 @@ def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str
     from models.library import get
     from service.hidden_effects.answers import diagnosis
     from service.hidden_effects.baselines import BASELINES
-    from service.hidden_effects.disturbances import DRAWN, parse_disturbances
+    from service.hidden_effects.disturbances import drawn_for, parse_disturbances
     from service.hidden_effects.trial import SUBJECT, Bench
 
     chosen = baseline if baseline is not None else [] if quick else list(BASELINES)
@@ -194,7 +194,7 @@ def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str
             raise typer.BadParameter(f"{name!r} is none of {there}", param_hint="--baseline")
     methods = {name: BASELINES[name] for name in chosen if name != NO_BASELINE}
     try:
-        disturbances = parse_disturbances(disturbance, DRAWN["monocab"])
+        disturbances = parse_disturbances(disturbance, drawn_for("monocab"))
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--disturbance") from error
     return Bench(methods={SUBJECT: diagnosis, **methods}, model=get(model).name, disturbances=disturbances)

@@ -96,13 +96,12 @@ def diagnose(
     from diagnosis.diagnose import diagnose as run
     from diagnosis.parts import diagnose_parts
     from estimators.budget import Budget, OutOfTime
-    from estimators.identify.run import with_values
     from models.effects.catalogue import CATALOGUE
-    from models.library import ACTUATORS
     from service.cli.inputs import identified_model, load_recording
     from service.offline.machine import is_of, name_of, support_of
     from service.offline.next_experiment import suggest_for
     from service.offline.recorded_loop import recorded_loop
+    from vehicles import registry
     from vehicles.file import load
 
     for target in (auto, report):
@@ -116,11 +115,7 @@ def diagnose(
         for attached in nominal.effects:
             nominal = nominal.remove(attached.name)
     support = support_of(nominal, file)
-    cad = file.parameters
-    actuators = [
-        with_values(each, cad.values, cad.deviations)
-        for each in (ACTUATORS.get(file.vehicle.kind, ()) if model is None else ())
-    ]
+    actuators = registry.models_of(file).actuators if model is None else ()
     candidates: list[str | Effect] | None = [chosen(name) for name in effect] if effect else None
     if own:
         candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen, own)]

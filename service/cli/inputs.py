@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
     """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
-    from estimators.identify.run import nominal_model, with_values
+    from estimators.identify.run import with_values
     from models.file.model_file import load_model
+    from vehicles.registry import nominal_model
 
     if name is not None and name.endswith(".toml"):
         return load_model(name)
@@ -33,10 +34,10 @@ def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Rec
     or pass it on, `as_stamped`.
     """
     from estimators.data.segments import falls_at
-    from estimators.identify.run import nominal_model
     from service.offline.replay import load as load_any
     from telemetry.clock import by_the_clock
     from vehicles.file import load
+    from vehicles.registry import nominal_model
 
     file = load(vehicle)
     recording = load_any(path, file)

@@ -68,13 +68,13 @@ def demo(
     from service.cli.talk import follow
     from service.demo.figure import save_run
     from service.demo.run import run_demo
-    from service.demo.story import STORIES
     from service.observer.online_estimators import online_estimators
     from service.virtual.vehicle import asked_disturbance
+    from vehicles import registry
     from vehicles.file import load
 
     file = load(vehicle)
-    given, story = file.parameters, STORIES[file.vehicle.kind]
+    given, story = file.parameters, registry.of(file.vehicle.kind).views.story
     with working() as step:
         step("preparing the estimators (on the first start on a computer, their model is compiled)")
         online_estimators(file.vehicle.kind, given.values, given.deviations, file.support).join()

@@ -30,12 +30,11 @@ from models import library
 from models.effects.catalogue import CATALOGUE
 from models.place import places_of
 from service.control import assembly
-from service.dashboard.charts import CHARTS
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording
-from service.dashboard.units import AMPLITUDE, LIMITS
 from telemetry.channels import TABLES
 from telemetry.errors import UprightError
+from vehicles import registry
 from vehicles.file import VehicleFile
 
 STATIC = Path(__file__).with_name("static")
@@ -98,6 +97,7 @@ class Dashboard:
 
     async def _config(self, request: Request) -> Response:
         vehicle, settings = self._settings.vehicle, self._settings
+        views = registry.of(vehicle.vehicle.kind).views
         return JSONResponse({
             "vehicle": vehicle.vehicle.id,
             "description": vehicle.vehicle.description,
@@ -111,11 +111,11 @@ class Dashboard:
             "rate": vehicle.control.rate,
             "support_deg": vehicle.limits.support_deg,
             "limits": [
-                {"name": LIMITS[key][0], "value": value, "unit": LIMITS[key][1]}
+                {"name": views.limits[key][0], "value": value, "unit": views.limits[key][1]}
                 for key, value in vehicle.limits.model_dump().items()
             ],
             "units": {channel.name: channel.unit for channel in TABLES[vehicle.vehicle.kind]},
-            "amplitude_unit": AMPLITUDE[vehicle.vehicle.kind],
+            "amplitude_unit": views.amplitude,
             "parameters": {
                 name: getattr(vehicle.parameters, name).model_dump() for name in vehicle.parameters.values
             },
@@ -123,7 +123,7 @@ class Dashboard:
                 name: each.model_dump(exclude_none=True) for name, each in vehicle.experiments.items()
             },
             "methods": list(METHODS),
-            "charts": [asdict(chart) for chart in CHARTS[vehicle.vehicle.kind]],
+            "charts": [asdict(chart) for chart in views.charts],
         })  # fmt: skip
 
     async def _list(self, request: Request) -> Response:
@@ -232,9 +232,7 @@ REPORT = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:;
 
 def assembly_model(vehicle: VehicleFile) -> str:
     """The shipped model that a vehicle of this kind starts from."""
-    from estimators.identify.run import NOMINAL
-
-    return NOMINAL[vehicle.vehicle.kind][0]
+    return registry.nominal_model(vehicle.vehicle.kind).name
 
 
 def _policy(websocket: str) -> str:

@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 
 from estimators.recursive import torque_balance
 from service.control import assembly
-from service.demo.story import DARK, LIGHT, STORIES, Panel, Story
 from telemetry.recording import Recording
+from vehicles import registry
 from vehicles.file import VehicleFile
 from vehicles.phases import Phase
+from vehicles.views import DARK, LIGHT, Panel, Story
 
 PERIOD = 0.25
 """s between two looks at the estimates."""
@@ -27,7 +28,7 @@ CAD = "#b2182b"
 
 def save_run(recording: Recording, vehicle: VehicleFile, path: Path) -> None:
     """Draw `recording` to the PNG at `path`. Raises RecordingError where a channel is missing."""
-    story = STORIES[vehicle.vehicle.kind]
+    story = registry.of(vehicle.vehicle.kind).views.story
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     axes = figure.subplots(len(story.panels) + len(story.settling), 1, sharex=True)
     motion, parameters = axes[: len(story.panels)], axes[len(story.panels) :]

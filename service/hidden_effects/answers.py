@@ -77,12 +77,10 @@ def diagnosis(
 ) -> Answer:
     """What `upright diagnose` says, the gimbals as a part of their own."""
     from diagnosis.parts import diagnose_parts
-    from estimators.identify.run import with_values
-    from models.library import ACTUATORS
+    from vehicles import registry
     from vehicles.file import load
 
-    cad = load("monocab").parameters
-    actuators = [with_values(each, cad.values, cad.deviations) for each in ACTUATORS["monocab"]]
+    actuators = registry.models_of(load("monocab")).actuators
     return of_diagnosis(diagnose_parts(model, actuators, recordings, support=support, candidates=candidates))
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from simulation.config import ImuNode, Truth
 from simulation.disturbance import Disturbance
+from vehicles import registry
 
 NONE = "none"
 """What is written for records without a disturbance."""
@@ -88,8 +89,9 @@ class Multiple:
         return Disturbance(float(f"{self.floors * floor(self.correlation_time):.6g}"), self.correlation_time)
 
 
-DRAWN = {"monocab": Drawn(), "twsbr": Drawn(rms=(1.0e-4, 1.0e-3))}
-"""By kind of vehicle: from a tenth or a fifth of the virtual vehicle's own disturbance to some times that."""
+def drawn_for(kind: str) -> Drawn:
+    """For a kind of vehicle: from a tenth or a fifth of its virtual vehicle's own disturbance to some times that."""
+    return Drawn(rms=registry.of(kind).shaken)
 
 
 def parse_disturbances(text: str | None, default: Disturbances) -> Disturbances | None:

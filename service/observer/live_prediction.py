@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from estimators.contract import EstimationError
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.problem import Problem
-from estimators.identify.run import nominal_model, with_values
+from estimators.identify.run import with_values
 from estimators.recursive.frame_chunks import Chunk, FrameChunks
 from estimators.recursive.prediction_error import at_rest
 from estimators.recursive.predictor import measured_state
 from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
+from vehicles.registry import nominal_model
 
 Array = NDArray[np.float64]
 

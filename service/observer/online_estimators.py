@@ -12,9 +12,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from estimators.contract import Estimator
-from estimators.recursive import torque_balance
 from telemetry.channels import TABLES
 from telemetry.samples import Frame
+from vehicles import registry
 
 if TYPE_CHECKING:
     from diagnosis.live.live import LiveDiagnosis
@@ -31,35 +31,22 @@ STARTING = {
 def online_estimators(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> EstimatorBank:
-    """The estimators of a vehicle `kind`, the preferred one last; none for a kind that is identified afterwards only.
+    """The estimators of a vehicle `kind`, the preferred one last: its own regressions, and the prediction error of its
+    compiled model.
 
     `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support.
     Raises EstimationError where a parameter is missing.
     """
-    make = BANKS.get(kind)
-    return make(parameters, deviations, support) if make is not None else EstimatorBank(())
-
-
-def _monocab(parameters: Mapping[str, float], deviations: Mapping[str, float], support: float) -> EstimatorBank:
-    """The roll axis: its torque balance by regression, and the prediction error of its compiled model."""
-    regressions = [
-        torque_balance.make(parameters, support, method=method, deviations=deviations)
-        for method in (torque_balance.Method.PLAIN, torque_balance.Method.INSTRUMENTAL)
-    ]
-    late = {RECURSION: partial(_live_diagnosis, "monocab", parameters, deviations, support)}
+    regressions = registry.of(kind).regressions(parameters, deviations, support)
+    late = {RECURSION: partial(_live_diagnosis, kind, parameters, deviations, support)}
     return EstimatorBank(regressions, late)
-
-
-def _twsbr(parameters: Mapping[str, float], deviations: Mapping[str, float], support: float) -> EstimatorBank:
-    """The prediction error of its compiled model, whose equations no regression can take apart."""
-    return EstimatorBank((), {RECURSION: partial(_live_diagnosis, "twsbr", parameters, deviations, support)})
 
 
 def _live_diagnosis(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> LiveDiagnosis:
     from diagnosis.live.live import LiveDiagnosis
-    from estimators.identify.run import nominal_model
+    from vehicles.registry import nominal_model
 
     return LiveDiagnosis(
         nominal_model(kind), parameters=parameters, deviations=deviations, support=support, channels=TABLES[kind]
@@ -149,11 +136,3 @@ class EstimatorBank:
             "status": "failed",
             "reason": f"{type(error).__name__}: {error}",
         }
-
-
-BANKS: dict[str, Callable[[Mapping[str, float], Mapping[str, float], float], EstimatorBank]] = {
-    "monocab": _monocab,
-    "twsbr": _twsbr,
-}
-"""What makes the estimators of a kind of vehicle. The balancing robot has no regression: each of its equations holds
-several unknowns in products, which none can take apart (`models.library.twsbr`)."""

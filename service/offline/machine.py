@@ -7,8 +7,8 @@ values, controller, experiments) is not its own, and must not be taken for it.
 from __future__ import annotations
 
 from estimators.contract import EstimationError
-from estimators.identify.run import nominal_model
 from models.model import Model
+from vehicles.registry import nominal_model
 from vehicles.sections import VehicleFile
 
 

@@ -1,7 +1,7 @@
 """The virtual vehicle of a vehicle file: its configuration, and running it on the buses of the command line.
 
 The simulation knows no vehicle files and no bus addresses; this is where it gets both, and where the kind of vehicle
-chooses the physics (`TWINS`).
+chooses the physics.
 """
 
 from __future__ import annotations
@@ -9,44 +9,29 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 from drivers.bus_address import connect
 from drivers.cia402.config import find_eds
 from simulation import runner
-from simulation.config import DriveNode, ImuNode, PlantTruth, SimulationConfig, Truth
+from simulation.config import DriveNode, ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance
 from simulation.faults import Fault
 from simulation.hidden import parse_disturbance, parse_hidden, parse_narrow_band
 from simulation.runner import RunStatistics
-from simulation.twsbr.truth import TwsbrTruth
+from vehicles import registry
 from vehicles.sections import VehicleFile
-
-
-@dataclass(frozen=True, slots=True)
-class Twin:
-    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow."""
-
-    truth: Truth
-    eds: str
-
-
-TWINS = {
-    "monocab": Twin(PlantTruth(), "upright_servo.eds"),
-    "twsbr": Twin(TwsbrTruth(), "upright_motor.eds"),
-}
 
 
 def usual_disturbance(vehicle: VehicleFile) -> Disturbance:
     """The random disturbance of a virtual vehicle that a person starts and says nothing of it: level 1. Programs and
     tests ask for theirs."""
-    return TWINS[vehicle.vehicle.kind].truth.registry.disturbance
+    return registry.of(vehicle.vehicle.kind).twin().truth.registry.disturbance
 
 
 def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
     """The random disturbance of a virtual vehicle that a person starts with `hide`. Raises UnknownEffectError."""
-    registry = TWINS[vehicle.vehicle.kind].truth.registry
-    return parse_disturbance(hide, registry, usual_disturbance(vehicle))[1]
+    hidden = registry.of(vehicle.vehicle.kind).twin().truth.registry
+    return parse_disturbance(hide, hidden, usual_disturbance(vehicle))[1]
 
 
 def configuration(
@@ -57,7 +42,7 @@ def configuration(
     It has the random `disturbance` where `hide` says nothing of one.
     Raises UnknownEffectError for a `hide` that names no hidden effect.
     """
-    imu, twin = vehicle.imu, TWINS[vehicle.vehicle.kind]
+    imu, twin = vehicle.imu, registry.of(vehicle.vehicle.kind).twin()
     drives = [
         DriveNode(
             name=drive.name,

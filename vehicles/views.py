@@ -1,0 +1,66 @@
+"""What people see of a vehicle, as data: the charts of the dashboard, and what the demo does and draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import degrees
+
+LIGHT, DARK = "#9ecae1", "#08519c"
+TURN = degrees(1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One curve. `look` is measured, setpoint, predicted or innovation; it chooses colour and dash."""
+
+    channel: str
+    label: str
+    look: str = "measured"
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """Curves of one unit; `factor` turns SI into it."""
+
+    id: str
+    title: str
+    unit: str
+    factor: float
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Lines over time in one `unit`: `lines` are channel, colour and legend ("" for none), each times `scale`."""
+
+    title: str
+    unit: str
+    scale: float
+    lines: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """The demo of one kind of vehicle.
+
+    `experiments` are run where none are named; the last one is diagnosed. `begin`, s: what is before it, while the
+    vehicle gets up and its filter settles, tells nothing of the vehicle. `settling`: parameters and units that are
+    estimated while it runs; where none are, the last recording is identified afterwards.
+    """
+
+    experiments: tuple[str, ...]
+    panels: tuple[Panel, ...]
+    settling: tuple[tuple[str, str], ...] = ()
+    begin: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """All of one kind of vehicle. `amplitude`: unit of an excitation that is not on a reference angle, what the
+    controller puts out; `limits`: key under [limits] of its vehicle file to its words and unit."""
+
+    charts: tuple[Chart, ...]
+    story: Story
+    amplitude: str
+    limits: Mapping[str, tuple[str, str]]
