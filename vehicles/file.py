@@ -81,9 +81,12 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
             raise VehicleFileError(file, reserved, "is not a key of a vehicle file", remedy="Remove it.")
     section = table.get("vehicle")
     name = section.get("kind") if isinstance(section, dict) else None
-    # What the file says of its kind, if that is wrong, is found like any other mistake in it.
     known = registry.names()
-    kind = registry.of(name if name in known else known[0]).file
+    if isinstance(name, str) and name not in known:
+        remedy = f"Use one of: {', '.join(known)}."
+        raise VehicleFileError(file, "vehicle.kind", f"there is no kind of vehicle {name!r}", remedy=remedy)
+    # Where it says nothing of its kind, that is found like any other mistake in it.
+    kind = registry.of(name if isinstance(name, str) else known[0]).file
     try:
         return kind.model_validate({**table, "path": file, "configuration_hash": digest})
     except ValidationError as error:

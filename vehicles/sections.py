@@ -29,7 +29,7 @@ class Section(BaseModel):
 class VehicleSection(Section):
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
     """Name in MQTT topics, recordings and the control socket."""
-    kind: Literal["monocab", "twsbr"]
+    kind: str
     """What the vehicle is: chooses its channels, model, controller and way of getting up; see `vehicles.registry`."""
     description: str = ""
 
