@@ -1,0 +1,35 @@
+"""What the control process must not have in memory: asked of a running one."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+SERVE = "from service.cli import main; main()"
+FORBIDDEN = {"sympy", "numba", "llvmlite", "pyarrow", "pandas", "matplotlib"}
+"""docs/explanation/architecture.md: nothing that compiles, plots or keeps tables."""
+
+
+def test_a_running_daemon_has_imported_nothing_that_it_must_not(tmp_path: Path) -> None:
+    socket, log = tmp_path / "s.sock", tmp_path / "imports"
+    command = [sys.executable, "-X", "importtime", "-c", SERVE, "serve", "monocab", "--bus", "virtual:nobody"]
+    with log.open("wb") as told:
+        daemon = subprocess.Popen([*command, "--data", str(tmp_path), "--socket", str(socket)], stderr=told)
+        try:
+            for _ in range(300):
+                if socket.exists():
+                    break
+                time.sleep(0.1)
+            assert socket.exists(), log.read_text()[-500:]
+            time.sleep(1.0)  # the observer is started, and the drives are looked for, which are not there
+            assert daemon.poll() is None
+        finally:
+            daemon.send_signal(signal.SIGTERM)
+            daemon.wait(30)
+    lines = [line for line in log.read_text().splitlines() if line.startswith("import time:")]
+    imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in lines}
+    assert {"drivers", "service", "numpy"} <= imported
+    assert not FORBIDDEN & imported
