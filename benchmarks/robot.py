@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
-from estimators.bounded_fit import BoundedFit, bounded_fit
 from estimators.fit.innovations import WIDEST
 from estimators.fit.likelihood import Likelihood
+from estimators.identify.bounded_fit import BoundedFit, bounded_fit
 from models.library import get
 from service.virtual.run import record
 

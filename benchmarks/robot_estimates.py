@@ -22,13 +22,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 import numpy as np
 from scipy.stats import binomtest
 
-from estimators.combinations import combinations
 from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
+from estimators.identify.combinations import combinations
 from estimators.identify.run import with_values
+from estimators.identify.validation import on_others
 from estimators.methods.prediction_error import predicted_percent
 from estimators.recursive.prediction_error import RecursivePredictionError
-from estimators.validation import on_others
 from models.expressions import number
 from models.library.twsbr import TOLD_NEAR_UPRIGHT
 from service.virtual.run import record

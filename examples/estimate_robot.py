@@ -22,12 +22,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from estimators.bounded_fit import RISE, BoundedFit, Profile, bounded_fit, profile
-from estimators.combinations import combinations
 from estimators.fit.maximum_likelihood import Fit, fit
 from estimators.fit.problem import problem
+from estimators.identify.bounded_fit import RISE, BoundedFit, Profile, bounded_fit, profile
+from estimators.identify.combinations import combinations
+from estimators.identify.validation import in_windows, on_others
 from estimators.methods.prediction_error import predicted_percent
-from estimators.validation import in_windows, on_others
 from models.library import get
 from models.library.twsbr import TOLD_NEAR_UPRIGHT
 from service.virtual.run import record

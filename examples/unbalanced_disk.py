@@ -16,9 +16,9 @@ import numpy as np
 import estimators
 from estimators.contract import Estimate
 from estimators.fit.problem import problem
+from estimators.identify.validation import Validation, validate
 from estimators.methods import prediction_error
 from estimators.stopwatch import stopwatch
-from estimators.validation import Validation, validate
 from models.file.model_file import load_model
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from axis_balance import AxisBalance
 
-from estimators.axis_balance import AxisBalance
 from estimators.contract import Status
 from telemetry.channels import Channel, ChannelTable
 from telemetry.samples import Frame

@@ -11,7 +11,7 @@ import pytest
 
 from estimators.contract import Estimate
 from estimators.fit.problem import problem
-from estimators.validation import Validation, validate
+from estimators.identify.validation import Validation, validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EMPS = runpy.run_path(str(EXAMPLES / "emps.py"))

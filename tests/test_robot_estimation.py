@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.bounded_fit import RISE, BoundedFit, bounded_fit, profile, with_table
-from estimators.combinations import combinations
 from estimators.contract import EstimationError, Status
 from estimators.data.segments import DataError, clipped_share, segments
 from estimators.fit.maximum_likelihood import Begin, Fit, fit
 from estimators.fit.problem import problem
+from estimators.identify.bounded_fit import RISE, BoundedFit, bounded_fit, profile, with_table
+from estimators.identify.combinations import combinations
+from estimators.identify.validation import in_windows, on_others
 from estimators.methods.prediction_error import predicted_percent, prediction_error
-from estimators.validation import in_windows, on_others
 from models.expressions import number
 from models.library import get
 from models.library.twsbr import TOLD_NEAR_UPRIGHT

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators.contract import EstimationError
-from estimators.structural import SMALL, Motion, generic_motions, reduced, structure
+from estimators.identify.structural import SMALL, Motion, generic_motions, reduced, structure
 from models.library import get
 from models.library.twsbr import TOLD_AT_LARGE_TILT, TOLD_IN_TURNS, TOLD_NEAR_UPRIGHT
 from models.model import Model

@@ -15,6 +15,7 @@ import sympy
 from numpy.typing import NDArray
 from scipy.linalg import expm
 from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, RigidBody, dynamicsymbols, inertia
+from twsbr_derivation import Derivation, derive
 
 from models.compiler.equations import compose
 from models.compiler.kernel import Kernel, compile_model
@@ -23,7 +24,6 @@ from models.library import get
 from models.library.twsbr import GRAVITY
 from models.model import Model
 from models.segment import Segment
-from models.twsbr_derivation import Derivation, derive
 from telemetry.channels import TWSBR as CHANNELS
 
 Array = NDArray[np.float64]

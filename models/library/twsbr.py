@@ -1,6 +1,6 @@
 """The two-wheeled balancing robot as a grey-box model. Channels and signs as in telemetry.channels, SI units.
 
-    M rates' = motors - friction + gravity,  derived from the energies in models.twsbr_derivation
+    M rates' = motors - friction + gravity,  derived from the energies in tests/twsbr_derivation.py
 
 A wheel's angle is that against the body, as its encoder counts it; against the floor the wheel rolls by tilt more,
 which is the paper's theta. With the mean rolling angle (`travel`) and the wheels' difference (`turn`) as coordinates
@@ -183,7 +183,7 @@ def _wheel_states(side: str, sign: str) -> tuple[State, State]:
 TWSBR = Model(
     name="twsbr",
     title="two-wheeled balancing robot: body, two wheels, two geared DC motors",
-    source="Hassan, Moustafa, Moness, equations (1) to (22); corrections in models.twsbr_derivation",
+    source="Hassan, Moustafa, Moness, equations (1) to (22); corrections in tests/twsbr_derivation.py",
     settling=3.0,
     base_states=(
         State(
@@ -320,7 +320,7 @@ TOLD_NEAR_UPRIGHT = {
 }
 """What a record can tell in which both motors get the same voltage and the body stays near upright: these combinations,
 all a unit of motor gain (N m/V), and no others. So of the paper's 14 numbers six are estimated here, and those are held
-that its Table 2 knows best. estimators.structural finds both."""
+that its Table 2 knows best. estimators.identify.structural finds both."""
 
 TOLD_AT_LARGE_TILT = {"radius of the wheels": "wheel_radius"}
 """What it can tell besides where the body leans far enough for the cosine of the tilt to show."""
