@@ -2,7 +2,7 @@
 
 What the usual formula of an effect leaves looks like another effect beside it. Dry friction whose contact bends before
 it slides, drawn as the sign of the rate, leaves what looks like play, like friction that falls with the rate, or like
-something without a name (tests/test_finer.py).
+something without a name (tests/diagnosis/test_finer.py).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ AS_GOOD = 1.0
 SHORT = 1.0
 """Natural logarithm by which an unstable motion may grow within a simulation that counts as short against the pole. An
 axis with a pole at 5 rad/s under feedback, disturbed by white force noise of 0.5 N/sqrt(Hz) beside pushes of 7 N (six
-records of 20 s, tests/unstable_plant.py): inertia 7 % too large with windows of 2 / pole, 12 % with 4.5 / pole;
+records of 20 s, tests/support/unstable_plant.py): inertia 7 % too large with windows of 2 / pole, 12 % with 4.5 / pole;
 prediction error is off by 0.5 %, within its scatter."""
 MEAN = " (mean over the channels)"
 ALIKE, OWN = "alike", "own"

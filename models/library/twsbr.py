@@ -1,6 +1,6 @@
 """The two-wheeled balancing robot as a grey-box model. Channels and signs as in telemetry.channels, SI units.
 
-    M rates' = motors - friction + gravity,  derived from the energies in tests/twsbr_derivation.py
+    M rates' = motors - friction + gravity,  derived from the energies in tests/support/twsbr_derivation.py
 
 A wheel's angle is that against the body, as its encoder counts it; against the floor the wheel rolls by tilt more,
 which is the paper's theta. With the mean rolling angle (`travel`) and the wheels' difference (`turn`) as coordinates
@@ -183,7 +183,7 @@ def _wheel_states(side: str, sign: str) -> tuple[State, State]:
 TWSBR = Model(
     name="twsbr",
     title="two-wheeled balancing robot: body, two wheels, two geared DC motors",
-    source="Hassan, Moustafa, Moness, equations (1) to (22); corrections in tests/twsbr_derivation.py",
+    source="Hassan, Moustafa, Moness, equations (1) to (22); corrections in tests/support/twsbr_derivation.py",
     settling=3.0,
     base_states=(
         State(

@@ -1,0 +1,219 @@
+"""From recordings to a verdict: what is hidden in the virtual vehicle is found, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from thorough import of_many
+from virtual_records import multisine
+
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from estimators.identify.run import with_values
+from models.effect import Effect, EffectParameter, Family
+from models.parts import Place
+from service.virtual.run import record
+from simulation.hidden import HIDDEN
+from telemetry.recording import Recording
+from vehicles.file import load
+from vehicles.registry import nominal_model
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+
+
+@cache
+def found_in(*hide: str) -> Diagnosis:
+    return diagnose(MODEL, [multisine(*hide)], support=VEHICLE.support)
+
+
+class TestNothingMissing:
+    def test_a_clean_record_is_explained(self) -> None:
+        found = found_in()
+        assert found.verdict is Verdict.ADEQUATE
+        assert found.findings == ()
+        assert found.innovation_ratio_after == pytest.approx(1.0, abs=0.1)  # the tolerance of adequacy itself
+
+    def test_it_says_what_would_have_shown(self) -> None:
+        found = found_in()
+        assert found.minimum_detectable is not None
+        assert found.minimum_detectable["coulomb_friction"] < 0.1 * HIDDEN["coulomb_friction"].size
+        assert all(size > 0.0 for size in found.minimum_detectable.values())
+        assert found.minimum_detectable["input_delay"] < 0.02
+
+
+class TestOneEffect:
+    @pytest.mark.parametrize(
+        ("hide", "name", "parameter", "within"),
+        of_many(
+            [
+                # The plant's friction has bristles, which tanh has not: a tenth of the size.
+                ("coulomb_friction", "coulomb_friction", "torque", 0.1),
+                ("viscous_friction", "viscous_friction", "coefficient", 0.1),
+            ],
+            ("viscous_friction", "viscous_friction", "coefficient", 0.1),
+        ),
+    )
+    def test_is_named_and_sized(self, hide: str, name: str, parameter: str, within: float) -> None:
+        found = found_in(hide)
+        assert found.verdict is Verdict.MISSING_EFFECT
+        assert found.findings[0].effect == name
+        assert len(found.findings[0].tied_with) <= 1
+        size = found.findings[0].parameters[f"{name}.{parameter}"].value
+        assert size == pytest.approx(HIDDEN[hide].size, rel=within)
+
+    def test_the_error_falls_to_the_floor_also_on_unseen_data(self) -> None:
+        found = found_in("viscous_friction")
+        before, after = found.innovation_ratio_before, found.innovation_ratio_after
+        assert before is not None
+        assert after is not None
+        assert before > 1.5
+        assert after == pytest.approx(1.0, abs=0.1)
+        unseen = found.findings[0].held_out
+        assert unseen is not None
+        assert unseen.gain > 2.0 * unseen.std
+
+    def test_a_line_is_found_at_its_frequency(self) -> None:
+        finding = found_in("periodic_disturbance").findings[0]
+        assert finding.effect == "periodic_disturbance"
+        assert finding.parameters["periodic_disturbance.frequency"].value == pytest.approx(1.3, abs=0.01)
+
+    def test_what_does_the_same_is_named_together(self) -> None:
+        finding = found_in("static_torque").findings[0]
+        assert {finding.effect, *finding.tied_with} >= {"static_torque", "sensor_offset"}
+        assert "Tied with" in finding.explanation
+
+    def test_the_explanation_has_equation_size_and_neighbour(self) -> None:
+        text = found_in("viscous_friction").findings[0].explanation
+        for part in ("coefficient rate", "N m s/rad", "+-", "would have shown"):
+            assert part in text
+
+
+class TestTwoEffects:
+    def test_both_are_found(self) -> None:
+        found = found_in("viscous_friction", "periodic_disturbance")
+        assert {each.effect for each in found.findings} == {"viscous_friction", "periodic_disturbance"}
+
+
+class TestOwnEffect:
+    def test_ranks_with_the_rest(self) -> None:
+        own = Effect(
+            name="wheel_drag",
+            family=Family.SPEED_DRAG,
+            title="drag of a wheel",
+            place=Place.JOINT,
+            equation="F = -drag rate",
+            parameters=(EffectParameter("drag", "{force} s/{coordinate}", "of it", amplitude=True, scale="100"),),
+            force="-drag * rate",
+            signature="A force against the rate.",
+            confused_with=("viscous_friction",),
+            separated_by="Nothing: it is viscous friction by another name.",
+        )
+        found = diagnose(
+            MODEL, [multisine("viscous_friction")], support=VEHICLE.support, candidates=["coulomb_friction", own]
+        )
+        assert found.findings[0].effect == "wheel_drag"
+
+
+def changed(recording: Recording, **channels: np.ndarray) -> Recording:
+    return replace(recording, values={**recording.values, **channels})
+
+
+class TestDataThatCannotTell:
+    def insufficient(self, recording: Recording) -> str:
+        found = diagnose(MODEL, [recording], support=VEHICLE.support)
+        assert found.verdict is Verdict.INSUFFICIENT_DATA
+        assert found.findings == ()
+        assert found.to_json()["minimum_detectable"] == {}
+        return found.reason
+
+    def test_too_short(self) -> None:
+        """8 s are asked of the MONOCAB, twenty of its natural times."""
+        assert "Remedy: record 8 s or more" in self.insufficient(multisine().between(0.0, 8.0))
+
+    def test_no_excitation(self) -> None:
+        assert "noise" in self.insufficient(record("monocab", "hold", seed=9))
+
+    def test_a_single_sine(self) -> None:
+        whole = multisine()
+        time = whole.time - whole.time[0]
+        sine = {"roll": 0.01 * np.sin(6.0 * time), "roll_rate": 0.06 * np.cos(6.0 * time)}
+        assert "single sine" in self.insufficient(changed(whole, **sine))
+
+    def test_saturation(self) -> None:
+        rate = np.clip(multisine()["roll_rate"], -0.03, 0.03)
+        assert "roll_rate" in self.insufficient(changed(multisine(), roll_rate=rate))
+
+    def test_degrees_for_radians(self) -> None:
+        assert "degrees" in self.insufficient(changed(multisine(), roll_rate=np.degrees(multisine()["roll_rate"])))
+
+    def test_degrees_for_radians_that_lie_beyond_the_supports(self) -> None:
+        """So quiet a run that its degrees could be rad: it looks like a vehicle that hardly left its supports."""
+        whole = multisine().between(10.0)
+        angle, rate = (0.2 * np.degrees(whole[name]) for name in ("roll", "roll_rate"))
+        assert "convert degrees to rad" in self.insufficient(changed(whole, roll=angle, roll_rate=rate))
+
+    def test_a_sensor_that_is_slower_than_the_rows(self) -> None:
+        """A camera: what it showed last stands in the rows until the next frame."""
+        whole = multisine()
+        reason = self.insufficient(changed(whole, roll=whole["roll"][np.arange(len(whole)) // 3 * 3]))
+        assert "roll: holds each value for 3 rows" in reason
+        assert "Remedy: record a row a frame" in reason
+
+    def test_two_channels_swapped(self) -> None:
+        whole = multisine()
+        swapped = changed(whole, roll_rate=whole["precession_rate"], precession_rate=whole["roll_rate"])
+        assert "roll_rate" in self.insufficient(swapped)
+
+
+class TestDocument:
+    def test_has_the_keys_that_scripts_read(self) -> None:
+        document = found_in("viscous_friction").to_json()
+        assert set(document) >= {
+            "adequate",
+            "verdict",
+            "findings",
+            "minimum_detectable",
+            "suggested_experiment",
+            "innovation_ratio_before",
+            "innovation_ratio_after",
+            "disturbance",
+            "prediction_limit",
+            "events",
+            "untried",
+        }
+        assert set(document["findings"][0]) == {
+            "effect",
+            "family",
+            "parameters",
+            "probability",
+            "p_value",
+            "held_out_error_closed_percent",
+            "tied_with",
+            "made_of",
+            "relevance",
+            "explanation",
+        }
+
+    def test_what_is_compiled_is_told(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """As on a computer that has none of its models yet."""
+        monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
+        monkeypatch.setattr("models.compiler.kernel._loaded", {})
+        told: list[str] = []
+        friction = multisine("coulomb_friction")
+        few = ("coulomb_friction", "viscous_friction")
+        diagnose(MODEL, [friction], support=VEHICLE.support, candidates=few, progress=lambda text, _: told.append(text))
+        compiled = [text for text in told if ": compiling with " in text]
+        assert any(text.endswith("with dry friction of constant size") for text in compiled)
+
+    def test_progress_is_told_in_order(self) -> None:
+        told: list[float] = []
+        diagnose(MODEL, [multisine()], support=VEHICLE.support, progress=lambda text, share: told.append(share))
+        assert told == sorted(told)
+        assert told[0] >= 0.0
+        assert told[-1] <= 1.0

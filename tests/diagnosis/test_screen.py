@@ -1,0 +1,242 @@
+"""The score screen: sizes, signs, and p-values that mean what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+from virtual_records import multisine
+
+from diagnosis.prepare.candidates import at_frequencies, candidates_for
+from diagnosis.prepare.workspace import Workspace, attached
+from diagnosis.score.score_test import DETECTABLE, Screen, screen
+from diagnosis.score.whitened import Whitened, project
+from estimators.fit.maximum_likelihood import fit
+from estimators.identify.run import with_values
+from models import library
+from models.effects.catalogue import CATALOGUE
+from vehicles.file import load
+from vehicles.registry import nominal_model
+
+VEHICLE = load("monocab")
+MODEL = with_values(
+    nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
+)
+FEW = ("static_torque", "coulomb_friction", "viscous_friction", "cubic_stiffness", "periodic_disturbance")
+
+
+@cache
+def clean() -> tuple[Workspace, Whitened]:
+    workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, FEW)
+    return workspace, Whitened.of(fit(workspace.problem(MODEL)))
+
+
+def screened(innovations: Whitened) -> Screen:
+    workspace, _ = clean()
+    return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+
+
+def white(seed: int) -> Whitened:
+    """What a right model would leave."""
+    _, innovations = clean()
+    noise = np.random.default_rng(seed).standard_normal((len(innovations.residual), 1))
+    return replace(innovations, residual=project(noise, innovations.nuisance)[:, 0])
+
+
+def planted(name: str, size: float) -> Whitened:
+    """White innovations with what `size` of the first amplitude of `name` would add to them, to first order."""
+    workspace, innovations = clean()
+    candidate = next(each for each in workspace.candidates if each.name == name)
+    task = workspace.problem(attached(MODEL, [candidate]))
+    direction = innovations.directions(task, [candidate.amplitudes[0]], candidate.variants[0])
+    noise = white(seed=1)
+    return replace(noise, residual=noise.residual + size * project(direction, innovations.nuisance)[:, 0])
+
+
+class TestSizes:
+    @pytest.mark.parametrize(
+        ("name", "size"), [("static_torque", 5.0), ("coulomb_friction", 4.0), ("viscous_friction", 200.0)]
+    )
+    def test_what_was_planted_comes_back(self, name: str, size: float) -> None:
+        """3.3 standard errors: a right implementation would miss them with one seed in a thousand."""
+        found = screened(planted(name, size))
+        score = found.score(name)
+        first = score.candidate.amplitudes[0]
+        assert abs(score.sizes[first] - size) < 3.3 * score.standard_errors[first]
+        assert score.p_value < 1e-4
+        assert found.scores[0].candidate.name == name
+
+    def test_a_sign_that_physics_forbids_is_no_finding(self) -> None:
+        score = screened(planted("coulomb_friction", -4.0)).score("coulomb_friction")
+        assert score.sizes["coulomb_friction.torque"] == 0.0
+        assert score.p_value > 0.5
+
+    def test_a_size_at_the_detectable_one_is_found(self) -> None:
+        least = screened(clean()[1]).score("viscous_friction").detectable
+        assert screened(planted("viscous_friction", 1.5 * least)).score("viscous_friction").p_single < 1e-3
+
+    def test_a_step_is_detectable_by_what_it_does_beyond_a_constant_torque(self) -> None:
+        """Four detectable sizes of it beat a constant torque by 4 x 4.66 standard deviations, whose square scatters by
+        twice that: 3.3 standard deviations to either side. At whatever instant it shows best, and only there."""
+        task, innovations = clean()
+        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, ("static_torque", "torque_step"))
+        step = next(each for each in workspace.candidates if each.name == "torque_step")
+
+        def look(innovations: Whitened) -> Screen:
+            return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+
+        least = look(white(seed=1)).score("torque_step").detectable
+        beyond = []
+        for shape in step.variants:
+            moved = innovations.directions(workspace.problem(attached(MODEL, [step])), step.amplitudes, shape)
+            noise = white(seed=1)
+            seen = noise.residual + 4.0 * least * project(moved, innovations.nuisance)[:, 0]
+            found = look(replace(noise, residual=seen))
+            one, other = (found.score(name) for name in ("torque_step", "static_torque"))
+            # As if nothing scattered more than the information says, which the rest of the step does.
+            beyond.append(one.statistic * one.inflation - other.statistic * other.inflation)
+        away = 4.0 * DETECTABLE
+        assert max(beyond) == pytest.approx(away**2, abs=3.3 * 2.0 * away)
+
+    def test_what_is_detectable_is_told_at_the_usual_shape(self) -> None:
+        """Stribeck friction with nothing left in fast motion is seen at less than half the size: it is another one."""
+        _, innovations = clean()
+        workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, ("coulomb_friction", "stribeck_friction"))
+        coulomb, stribeck = workspace.candidates
+
+        def least(*variants: Mapping[str, float]) -> float:
+            both = [coulomb, replace(stribeck, variants=variants)]
+            found = screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), both)
+            return found.score("stribeck_friction").detectable
+
+        usual, other = least(stribeck.variants[0]), [least(each) for each in stribeck.variants[1:]]
+        assert least(*stribeck.variants) == pytest.approx(usual)
+        assert min(other) < 0.6 * usual
+
+    def test_friction_of_two_directions_is_detectable_by_what_sets_them_apart(self) -> None:
+        """One direction alone is half Coulomb friction, so that what is beyond is harder to see than the whole."""
+        task, innovations = clean()
+        names = ("coulomb_friction", "asymmetric_friction")
+        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, names)
+        found = screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+        one = found.bases["coulomb_friction"]
+        moved = project(
+            innovations.directions(
+                workspace.problem(attached(MODEL, [found.score("asymmetric_friction").candidate])),
+                ["asymmetric_friction.torque_forward"],
+                {},
+            ),
+            innovations.nuisance,
+        )
+        left = np.linalg.norm(moved - one @ (one.T @ moved))
+        score = found.score("asymmetric_friction")
+        assert score.detectable == pytest.approx(DETECTABLE * np.sqrt(score.inflation) / left, rel=1e-6)
+        assert left < 0.8 * np.linalg.norm(moved)
+
+
+class TestPairs:
+    NAMES = ("gimbal_imbalance", "load_dependent_friction", "static_torque", "viscous_friction")
+
+    def look(self, sizes: Mapping[str, float]) -> Screen:
+        """The screen of white innovations with `sizes`, in the standard errors that each would have alone."""
+        task, innovations = clean()
+        workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, self.NAMES)
+        noise = white(seed=5)
+        seen = noise.residual.copy()
+        for each in workspace.candidates:
+            if each.name in sizes:
+                task_with_it = workspace.problem(attached(MODEL, [each]))
+                moved = innovations.directions(task_with_it, each.amplitudes[:1], {})
+                moved = project(moved, innovations.nuisance)[:, 0]
+                seen += sizes[each.name] * moved / np.linalg.norm(moved)
+        return screen(
+            replace(noise, residual=seen),
+            lambda group: workspace.problem(attached(MODEL, group)),
+            workspace.candidates,
+        )
+
+    def test_two_that_hide_each_other_show_together(self) -> None:
+        one, other = self.NAMES[:2]
+        nothing = self.look({})
+        along = float((nothing.bases[one].T @ nothing.bases[other]).item())
+        # What one does is in part what the other undoes.
+        assert abs(along) > 0.5
+        found = self.look({one: -8.0 * np.sign(along), other: 8.0})
+        assert {each.name for each in found.pairs[0].candidates} == {one, other}
+        alone = min(score.p_value for score in found.scores if score.candidate.name in (one, other))
+        assert found.pairs[0].p_value < 1e-3 * alone
+
+    def test_a_pair_of_a_sign_that_physics_forbids_is_none(self) -> None:
+        one, other = self.NAMES[:2]
+        along = float((self.look({}).bases[one].T @ self.look({}).bases[other]).item())
+        pairs = self.look({one: 8.0 * np.sign(along), other: -8.0}).pairs
+        assert all({each.name for each in pair.candidates} != {one, other} for pair in pairs)
+
+    def test_chance_makes_no_pair(self) -> None:
+        assert all(pair.p_value > 0.01 for pair in self.look({}).pairs)
+
+
+class TestProbabilities:
+    def test_p_values_are_uniform_where_nothing_is_missing(self) -> None:
+        """White noise in place of the innovations, 60 seeds: the smallest p-value is uniform from 0 to 1 by
+        Kolmogorov and Smirnov's test, at a level of 1 % (what is refused of a right implementation)."""
+        found = [min(score.p_value for score in screened(white(seed)).scores) for seed in range(60)]
+        assert stats.kstest(found, "uniform").pvalue > 0.01
+
+    def test_a_clean_record_has_none(self) -> None:
+        assert min(score.p_value for score in screened(clean()[1]).scores) > 0.01
+
+    def test_frequencies_picked_from_the_data_have_their_price(self) -> None:
+        workspace, _ = clean()
+        line = next(each for each in workspace.candidates if each.name == "periodic_disturbance")
+        (further,) = at_frequencies([line], [2.2, 1e6], among=4000)
+        assert [each["periodic_disturbance.frequency"] for each in further.variants[-1:]] == [2.2]
+        assert further.picked == 1
+
+
+class TestSimilarity:
+    def test_of_an_effect_with_itself_is_one_and_symmetric(self) -> None:
+        found = screened(clean()[1])
+        assert found.similarity("coulomb_friction", "coulomb_friction") == pytest.approx(1.0)
+        one = found.similarity("coulomb_friction", "viscous_friction")
+        assert one == pytest.approx(found.similarity("viscous_friction", "coulomb_friction"))
+        assert 0.2 < one < 0.99
+
+
+class TestCandidates:
+    def test_every_effect_is_a_candidate_or_has_a_reason(self) -> None:
+        found, left_out = candidates_for(MODEL, [multisine()])
+        assert {each.effect.name for each in found} | set(left_out) == set(CATALOGUE)
+        assert "input_delay" in {each.name for each in found}, "what passes on a measured motion may be late"
+
+    def test_one_whose_channel_is_not_recorded_is_left_out_with_the_reason(self) -> None:
+        whole = multisine()
+        kept = type(whole.channels)(channel for channel in whole.channels if channel.name != "precession")
+        recording = replace(whole, channels=kept, values={name: whole.values[name] for name in kept.names})
+        found, left_out = candidates_for(MODEL, [recording])
+        assert "gimbal_imbalance" not in {each.name for each in found}
+        assert "precession" in left_out["gimbal_imbalance"]
+
+    def test_an_effect_that_is_there_already_is_none(self) -> None:
+        found, _ = candidates_for(MODEL.add("coulomb_friction"), [multisine()])
+        assert "coulomb_friction" not in {each.name for each in found}
+
+
+def test_every_place_that_can_have_an_effect_is_a_candidate() -> None:
+    """The robot has a joint for the tilt, for each wheel, and for the floor."""
+    robot = library.get("twsbr")
+    found, left_out = candidates_for(robot, (), ["coulomb_friction"])
+    assert [each.name for each in found] == [
+        "coulomb_friction",
+        *(f"coulomb_friction@{joint.name}" for joint in robot.joints[1:]),
+    ]
+    assert [each.attached.at for each in found] == [joint.name for joint in robot.joints]
+    assert not left_out
+    there = robot.add("coulomb_friction", robot.joints[1].name)
+    assert found[1].name not in {each.name for each in candidates_for(there, (), ["coulomb_friction"])[0]}
+    both = attached(robot, found[:2])
+    assert [each.at for each in both.effects] == [joint.name for joint in robot.joints[:2]]

@@ -1,0 +1,81 @@
+"""The manual against the program: what the program has is in the reference, and every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from pydantic import BaseModel
+
+from service.cli import app
+from telemetry.channels import TABLES
+from vehicles import registry
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCS = REPOSITORY / "docs"
+PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
+
+
+def _sections(model: type[BaseModel]) -> Iterator[tuple[str, str]]:
+    """(section, key) of every key of a vehicle file."""
+    for name, field in model.model_fields.items():
+        inner = [part for part in (field.annotation, *getattr(field.annotation, "__args__", ())) if part is not None]
+        models = [part for part in inner if isinstance(part, type) and issubclass(part, BaseModel)]
+        if models:
+            yield from _sections(models[0])
+        else:
+            yield model.__name__, name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    targets = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text())]
+    missing = [name for name in targets if name and "://" not in name and not (page.parent / name).exists()]
+    assert not missing
+
+
+@pytest.mark.parametrize("kind", registry.names())
+def test_every_key_of_a_vehicle_file_is_explained(kind: str) -> None:
+    page = (DOCS / "reference" / "vehicle-file.md").read_text()
+    internal = {"path", "configuration_hash"}
+    # A parameter's value, std and unit are explained together, in one line.
+    keys = {key for section, key in _sections(registry.of(kind).file) if section != "ParameterEntry"} - internal
+    assert len(keys) > 60
+    assert not sorted(key for key in keys if f"`{key}`" not in page)
+
+
+def _commands() -> Iterator[tuple[str, list[str]]]:
+    """(command, its option names), groups unfolded."""
+    group = typer.main.get_command(app)
+
+    def walk(command: object, path: str) -> Iterator[tuple[str, list[str]]]:
+        inner = getattr(command, "commands", None)
+        if inner is None:
+            yield path, [option for parameter in command.params for option in parameter.opts if option[:2] == "--"]  # type: ignore[attr-defined]
+            return
+        for name, below in inner.items():
+            yield from walk(below, f"{path} {name}")
+
+    yield from walk(group, "upright")
+
+
+def test_every_command_and_option_is_explained() -> None:
+    page = (DOCS / "reference" / "cli.md").read_text()
+    missing = []
+    for command, options in _commands():
+        section = re.search(rf"^### `{command}\b.*?(?=^##|\Z)", page, re.M | re.S)
+        if section is None:
+            missing.append(command)
+            continue
+        missing += [f"{command} {option}" for option in options if option != "--help" and option not in section[0]]
+    assert not missing
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_every_channel_is_explained_with_its_unit(kind: str) -> None:
+    page = (DOCS / "reference" / "recording.md").read_text()
+    missing = [channel for channel in TABLES[kind] if f"| `{channel.name}` | {channel.unit} |" not in page]
+    assert not missing

@@ -1,0 +1,134 @@
+"""The cache of compiled models: what was compiled is found again, by other processes too, and what is damaged is made
+again."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from small_model import GAIN, INITIAL, PLANT, SHIFTED, segment
+
+from models.compiler import kernel as kernels
+from models.compiler import machine_code
+from models.compiler.kernel import LOOPS, Kernel, compile_model
+from models.parts import Hold
+
+
+@pytest.fixture(scope="module")
+def plant() -> Kernel:
+    return compile_model(PLANT)
+
+
+@pytest.fixture
+def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Kernel) -> Path:
+    """A cache directory with nothing in it but the loops, and a process that knows nothing but these."""
+    loops = _files(machine_code.cache_directory(), "loops-")[-1]
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    (folder / loops.name).write_bytes(loops.read_bytes())
+    monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
+    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
+    return folder
+
+
+def _files(folder: Path, start: str) -> list[Path]:
+    found = [path for path in folder.iterdir() if path.name.startswith(start)]
+    return sorted(found, key=lambda path: path.stat().st_mtime)
+
+
+def _final(kernel: Kernel) -> list[float]:
+    return kernel.run(segment(), kernel.vector(SHIFTED), INITIAL, gain=GAIN).final.tolist()
+
+
+def test_what_was_compiled_is_found_again(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    assert _final(compile_model(PLANT, progress=told.append)) == _final(plant)
+    assert told == ["model test-plant: compiling"]
+    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
+    other = PLANT.change({"m": 5.0})  # values are no part of it
+    again = compile_model(other, progress=told.append)
+    assert len(told) == 1
+    assert again.vector()[0] == 5.0
+    assert _final(compile_model(PLANT)) == _final(plant)
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "changed", "foreign"])
+def test_a_damaged_file_is_made_again(plant: Kernel, empty: Path, damage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compile_model(PLANT)
+    (path,) = _files(empty, "test-plant")
+    good = path.read_bytes()
+    middle = len(good) // 2
+    bad = {
+        "cut": good[:middle],
+        "empty": b"",
+        "changed": good[:middle] + bytes([good[middle] ^ 1]) + good[middle + 1 :],
+        "foreign": b"# what an earlier version kept under this name" * 9,
+    }
+    path.write_bytes(bad[damage])
+    monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
+    assert _final(compile_model(PLANT)) == _final(plant)
+    assert machine_code.recall(path.name) is not None
+
+
+def test_without_a_cache_that_can_be_written_all_works(
+    plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (empty / "file").touch()
+    monkeypatch.setenv("UPRIGHT_CACHE", str(empty / "file"))  # no folder can be made in a file, whoever one is
+    assert _final(compile_model(PLANT)) == _final(plant)
+
+
+def test_code_for_another_processor_is_not_taken(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = kernels.fingerprint(PLANT)
+    monkeypatch.setattr(machine_code, "processor", lambda: "another")
+    assert kernels.fingerprint(PLANT) != name
+
+
+def test_a_change_of_structure_is_another_model(plant: Kernel) -> None:
+    first, *rest = PLANT.inputs
+    for other in (
+        replace(PLANT, inputs=(replace(first, hold=Hold.CUBIC), *rest)),
+        replace(PLANT, inputs=(replace(first, delays=("push_delay",)), *rest)),
+        replace(PLANT, inputs=(replace(first, lag="wind_lag"), *rest)),
+        replace(PLANT, outputs=PLANT.outputs[:1]),
+        replace(PLANT, base_states=(*PLANT.base_states[:2], replace(PLANT.base_states[2], derivative="-z"))),
+    ):
+        assert kernels.fingerprint(other) != kernels.fingerprint(PLANT)
+    assert kernels.fingerprint(PLANT.change({"m": 2.0})) == kernels.fingerprint(PLANT)
+
+
+START = """
+import json, sys
+import numpy as np
+from models import library
+from models.compiler.kernel import compile_model
+from models.segment import Segment
+told = []
+kernel = compile_model(library.get("monocab_roll"), progress=told.append)
+time, inputs = 0.01 * np.arange(9.0), len(kernel.inputs)
+data = Segment(time, np.repeat(time[:, None], inputs, axis=1), np.ones((9, inputs)), np.zeros((9, len(kernel.outputs))))
+assert kernel.run(data, kernel.vector(), np.zeros(len(kernel.states))).predicted[-1].any()
+print(json.dumps([told, sorted({"sympy", "numba"} & set(sys.modules)), len(kernel.code.addresses)]))
+"""
+
+
+def _start() -> subprocess.Popen[str]:
+    root = Path(__file__).resolve().parents[2]
+    return subprocess.Popen([sys.executable, "-c", START], cwd=root, stdout=subprocess.PIPE, text=True, env=os.environ)
+
+
+def test_processes_share_the_cache(empty: Path) -> None:
+    """Two at once both compile, undisturbed; a third finds all, and works without SymPy and numba."""
+    for process in [_start(), _start()]:
+        output, _ = process.communicate(timeout=60)
+        assert process.returncode == 0
+        assert json.loads(output)[2] == len(kernels.FUNCTIONS)
+    assert len(_files(empty, "monocab_roll")) == 1
+    assert not [path for path in empty.iterdir() if path.suffix == ".tmp"]
+    output, _ = _start().communicate(timeout=60)
+    assert json.loads(output) == [[], [], len(kernels.FUNCTIONS)]

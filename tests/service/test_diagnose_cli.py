@@ -1,0 +1,251 @@
+"""`upright diagnose` as it is typed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from virtual_records import multisine
+from written_report import of_little_matter
+
+import diagnosis.parts
+from models.file.model_file import read
+from service.cli import app
+from service.cli.diagnose import default_budget
+from service.cli.diagnose_page import print_diagnosis
+from service.virtual.run import record
+from telemetry.storage import save
+
+EFFECTS = ("--effect", "viscous_friction", "--effect", "quadratic_drag")
+UNHURRIED = ("--budget", "inf")
+"""On a busy machine a test of what is found is none of how soon."""
+OTHERS = (
+    "roll",
+    "roll_rate",
+    "precession",
+    "precession_rate",
+    "precession_rate_setpoint",
+    "trim_position",
+    "trim_rate",
+    "trim_rate_setpoint",
+)
+OWN = """name = "wheel_drag"
+family = "speed_drag"
+title = "drag of a wheel"
+place = "joint"
+equation = "F = -drag rate"
+force = "-drag * rate"
+signature = "A force against the rate."
+confused_with = ["viscous_friction"]
+separated_by = "Nothing."
+
+[[parameters]]
+name = "drag"
+unit = "{force} s/{coordinate}"
+meaning = "of it"
+amplitude = true
+scale = "100"
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("diagnose") / "multisine.arrow"
+    save(multisine("viscous_friction"), path)
+    return path
+
+
+def upright(*arguments: Any, code: int = 0) -> str:
+    done = CliRunner().invoke(app, ["diagnose", *map(str, arguments)], catch_exceptions=False)
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+def test_for_people(recording: Path) -> None:
+    text = upright(recording, *EFFECTS)
+    for part in ("missing effect", "1. viscous_friction", "Innovation energy", "smallest effects", "N m s/rad"):
+        assert part in text
+    said = " ".join(text.split())
+    assert "Disturbance: " in said
+    assert "The best possible prediction 0.5 s ahead has " in said
+    assert " of the error 0.5 s ahead, and " in said  # the recording knows its loop
+    assert "Left untried" not in said
+
+
+def test_a_script_reads_the_disturbance_and_what_each_effect_matters(recording: Path) -> None:
+    document = json.loads(upright(recording, *EFFECTS, "--budget", "inf", "--json"))
+    assert document["untried"] == []
+    assert document["disturbance"]["roll"]["unit"] == "N m"
+    assert set(document["prediction_limit"]["rmse"]) == {"roll", "roll_rate"}
+    relevance = document["findings"][0]["relevance"]
+    assert relevance["horizon"] == 0.5
+    assert relevance["ahead_percent"] > 1.0
+    assert relevance["closed_loop_percent"] > 1.0
+    assert not relevance["negligible"]
+
+
+def test_a_budget_ends_it_with_what_it_has(recording: Path) -> None:
+    """The choice of the next experiment alone takes longer."""
+    text = " ".join(upright(recording, "--budget", "2").split())
+    assert "Left untried for want of time (2 s): " in text
+    assert "Remedy: --budget 10." in text
+
+
+def test_a_budget_has_to_be_some_time(recording: Path) -> None:
+    upright(recording, "--budget", "0", code=2)
+
+
+def test_the_usual_budget_goes_with_the_rows() -> None:
+    rows = len(multisine("viscous_friction"))
+    assert default_budget([multisine("viscous_friction")]) == pytest.approx(60.0 * max(1.0, rows / 12_000))
+    assert default_budget([multisine("viscous_friction")] * 10) == pytest.approx(600.0 * rows / 12_000)
+
+
+def test_what_is_negligible_is_listed_below_and_makes_no_headline(capsys: pytest.CaptureFixture[str]) -> None:
+    print_diagnosis(of_little_matter(), 60.0)
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.startswith("negligible effect: Nothing is missing that matters.")
+    above, below = text.split("Negligible: what shows, and makes less than 1 % of the error")
+    assert "coulomb_friction" not in above
+    assert "1. coulomb_friction" in below
+
+
+def test_everything_that_is_written(recording: Path, tmp_path: Path) -> None:
+    model, report = tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
+    document = json.loads(upright(recording, *EFFECTS, "--auto", model, "--report", report, "--json"))
+    assert document["verdict"] == "missing_effect"
+    assert document["findings"][0]["effect"] == "viscous_friction"
+    file = read(model)
+    assert [each.name for each in file.model.effects] == ["viscous_friction"]
+    found = document["findings"][0]["parameters"]["viscous_friction.coefficient"]["value"]
+    assert file.model.values["viscous_friction.coefficient"] == pytest.approx(found)
+    assert [entry["action"] for entry in file.history] == ["add"]
+    trail = json.loads(model.with_suffix(".trail.json").read_text())
+    assert trail["findings"] == document["findings"]
+    assert len(trail["recordings"]["multisine.arrow"]) == 64
+    page = report.read_text()
+    assert "viscous_friction" in page
+    assert trail["recordings"]["multisine.arrow"] in page
+
+
+def test_a_recording_that_is_gone_by_then_is_no_loss(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once it was read: the search takes minutes, in which whoever recorded it may tidy up."""
+    path, model, report = tmp_path / "gone.arrow", tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
+    path.write_bytes(recording.read_bytes())
+    search = diagnosis.parts.diagnose_parts
+
+    def tidied_up(*arguments: Any, **named: Any) -> Any:
+        path.unlink()
+        return search(*arguments, **named)
+
+    monkeypatch.setattr(diagnosis.parts, "diagnose_parts", tidied_up)
+    upright(path, *EFFECTS, "--auto", model, "--report", report)
+    sha256 = hashlib.sha256(recording.read_bytes()).hexdigest()
+    assert json.loads(model.with_suffix(".trail.json").read_text())["recordings"] == {"gone.arrow": sha256}
+    assert sha256 in report.read_text()
+
+
+def test_an_effect_of_ones_own(recording: Path, tmp_path: Path) -> None:
+    own = tmp_path / "wheel_drag.toml"
+    own.write_text(OWN)
+    model = tmp_path / "repaired.toml"
+    asked = ("--effect", "quadratic_drag", "--also", own, "--auto", model, "--json")
+    assert json.loads(upright(recording, *asked))["findings"][0]["effect"] == "wheel_drag"
+    file = read(model)
+    assert [each.name for each in file.model.effects] == ["wheel_drag"]
+    assert file.effect_files == {"wheel_drag": "wheel_drag.toml"}
+
+
+def test_a_folder_that_is_not_there_is_said_before_the_work(recording: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["diagnose", str(recording), "--report", str(tmp_path / "nowhere" / "page.html")])
+    assert done.exit_code == 2
+    assert "there is no folder" in done.output.replace("\n", " ")
+
+
+def test_data_that_cannot_tell_end_with_1_and_the_reason(tmp_path: Path) -> None:
+    short = multisine()
+    path = tmp_path / "short.csv"
+    rows = short.time < 8.0
+    names = short.channels.names
+    lines = [",".join(("time", *names))]
+    lines += [
+        ",".join(f"{value:.9g}" for value in row)
+        for row in zip(short.time[rows], *(short[name][rows] for name in names), strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    text = upright(path, code=1)
+    assert "insufficient data" in text
+    assert "Remedy" in text
+
+
+def test_an_unknown_effect_is_refused_with_a_hint(recording: Path) -> None:
+    done = CliRunner().invoke(app, ["diagnose", str(recording), "--effect", "viscos_friction"])
+    assert done.exit_code != 0
+    assert "viscous_friction" in str(done.exception)
+
+
+def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Path) -> None:
+    """The nine channels of the contract as CSV, roll measured apart from the gyro: 0.01 deg of white noise on it.
+
+    As a model of the own filter would have it, roll is the integrated gyro to a millionth of a radian.
+    """
+    known = multisine("viscous_friction")
+    rng = np.random.default_rng(5)
+    columns = {name: known[name].copy() for name in OTHERS}
+    columns["roll"] += rng.normal(0.0, np.radians(0.01), len(known))
+    path = tmp_path / "other.csv"
+    table = np.column_stack([known.time, *columns.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(("time", *OTHERS)), comments="", fmt="%.9g")
+    done = CliRunner().invoke(app, ["diagnose", str(path), *EFFECTS, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert "no channel drive_age" in done.stderr
+    document = json.loads(done.stdout)
+    assert document["verdict"] == "missing_effect"
+    assert [each["effect"] for each in document["findings"]] == ["viscous_friction"]
+    assert 0.9 < document["innovation_ratio_after"] < 1.1
+
+
+def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp_path: Path) -> None:
+    path = tmp_path / "late.arrow"
+    save(record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0), path)
+    first = json.loads(upright(path, *EFFECTS, *UNHURRIED, "--json"))
+    assert first["verdict"] == "unknown"
+    assert "viscous_friction shows in late.arrow since" in first["reason"]
+    begin = first["reason"].rsplit("--from ", 1)[1].rstrip(".")
+    rest = json.loads(upright(path, *EFFECTS, "--from", begin, "--json"))
+    assert rest["verdict"] == "missing_effect"
+    assert rest["findings"][0]["effect"] == "viscous_friction"
+    told = CliRunner().invoke(app, ["diagnose", str(path), "--from", "99"])
+    assert told.exit_code != 0
+    assert "has no rows from 99" in str(told.exception)
+
+
+def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
+    """The catalogue does not know it, whichever comes first."""
+    path, own = tmp_path / "two.arrow", tmp_path / "wheel_drag.toml"
+    save(multisine("viscous_friction", "static_torque"), path)
+    own.write_text(OWN)
+    document = json.loads(upright(path, "--effect", "static_torque", "--effect", own, "--json"))
+    assert {each["effect"] for each in document["findings"]} == {"static_torque", "wheel_drag"}
+
+
+def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path) -> None:
+    """The vehicle from its measured gimbals on lacks nothing: the report is on the gimbals."""
+    path, report = tmp_path / "late.arrow", tmp_path / "report.html"
+    save(record("monocab", "multisine", hide=["input_delay"], seed=6, duration=30.0), path)
+    document = json.loads(upright(path, *UNHURRIED, "--report", report, "--json"))
+    assert [each["effect"] for each in document["findings"]] == ["input_delay"]
+    # 12 ms in the plant.
+    assert document["findings"][0]["parameters"]["input_delay.delay"]["value"] == pytest.approx(0.012, abs=0.003)
+    assert document["suggested_experiment"] is None
+    text = report.read_text()
+    assert "the model lacks input_delay" in text
+    assert "monocab_gimbals" in text
+    assert not (tmp_path / "report-2.html").exists()

@@ -1,0 +1,163 @@
+"""The pages of a comparison and of an identification: one file that loads nothing, with what the JSON says."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import small_vehicle
+from typer.testing import CliRunner
+from written_report import HASH, HOSTILE, Page
+
+from diagnosis.prediction.compare import Comparison, compare
+from diagnosis.report import Provenance, write_comparison, write_identification
+from diagnosis.report.drawing import looks
+from estimators.disturbance_estimate import DisturbanceEstimate
+from estimators.identify.run import identify, with_values
+from models import library
+from service.cli import app
+from telemetry.recording import Recording
+from telemetry.storage import save
+from vehicles.file import load
+from vehicles.registry import nominal_model
+
+VEHICLE = load("monocab")
+TRUTH = library.get("monocab_roll").add("static_torque").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})
+RIGHT = TRUTH.change({"static_torque.torque": 40.0})
+PROVENANCE = Provenance(vehicle="monocab", version="1.2.3", date="2031-02-03 04:05", hashes={HOSTILE: HASH})
+METHODS = ("least_squares", "instrumental_variables", "drive_lag")
+"""The quick ones."""
+
+
+@cache
+def sweep() -> Recording:
+    table = small_vehicle.run(1, 21.0, reference=lambda t: small_vehicle.sweep(t, 20.0))
+    return small_vehicle.recording(*table, 0)
+
+
+@cache
+def compared() -> list[Comparison]:
+    models = {"CAD": TRUTH, "<b>right</b>": RIGHT}
+    return compare(models, [sweep()], support=VEHICLE.support, loops=["the recording is <of> another vehicle"])
+
+
+@cache
+def document() -> dict[str, Any]:
+    model = with_values(nominal_model("monocab"), VEHICLE.parameters.values, {})
+    return identify([sweep()], VEHICLE.parameters.values, VEHICLE.support, METHODS, model=model)
+
+
+def check(text: str) -> Page:
+    """One document that loads nothing and believes no name it is given, each id once."""
+    page = Page(text)
+    assert [len(page.all(tag)) for tag in ("html", "head", "body", "title", "h1", "footer")] == [1] * 6
+    assert not {"script", "link", "img", "iframe", "object", "embed"} & {tag for tag, _ in page.tags}
+    assert text.count("url(") == text.count("url(#") > 0
+    assert "<b>" not in text
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids)) > 0
+    for part in (HOSTILE, HASH, "monocab", "1.2.3", "2031-02-03 04:05"):
+        assert part in page.text
+    return page
+
+
+@cache
+def comparison_page() -> Page:
+    answers = [(HOSTILE, compared()), ("runs/again.arrow", compared())]
+    return check(write_comparison(answers, provenance=PROVENANCE))
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pages") / "sweep.csv"
+    save(sweep(), path)
+    return path
+
+
+class TestAComparison:
+    def test_the_verdicts_come_first(self) -> None:
+        before = comparison_page().text.split("Measured against predicted")[0]
+        assert "<b>right</b>: adequate; CAD: not" in before
+        assert before.count("again.arrow") == 3  # above, and once a model
+        for each in compared():
+            assert f"{each.innovation_ratio:.3g}" in before
+
+    def test_each_recording_has_its_figures_and_numbers(self) -> None:
+        figures = [each["aria-label"] for each in comparison_page().all("svg")]
+        assert len(figures) == 2 * 3
+        for each in compared():
+            ratio = each.rmse["roll_rate"] / each.noise_floor["roll_rate"]
+            assert comparison_page().text.count(f"{each.fit_percent['roll_rate']:.2f} %") == 2
+            assert f"{ratio:.3g}" in comparison_page().text
+        for sentence in compared()[0].summary:
+            assert " ".join(sentence.split()) in comparison_page().text
+
+    def test_a_loop_that_is_not_known_has_its_reason_and_no_number(self) -> None:
+        part = comparison_page().text.split("Simulated in the closed loop")[1].split("Where it fails")[0]
+        assert "CAD, <b>right</b>: not available, the recording is <of> another vehicle." in part
+
+    def test_every_model_has_a_look(self) -> None:
+        assert len({each.colour for each in looks(6)}) == len({str(each.dash) for each in looks(6)}) == 6
+        assert len(looks(20)) == 20
+
+
+class TestAnIdentification:
+    def test_says_what_to_rely_on_with_its_parameters(self) -> None:
+        page = check(write_identification(document(), "monocab_roll", provenance=PROVENANCE, why="No <b>model</b>."))
+        best = document()["best"]
+        assert f"To rely on: {best}" in page.text
+        inertia = document()["methods"][best]["parameters"]["inertia"]["value"]
+        head = page.text.split("The methods side by side")[0]
+        assert f"inertia {inertia:.0f}" in head or f"inertia {inertia:.1f}" in head
+        assert "Parameters by method, each run and their mean" in [each.get("aria-label") for each in page.all("svg")]
+        for name in ("least_squares", "instrumental_variables", "speed_loop_lag"):
+            assert name in page.text
+        assert page.text.count("No <b>model</b>.") == 1
+
+    def test_shows_what_the_estimates_predict(self) -> None:
+        text = write_identification(document(), "monocab_roll", comparisons=compared(), provenance=PROVENANCE)
+        assert "Measured against predicted" in check(text).text
+
+
+class TestTheCommands:
+    def run(self, *arguments: Any, code: int = 0) -> str:
+        done = CliRunner().invoke(app, [*map(str, arguments)])
+        assert done.exit_code == code, done.output
+        return done.stdout
+
+    def test_compare(self, file: Path, tmp_path: Path) -> None:
+        report = tmp_path / "compare.html"
+        told = json.loads(self.run("compare", file, "--report", report, "--json"))
+        assert [each["closed_loop"]["available"] for each in told["models"]] == [False]
+        assert told["models"][0]["closed_loop"]["rmse"] == {}
+        left = DisturbanceEstimate.from_json("roll", told["models"][0]["disturbance"]["roll"])
+        page = Page(report.read_text())
+        assert "CAD: not adequate" in page.text
+        assert str(left) in page.text
+        assert f"disturbance, CAD: {left}" in " ".join(self.run("compare", file).split())
+        assert "sweep.csv SHA-256" in page.text
+
+    def test_identify(self, file: Path, tmp_path: Path) -> None:
+        report = tmp_path / "identify.html"
+        assert f"Report: {report}" in self.run("identify", file, "-m", "least_squares", "--report", report).replace(
+            "\n", ""
+        )
+        page = Page(report.read_text())
+        assert "No method to rely on" in page.text
+        assert "run prediction_error" in page.text
+
+    def test_identify_says_what_shakes_the_vehicle(self, file: Path, tmp_path: Path) -> None:
+        report = tmp_path / "shaken.html"
+        asked = ("identify", file, "-m", "prediction_error", "-m", "least_squares", "--report", report)
+        methods = json.loads(self.run(*asked, "--json"))["methods"]
+        assert methods["least_squares"]["disturbance"] == {}
+        found = DisturbanceEstimate.from_json("roll", methods["prediction_error"]["disturbance"]["roll"])
+        assert f"Disturbance that prediction_error found beside these: {found}." in Page(report.read_text()).text
+        assert f"Disturbance (prediction_error): {found}" in " ".join(self.run(*asked).split())
+
+    @pytest.mark.parametrize("command", ["compare", "identify"])
+    def test_a_folder_that_is_not_there_is_told_before_the_work(self, command: str, file: Path) -> None:
+        self.run(command, file, "--report", "/nowhere/at/all.html", code=2)

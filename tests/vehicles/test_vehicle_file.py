@@ -1,0 +1,83 @@
+"""Vehicle files: the shipped ones are right, and whatever is wrong is named with its key and a remedy."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from vehicles.file import VehicleFileError, load, shipped
+
+MONOCAB = (Path(__file__).parents[2] / "vehicles" / "monocab" / "vehicle.toml").read_text()
+
+
+def changed(tmp_path: Path, old: str, new: str) -> str:
+    """A copy of the shipped file with one text replaced; the path."""
+    assert old in MONOCAB
+    path = tmp_path / "mine.toml"
+    path.write_text(MONOCAB.replace(old, new, 1))
+    return str(path)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_files_load(name: str) -> None:
+    vehicle = load(name)
+    assert vehicle.vehicle.id == tomllib.loads(Path(vehicle.path).read_text())["vehicle"]["id"]
+    assert len(vehicle.configuration_hash) == 16
+
+
+def test_a_path_of_ones_own_loads_and_changes_the_hash(tmp_path: Path) -> None:
+    path = changed(tmp_path, "roll_deg = 5.0", "roll_deg = 6.0")
+    assert load(path).limits.roll_deg == 6.0
+    assert load(path).configuration_hash != load("monocab").configuration_hash
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "said"),
+    [
+        ("master_node = 127", "master_nod = 127", "control.master_nod", "Did you mean 'master_node'?"),
+        ("rate = 250 ", "rate = 240 ", "control.rate", "does not stream at 240 Hz"),
+        ("heartbeat_timeout = 0.12", "heartbeat_timeout = 0.05", "control", "at least twice heartbeat_period"),
+        ("support_deg = 4.0", "support_deg = 5.0", "limits", "resting on a support is a fault"),
+        ("precession_budget_deg = 45.0", "precession_budget_deg = 75.0", "limits", "cannot end in order"),
+        ("precession_deg = 60.0", "precession_deg = 95.0", "limits", "below 90"),
+        ("node = 2", "node = 1", "", "two drives have the same node id"),
+        ("node = 2", "node = 127", "", "also the node id of a drive"),
+        ("base_id = 0x18A", "base_id = 0x182", "", "is also a drive's node id"),
+        ('role = "trim"', 'role = "gimbal"', "drive.2", "has a gear_ratio"),
+        ("gear_ratio = 100.0 ", "gear_ratio = -1.0 ", "drive.0.gear_ratio", "greater than 0"),
+        ("mode = 2   ", "mode = 3   ", "drive.0.mode", "found 3"),
+        ('unit = "kg m^2"', 'unit = "g m^2"', "parameters", "give it in 'kg m^2'"),
+        ("value = 12600.0", "value = -12600.0", "parameters", "gravity_stiffness must be positive"),
+        ('"angular_rate_z"]', '"off"]', "imu.slots", "needs angular_rate_z"),
+        ("amplitude_deg = 0.4", "amplitude = 0.4", "experiments.square", "has its size in amplitude_deg"),
+        ("start_frequency = 0.05 ", "", "experiments.sweep", "a sweep needs start_frequency"),
+        ('drives = "socketcan:can0"', 'drives = "can0"', "bus.drives", "found 'can0'"),
+        ('[mqtt]\nbroker = ""', '[mqtt]\nbroker = "localhost"', "mqtt.broker", "found 'localhost'"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, key: str, said: str) -> None:
+    path = changed(tmp_path, old, new)
+    with pytest.raises(VehicleFileError) as caught:
+        load(path)
+    assert caught.value.file == path
+    assert caught.value.key == key
+    assert said in str(caught.value)
+    assert "Remedy:" in str(caught.value)
+
+
+def test_a_missing_section_is_named(tmp_path: Path) -> None:
+    path = changed(tmp_path, "[limits]", "[limit]")
+    with pytest.raises(VehicleFileError, match=r"limit.*Did you mean|limits: is missing"):
+        load(path)
+
+
+def test_broken_toml_names_the_line(tmp_path: Path) -> None:
+    with pytest.raises(VehicleFileError, match=r"not valid TOML.*line \d+"):
+        load(changed(tmp_path, "rate = 250 ", "rate = = 250 "))
+
+
+def test_a_file_that_is_not_there_lists_the_shipped_ones() -> None:
+    with pytest.raises(VehicleFileError, match=r"cannot be read: No such file.*monocab"):
+        load("nowhere")
