@@ -145,7 +145,8 @@ def _pass(what: str, model: Model, names: list[str]) -> Pass:
     source = np.random.default_rng(0)
     held = np.repeat(source.uniform(-0.2, 0.2, ROWS // 10), 10)
     slow = {"precession": 0.1 * np.sin(TIME), "trim_position": 0.01 * np.sin(TIME), "trim_rate": 0.01 * np.cos(TIME)}
-    inputs = np.column_stack([slow.get(name, held) for name in kernel.inputs])
+    usual = {each.name: np.full(ROWS, each.usual) for each in model.inputs if each.usual is not None}
+    inputs = np.column_stack([{**slow, **usual}.get(name, held) for name in kernel.inputs])
     knots = np.repeat(TIME[:, None], len(kernel.inputs), axis=1)
     data = Segment(TIME, knots.copy(), inputs, np.zeros((ROWS, len(kernel.outputs))))
     gain = np.zeros((len(kernel.states), len(kernel.outputs)))
