@@ -81,12 +81,11 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
             raise VehicleFileError(file, reserved, "is not a key of a vehicle file", remedy="Remove it.")
     section = table.get("vehicle")
     name = section.get("kind") if isinstance(section, dict) else None
-    known = registry.names()
-    if isinstance(name, str) and name not in known:
-        remedy = f"Use one of: {', '.join(known)}."
-        raise VehicleFileError(file, "vehicle.kind", f"there is no kind of vehicle {name!r}", remedy=remedy)
     # Where it says nothing of its kind, that is found like any other mistake in it.
-    kind = registry.of(name if isinstance(name, str) else known[0]).file
+    try:
+        kind = registry.of(name if isinstance(name, str) else registry.names()[0]).file
+    except registry.UnknownKindError as error:
+        raise VehicleFileError(file, "vehicle.kind", str(error.args[0]), remedy=error.remedy) from error
     try:
         return kind.model_validate({**table, "path": file, "configuration_hash": digest})
     except ValidationError as error:

@@ -16,8 +16,17 @@ from typing import Any
 import vehicles
 from drivers.vehicle_io import VehicleIo
 from models.model import Model
+from telemetry.errors import UprightError
 from vehicles.contract import Kind, Models, VehicleKind
 from vehicles.sections import VehicleFile
+
+
+class UnknownKindError(UprightError):
+    """There is no kind of vehicle of this `name`."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"there is no kind of vehicle {name!r}.", remedy=f"Use one of: {', '.join(names())}.")
+        self.name = name
 
 
 @cache
@@ -29,9 +38,9 @@ def names() -> tuple[str, ...]:
 
 @cache
 def of(name: str) -> VehicleKind:
-    """The kind with this name. Raises KeyError."""
+    """The kind with this name. Raises UnknownKindError."""
     if name not in names():
-        raise KeyError(name)
+        raise UnknownKindError(name)
     found = import_module(f"vehicles.{name}.vehicle").KIND
     assert isinstance(found, VehicleKind)
     return found

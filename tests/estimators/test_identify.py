@@ -30,7 +30,7 @@ from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
-from vehicles.registry import nominal_model
+from vehicles.registry import UnknownKindError, nominal_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = runpy.run_path(str(EXAMPLES / "compare_methods.py"))
@@ -247,9 +247,9 @@ def test_an_unknown_method_or_kind_is_refused_with_those_there_are(recordings: l
     with pytest.raises(EstimationError, match="magic") as caught:
         run(recordings, "magic")
     assert all(name in caught.value.remedy for name in METHODS)
-    with pytest.raises(EstimationError, match="hovercraft") as caught:
+    with pytest.raises(UnknownKindError, match="hovercraft") as refused:
         nominal_model("hovercraft")
-    assert "--model" in caught.value.remedy
+    assert "monocab" in refused.value.remedy
 
 
 def test_a_model_of_another_kind_is_given_to_the_methods_that_can_have_any(recordings: list[Recording]) -> None:

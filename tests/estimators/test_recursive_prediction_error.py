@@ -513,10 +513,3 @@ def test_one_that_fails_on_the_way_is_left_out(monkeypatch: pytest.MonkeyPatch) 
     results = bank.results()
     assert results["recursive_prediction_error"]["reason"] == "OverflowError: it ran away"
     assert results["recursive_least_squares"]["samples"] > 10
-
-
-def test_a_kind_without_estimators_has_none() -> None:
-    bank = online_estimators("other", {}, {}, 0.1)
-    bank.join()
-    bank.update(frames()[:10])
-    assert bank.results() == {}
