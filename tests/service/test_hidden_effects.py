@@ -306,7 +306,7 @@ def test_ctrl_c_keeps_what_is_done_and_leaves_no_process(folder: Path) -> None:
     path, script = folder / "results.jsonl", folder / "interrupted.py"
     script.write_text(INTERRUPTED)
     running = subprocess.Popen(
-        [sys.executable, script, path], env=_environment(), start_new_session=True, cwd=TESTS.parent
+        [sys.executable, script, path], env=_environment(), start_new_session=True, cwd=TESTS.parents[1]
     )
     try:
         # The clean record is done at once, and then two cases, which take a minute, are under way.
