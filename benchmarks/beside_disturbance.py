@@ -26,7 +26,7 @@ from estimators.methods.prediction_error import prediction_error
 from service.cli.diagnose import default_budget
 from service.hidden_effects.trial import Bench
 from service.virtual.run import record
-from simulation.hidden import HIDDEN
+from simulation.monocab.hidden import HIDDEN
 from telemetry.errors import UprightError
 from vehicles import registry
 from vehicles.file import load

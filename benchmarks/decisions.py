@@ -40,7 +40,7 @@ from models.model import Model
 from service.hidden_effects.cases import pairs
 from service.hidden_effects.vehicles import drawn
 from service.virtual.run import record
-from simulation.hidden import HIDDEN, UNLISTED
+from simulation.monocab.hidden import HIDDEN, UNLISTED
 from simulation.twsbr.hidden import TWSBR_HIDDEN, TWSBR_UNLISTED
 from telemetry.clock import by_the_clock
 from telemetry.csv_file import read_csv

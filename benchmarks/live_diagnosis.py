@@ -33,7 +33,7 @@ from diagnosis.live.live import LiveDiagnosis
 from diagnosis.live.naming import LiveFinding
 from estimators.recursive.predictor import Seen
 from service.virtual.run import BOOT_TIME, record
-from simulation.hidden import HIDDEN, LATE, UNLISTED
+from simulation.monocab.hidden import HIDDEN, LATE, UNLISTED
 from simulation.vehicle import START_NS
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording

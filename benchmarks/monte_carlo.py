@@ -37,7 +37,7 @@ from rich.table import Table
 from scipy import stats
 
 from service.virtual.run import record
-from simulation.config import PlantTruth
+from simulation.monocab.truth import PlantTruth
 from telemetry.storage import load as load_recording
 from telemetry.storage import save
 from vehicles.file import load

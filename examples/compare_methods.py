@@ -21,7 +21,8 @@ from diagnosis.report.method_figure import save_methods
 from estimators.identify.run import identify, with_values
 from service.cli.identify_page import print_methods
 from service.virtual.run import record
-from simulation.config import PlantTruth, SimulationConfig
+from simulation.config import SimulationConfig
+from simulation.monocab.truth import PlantTruth
 from telemetry.recording import Recording
 from vehicles.file import load
 from vehicles.registry import nominal_model

@@ -6,16 +6,18 @@ where its rate gives a positive roll torque, the trim mass positive to the right
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
 from simulation.disturbance import Disturbance, RandomTorque
-from simulation.hidden import MONOCAB, Registry, sizes_of
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
+from simulation.registry import Registry, sizes_of
 from telemetry.samples import Vector3
+
+EVENT_TIME = 10.0
+"""s after the first SYNC at which a person sits down, unless something else is asked for."""
 
 
 class Truth(Protocol):
@@ -35,60 +37,6 @@ class Truth(Protocol):
     def registry(self) -> Registry:
         """What this kind of vehicle can hide."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class PlantTruth:
-    """The MONOCAB as it really is; the vehicle file's CAD values are deliberately off by 10 to 20 %."""
-
-    inertia: float = 1650.0
-    """kg m^2, mechanical, about the rail head, trim mass in the middle included."""
-    gravity_stiffness: float = 14500.0
-    """N m/rad: mass x gravity x height of the centre of gravity."""
-    angular_momentum: float = 3300.0
-    """N m s, both flywheels together."""
-    gimbal_inertia: float = 60.0
-    """kg m^2 about the precession axes, both gimbals with their reflected rotors."""
-    gimbal_time_constant: float = 0.01
-    """s, small time constant of the speed loop (tau_sigma); the closed loop lags by four times this."""
-    gimbal_torque_limit: float = 1500.0
-    """N m at each gimbal."""
-    gimbal_drag: float = 20.0
-    """N m s/rad of each gimbal: bearings, chain and gear."""
-    gimbal_brake_torque: float = 1500.0
-    """N m that the holding brake of each gimbal can carry."""
-    trim_mass: float = 500.0
-    """kg."""
-    trim_height: float = 0.4
-    """m above the rail head."""
-    trim_drive_mass: float = 150.0
-    """kg, ball screw and rotor reflected to the carriage."""
-    trim_time_constant: float = 0.02
-    """s, small time constant of the trim drive's speed loop."""
-    trim_force_limit: float = 6000.0
-    """N."""
-    trim_drag: float = 400.0
-    """N s/m."""
-    support_angle: float = math.radians(4.0)
-    """rad, where the supports touch."""
-    support_stiffness: float = 2.0e6
-    """N m/rad."""
-    support_damping: float = 4.6e4
-    """N m s/rad, while pressed: 0.4 of critical with the inertia above, a restitution of about a quarter."""
-    rail_friction: float = 0.0
-    """N m s/rad of the roll motion."""
-    gravity: float = 9.81
-    """m/s^2."""
-    encoder_increments_per_turn: int = 1 << 20
-    """Of the motor encoders, inside the drives."""
-
-    @property
-    def falling_inertia(self) -> float:
-        return self.inertia
-
-    @property
-    def registry(self) -> Registry:
-        return MONOCAB
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +110,9 @@ class ImuNode:
 class SimulationConfig:
     """One virtual vehicle. `hidden` maps a hidden effect to its level in multiples of its default size (None: 1)."""
 
+    plant: Truth
     drives: Sequence[DriveNode] = ()
     imu: ImuNode = field(default_factory=ImuNode)
-    plant: Truth = field(default_factory=PlantTruth)
     rate: int = 250
     """Hz of the IMU's stream: the control cycle."""
     seed: int = 1

@@ -1,17 +1,26 @@
-"""From the physics of a vehicle to its mechanics: which of them moves as which machine."""
+"""From the physics of a vehicle to its mechanics: each folder here that has a `kind` module says which moves as
+which."""
 
 from __future__ import annotations
 
-from simulation.bus.machine import Machine
-from simulation.config import PlantTruth, SimulationConfig
-from simulation.plant import Plant
-from simulation.twsbr.plant import TwsbrPlant
-from simulation.twsbr.truth import TwsbrTruth
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from pkgutil import iter_modules
+from typing import Any
 
-MACHINES: dict[type, type[Plant] | type[TwsbrPlant]] = {PlantTruth: Plant, TwsbrTruth: TwsbrPlant}
-"""Truth to machine."""
+import simulation
+from simulation.bus.machine import Machine
+from simulation.config import SimulationConfig
+
+
+@cache
+def _kinds() -> tuple[Any, ...]:
+    folders = sorted(f"simulation.{each.name}.kind" for each in iter_modules(simulation.__path__) if each.ispkg)
+    return tuple(import_module(each) for each in folders if find_spec(each))
 
 
 def machine(config: SimulationConfig) -> Machine:
     """The mechanics that `config` describes, at rest. Raises UnknownEffectError."""
-    return MACHINES[type(config.plant)](config)
+    made: Machine = next(each.MACHINE for each in _kinds() if type(config.plant) is each.TRUTH)(config)
+    return made

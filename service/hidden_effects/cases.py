@@ -11,7 +11,8 @@ from enum import StrEnum
 from itertools import product
 
 from models.effects.catalogue import CATALOGUE
-from simulation.hidden import HIDDEN, UNLISTED, UnknownEffectError
+from simulation.monocab.hidden import HIDDEN, UNLISTED
+from simulation.registry import UnknownEffectError
 
 
 class Kind(StrEnum):

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from models.model import Model
 from service.hidden_effects.cases import Case
-from simulation.hidden import HIDDEN, UNLISTED
+from simulation.monocab.hidden import HIDDEN, UNLISTED
 from telemetry.errors import UprightError
 
 SAME_EQUATION = {

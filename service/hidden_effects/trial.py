@@ -22,9 +22,8 @@ from service.hidden_effects.repair import Yardstick, closed, fitted
 from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import Vehicle, drawn
-from simulation.config import ImuNode, SimulationConfig
+from simulation.config import EVENT_TIME, ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance
-from simulation.roll_effects import EVENT_TIME
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles.file import load

@@ -1,7 +1,7 @@
 """The effects that no catalogue has, as a model would have them: only to tell how small one could just be told from all
 that the catalogue has.
 
-The virtual vehicle has its own formulas for them (simulation.roll_effects). A diagnosis is never given these as
+The virtual vehicle has its own formulas for them (simulation.monocab.roll_effects). A diagnosis is never given these as
 candidates where it is asked what is missing.
 """
 
@@ -68,4 +68,4 @@ UNLISTED_EFFECTS: dict[str, Effect] = {
         ),
     )
 }
-"""By the name that `simulation.hidden.UNLISTED` has."""
+"""By the name that `simulation.monocab.hidden.UNLISTED` has."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.library import get
-from simulation.config import PlantTruth, SimulationConfig
+from simulation.config import SimulationConfig
+from simulation.monocab.truth import PlantTruth
 from vehicles.file import VehicleFile, load
 
 LATENCY = 0.006

@@ -16,7 +16,7 @@ from simulation import runner
 from simulation.config import DriveNode, ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance
 from simulation.faults import Fault
-from simulation.hidden import parse_disturbance, parse_hidden, parse_narrow_band
+from simulation.registry import parse_disturbance, parse_hidden, parse_narrow_band
 from simulation.runner import RunStatistics
 from vehicles import registry
 from vehicles.sections import VehicleFile

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from simulation.config import EVENT_TIME
 from simulation.friction import AsymmetricFriction, LoadDependentFriction, LuGreFriction, StribeckFriction
-from simulation.roll_effects import EVENT_TIME
 from simulation.twsbr.motor import Motor
 
 BRISTLE_DEFLECTION = 2.0e-4

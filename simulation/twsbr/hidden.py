@@ -9,8 +9,8 @@ floor is a tenth of that. Formulas are in `effects`, `mechanics` and `motor`.
 from __future__ import annotations
 
 from simulation.disturbance import Disturbance
-from simulation.hidden import HiddenEffect, Registry
 from simulation.narrow_band import NarrowBand
+from simulation.registry import HiddenEffect, Registry
 
 TWSBR_HIDDEN: dict[str, HiddenEffect] = {
     effect.name: effect

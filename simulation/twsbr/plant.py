@@ -9,8 +9,8 @@ from typing import ClassVar
 from simulation.bus.machine import Machine, Motion
 from simulation.bus.voltage_drive import VoltageDrive
 from simulation.config import DriveNode, SimulationConfig
-from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
+from simulation.registry import check_onsets
 from simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
 from simulation.twsbr.mechanics import PLACES, Drive, Held, Mechanics, State
 from simulation.twsbr.motor import Motor

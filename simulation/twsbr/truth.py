@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from simulation.hidden import Registry
+from simulation.registry import Registry
 from simulation.twsbr.hidden import TWSBR
 
 

@@ -14,9 +14,9 @@ from estimators.identify.run import with_values
 from models.effects.catalogue import find
 from models.library import get
 from service.virtual.run import record
-from simulation.config import PlantTruth
-from simulation.gimbal import LOAD_SHARE, PLAY_STIFFNESS
-from simulation.hidden import HIDDEN
+from simulation.monocab.gimbal import LOAD_SHARE, PLAY_STIFFNESS
+from simulation.monocab.hidden import HIDDEN
+from simulation.monocab.truth import PlantTruth
 from vehicles.file import load
 from vehicles.registry import nominal_model
 

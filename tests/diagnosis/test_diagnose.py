@@ -16,7 +16,7 @@ from estimators.identify.run import with_values
 from models.effect import Effect, EffectParameter, Family
 from models.parts import Place
 from service.virtual.run import record
-from simulation.hidden import HIDDEN
+from simulation.monocab.hidden import HIDDEN
 from telemetry.recording import Recording
 from vehicles.file import load
 from vehicles.registry import nominal_model

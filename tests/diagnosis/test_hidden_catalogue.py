@@ -21,7 +21,7 @@ from models.file.model_file import read
 from models.parts import Place
 from service.cli import app
 from service.virtual.run import record
-from simulation.hidden import HIDDEN
+from simulation.monocab.hidden import HIDDEN
 from telemetry.storage import save
 
 pytestmark = pytest.mark.patient

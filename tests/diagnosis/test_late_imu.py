@@ -30,7 +30,8 @@ from service.offline import replay
 from service.offline.recorded_loop import recorded_loop
 from service.virtual.run import record
 from simulation.bus.imu_node import SensorPath
-from simulation.config import ImuNode, PlantTruth, SimulationConfig
+from simulation.config import ImuNode, SimulationConfig
+from simulation.monocab.truth import PlantTruth
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import VehicleFile, load

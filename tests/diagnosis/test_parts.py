@@ -19,7 +19,7 @@ from models.effects.catalogue import CATALOGUE
 from models.library import get
 from models.model import Model
 from models.parts import Place
-from simulation.hidden import HIDDEN
+from simulation.monocab.hidden import HIDDEN
 from telemetry.channels import TABLES
 from telemetry.recording import Recording
 from vehicles import registry

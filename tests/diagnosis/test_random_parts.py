@@ -31,8 +31,9 @@ from models.parts import NarrowBand as KnownBand
 from models.random.disturbance import at_joints, disturbed, undisturbed, with_narrow_band
 from service.offline.replay import load as load_recording
 from service.virtual.run import record
-from simulation.hidden import MONOCAB, UnknownEffectError, parse_narrow_band
+from simulation.monocab.hidden import MONOCAB
 from simulation.narrow_band import NarrowBand, NarrowBandTorque
+from simulation.registry import UnknownEffectError, parse_narrow_band
 from telemetry.recording import Recording
 from vehicles.file import load
 from vehicles.registry import nominal_model
@@ -91,7 +92,7 @@ def test_it_is_asked_for_as_an_effect_is(argument: str, expected: NarrowBand | N
 @pytest.mark.parametrize("argument", ["narrow_band=3,2", "narrow_band=-1,2,0.1", "narrow_band=3,2,1", "narrow_band=x"])
 def test_one_that_cannot_be_is_refused_with_the_remedy(argument: str) -> None:
     with pytest.raises(UnknownEffectError, match=r"narrow_band=4,2,0\.05.*narrow_band=0 switches it off"):
-        parse_narrow_band([argument])
+        parse_narrow_band([argument], MONOCAB)
 
 
 @pytest.mark.parametrize(("vehicle", "channel"), [("monocab", "roll"), ("twsbr", "tilt")])

@@ -20,7 +20,7 @@ from estimators.identify.run import with_values
 from models.effects.catalogue import find
 from models.library import get
 from service.virtual.run import record
-from simulation.hidden import HIDDEN
+from simulation.monocab.hidden import HIDDEN
 from vehicles import registry
 from vehicles.file import load
 from vehicles.registry import nominal_model

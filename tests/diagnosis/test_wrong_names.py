@@ -20,7 +20,7 @@ from models.effects.catalogue import find
 from models.parts import ModelError
 from models.segment import Segment
 from service.virtual.run import record
-from simulation.hidden import HIDDEN
+from simulation.monocab.hidden import HIDDEN
 from vehicles.file import load
 from vehicles.registry import nominal_model
 

@@ -16,7 +16,7 @@ from estimators.methods.apparent_inertia import apparent_inertia_estimate, measu
 from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import MODES, Loop, predict, windows_of
 from service.virtual.run import record
-from simulation.config import PlantTruth
+from simulation.monocab.truth import PlantTruth
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording, describe
 from vehicles.file import load

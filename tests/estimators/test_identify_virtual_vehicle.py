@@ -9,7 +9,7 @@ from closed_loop import ClosedLoop
 from diagnosis.prediction.compare import compare
 from estimators.identify.run import identify, with_values
 from estimators.recursive.torque_balance import Method, TorqueBalance
-from simulation.config import PlantTruth
+from simulation.monocab.truth import PlantTruth
 from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
 from telemetry.samples import Frame

@@ -30,9 +30,9 @@ from models.parts import ModelError, Place, Sensor
 from models.segment import Segment
 from models.sensing import FILTERED
 from simulation.friction import BRISTLE_DEFLECTION
-from simulation.hidden import HIDDEN
 from simulation.input_effects import input_effects
-from simulation.roll_effects import roll_effects
+from simulation.monocab.hidden import HIDDEN
+from simulation.monocab.roll_effects import roll_effects
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 markdown = runpy.run_path(str(REPOSITORY / "docs" / "reference" / "effects_page.py"))["markdown"]

@@ -39,9 +39,10 @@ from service.hidden_effects.terms import measured, regression
 from service.hidden_effects.trial import SUBJECT, Bench, run, virtual
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
-from simulation.config import PlantTruth
-from simulation.hidden import HIDDEN, UNLISTED, UnknownEffectError, sizes_of
-from simulation.roll_effects import roll_effects
+from simulation.monocab.hidden import HIDDEN, MONOCAB, UNLISTED
+from simulation.monocab.roll_effects import roll_effects
+from simulation.monocab.truth import PlantTruth
+from simulation.registry import UnknownEffectError, sizes_of
 from telemetry.recording import Recording
 from vehicles.file import load
 
@@ -150,7 +151,7 @@ def test_plant_and_model_have_the_same_torque(name: str) -> None:
     validate(effect)
     assert get("monocab_reduced").add(effect).effects[0].parameters[0].unit == UNLISTED[name].unit
     source = np.random.default_rng(5)
-    (torque,) = roll_effects(sizes_of({name: 1.0}), inertia=1650.0, onsets={})
+    (torque,) = roll_effects(sizes_of({name: 1.0}, MONOCAB), inertia=1650.0, onsets={})
     for roll, rate, at in source.uniform(-0.05, 0.05, (20, 3)):
         plant = SimpleNamespace(roll=float(roll), roll_rate=float(rate), time=float(at))
         amplitudes = dict.fromkeys(effect.amplitudes, 0.0) | {"coefficient": UNLISTED[name].size}

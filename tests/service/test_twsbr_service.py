@@ -37,7 +37,7 @@ from service.offline import replay
 from service.offline.recorded_loop import recorded_loop
 from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import VirtualRunError, record
-from simulation.hidden import UnknownEffectError
+from simulation.registry import UnknownEffectError
 from simulation.twsbr.plant import TwsbrPlant
 from telemetry.channels import TWSBR
 from telemetry.samples import CanFrame

@@ -11,8 +11,8 @@ import pytest
 from service.control import assembly
 from service.observer.recorder import Recorder
 from service.virtual.run import ClosedLoop, VirtualRunError, record
-from simulation.config import PlantTruth
-from simulation.hidden import UnknownEffectError
+from simulation.monocab.truth import PlantTruth
+from simulation.registry import UnknownEffectError
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
 from vehicles.file import load

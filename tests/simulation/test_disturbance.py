@@ -25,10 +25,12 @@ from service.hidden_effects.trial import run as run_case
 from service.hidden_effects.vehicles import drawn
 from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import record
-from simulation.config import ImuNode, PlantTruth, SimulationConfig
+from simulation.config import ImuNode, SimulationConfig
 from simulation.disturbance import Disturbance, RandomTorque
-from simulation.hidden import MONOCAB, UnknownEffectError, parse_disturbance, parse_hidden
-from simulation.plant import Plant
+from simulation.monocab.hidden import MONOCAB
+from simulation.monocab.plant import Plant
+from simulation.monocab.truth import PlantTruth
+from simulation.registry import UnknownEffectError, parse_disturbance, parse_hidden
 from simulation.twsbr.hidden import TWSBR
 from simulation.twsbr.plant import TwsbrPlant
 from simulation.twsbr.truth import TwsbrTruth
@@ -98,13 +100,15 @@ def hold(measured: Measured) -> tuple[float, float]:
 
 
 def run(disturbance: Disturbance | None, seconds: float = 1.0) -> ClosedLoopRun:
-    return simulate_closed_loop(SimulationConfig(disturbance=disturbance, seed=9), hold, seconds, roll=0.0)
+    return simulate_closed_loop(
+        SimulationConfig(PlantTruth(), disturbance=disturbance, seed=9), hold, seconds, roll=0.0
+    )
 
 
 def test_it_turns_the_monocab_as_a_torque_does() -> None:
     """Upright with its brakes closed, within the first 20 ms: the roll rate is the torque's integral over inertia."""
     disturbance = Disturbance(8.0, 0.3)
-    config = SimulationConfig(disturbance=disturbance, seed=9)
+    config = SimulationConfig(PlantTruth(), disturbance=disturbance, seed=9)
     plant = Plant(config)
     plant.place(0.0)
     plant.advance(60)
@@ -143,7 +147,7 @@ def test_switched_off_a_record_is_what_it_was() -> None:
 
 def test_on_the_bus_it_begins_again_with_the_first_sync() -> None:
     """What a record holds depends on the seed alone, not on how long the drives took to be set up."""
-    plants = [Plant(SimulationConfig(disturbance=Disturbance(8.0, 0.3))) for _ in range(2)]
+    plants = [Plant(SimulationConfig(PlantTruth(), disturbance=Disturbance(8.0, 0.3))) for _ in range(2)]
     for plant, before in zip(plants, (10, 137), strict=True):
         plant.advance(before)
         plant.event_origin = plant.time
@@ -191,14 +195,14 @@ def test_the_robot_balances_with_its_own() -> None:
 def test_it_is_asked_for_as_an_effect_is(argument: str, expected: Disturbance | None) -> None:
     others, found = parse_disturbance(["coulomb_friction=2", argument], MONOCAB, Disturbance(1.0, 1.0))
     assert found == expected
-    assert parse_hidden(others) == ({"coulomb_friction": 2.0}, {})
+    assert parse_hidden(others, MONOCAB) == ({"coulomb_friction": 2.0}, {})
 
 
 def test_where_nothing_is_said_of_it_the_default_holds() -> None:
     usual = Disturbance(1.0, 1.0)
     assert parse_disturbance(["coulomb_friction"], MONOCAB, usual) == (["coulomb_friction"], usual)
-    assert parse_disturbance([]) == ([], None)
-    assert parse_disturbance(["disturbance=0", "disturbance=2,1"])[1] == Disturbance(2.0, 1.0)
+    assert parse_disturbance([], MONOCAB) == ([], None)
+    assert parse_disturbance(["disturbance=0", "disturbance=2,1"], MONOCAB)[1] == Disturbance(2.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -218,14 +222,14 @@ def test_where_nothing_is_said_of_it_the_default_holds() -> None:
 )
 def test_one_that_cannot_be_is_refused_with_the_remedy(argument: str, what: str) -> None:
     with pytest.raises(UnknownEffectError, match=r"disturbance=8,0\.3.*disturbance=0 switches it off") as caught:
-        parse_disturbance([argument])
+        parse_disturbance([argument], MONOCAB)
     assert what in str(caught.value)
     assert caught.value.name == "disturbance"
 
 
 def test_an_unknown_effect_names_it_among_those_there_are() -> None:
     with pytest.raises(UnknownEffectError, match="sensor_scale, disturbance"):
-        parse_hidden(["disturbances"])
+        parse_hidden(["disturbances"], MONOCAB)
 
 
 def test_programs_have_none_unless_they_ask() -> None:

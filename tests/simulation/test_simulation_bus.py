@@ -20,9 +20,10 @@ from simulated_bus import EDS, ENABLE, MASTER, SHUTDOWN, SWITCH_ON, drive_nodes
 from simulation.bus.power_state import PowerState
 from simulation.config import SimulationConfig
 from simulation.faults import parse_faults
+from simulation.monocab.truth import PlantTruth
 from simulation.runner import Runner
 
-CONFIG = SimulationConfig(drives=drive_nodes())
+CONFIG = SimulationConfig(PlantTruth(), drives=drive_nodes())
 SYNC = 0x080
 
 

@@ -23,6 +23,7 @@ from simulation.bus.object_dictionary import SimulationError
 from simulation.bus.power_state import Command, PowerState, command_of
 from simulation.config import SimulationConfig
 from simulation.faults import UnknownFaultError, parse_faults
+from simulation.monocab.truth import PlantTruth
 from simulation.servo_axis import AxisMode
 
 RPM = 200.0
@@ -122,7 +123,7 @@ def test_event_driven_pdos_act_and_answer_at_once(harness: Harness) -> None:
 
 @pytest.mark.parametrize(("ramp_bits", "turns"), [(True, False), (False, True)])
 def test_controlword_bits_4_to_6_count_where_the_drive_honours_them(ramp_bits: bool, turns: bool) -> None:
-    harness = Harness(SimulationConfig(drives=drive_nodes(ramp_bits=ramp_bits)))
+    harness = Harness(SimulationConfig(PlantTruth(), drives=drive_nodes(ramp_bits=ramp_bits)))
     harness.set_up()
     harness.enable()
     harness.cycles(0.3, 0x0F, RPM)
@@ -138,7 +139,7 @@ def test_halt_stops_and_releases(moving: Harness) -> None:
 
 def test_cyclic_synchronous_velocity_mode() -> None:
     rpdo = (("controlword", "target_velocity"),)
-    harness = Harness(SimulationConfig(drives=drive_nodes(mode=9, rpdo=rpdo)))
+    harness = Harness(SimulationConfig(PlantTruth(), drives=drive_nodes(mode=9, rpdo=rpdo)))
     harness.set_up(mode=9)
     assert harness.sdo(1, 0x1600, 2) == 0x60FF0020
     for step in range(100):
@@ -332,7 +333,7 @@ def test_mapping_by_sdo_follows_the_rules(harness: Harness) -> None:
 
 def test_identity_is_the_eds_or_the_vehicle_files(harness: Harness) -> None:
     assert harness.sdo(1, 0x1018, 1) == 0x00555052
-    other = Harness(SimulationConfig(drives=drive_nodes(vendor_id=0x14, product_code=0x99)))
+    other = Harness(SimulationConfig(PlantTruth(), drives=drive_nodes(vendor_id=0x14, product_code=0x99)))
     assert other.sdo(2, 0x1018, 1) == 0x14
     assert other.sdo(2, 0x1018, 2) == 0x99
 
@@ -447,26 +448,26 @@ def test_a_fault_that_makes_no_sense_says_how_to_write_it(argument: str, remedy:
 def test_a_missing_or_foreign_eds_is_named() -> None:
     nodes = drive_nodes()
     with pytest.raises(SimulationError, match=r"nowhere\.eds.*gimbal_left.*does not exist"):
-        Harness(SimulationConfig(drives=(replace(nodes[0], eds="nowhere.eds"),)))
+        Harness(SimulationConfig(PlantTruth(), drives=(replace(nodes[0], eds="nowhere.eds"),)))
     with pytest.raises(SimulationError, match=r"cannot be read|no PDO"):
-        Harness(SimulationConfig(drives=(replace(nodes[0], eds=__file__),)))
+        Harness(SimulationConfig(PlantTruth(), drives=(replace(nodes[0], eds=__file__),)))
 
 
 def test_drives_a_monocab_does_not_have_are_refused() -> None:
     nodes = drive_nodes()
     with pytest.raises(SimulationError, match="3 gimbal drives"):
-        Harness(SimulationConfig(drives=tuple(replace(node, role="gimbal") for node in nodes)))
+        Harness(SimulationConfig(PlantTruth(), drives=tuple(replace(node, role="gimbal") for node in nodes)))
     with pytest.raises(SimulationError, match="same node"):
-        Harness(SimulationConfig(drives=(nodes[0], replace(nodes[1], node=1))))
+        Harness(SimulationConfig(PlantTruth(), drives=(nodes[0], replace(nodes[1], node=1))))
     with pytest.raises(SimulationError, match="no object 'speed'"):
-        Harness(SimulationConfig(drives=(replace(nodes[0], rpdo=(("speed",),)),)))
+        Harness(SimulationConfig(PlantTruth(), drives=(replace(nodes[0], rpdo=(("speed",),)),)))
 
 
 def test_imu_heartbeat_in_canopen_mode_only() -> None:
     harness = Harness()
     harness.cycles(2.0, DISABLE_VOLTAGE)
     assert len(harness.frames(0x70A)) == pytest.approx(3, abs=1)
-    config = SimulationConfig(drives=drive_nodes())
+    config = SimulationConfig(PlantTruth(), drives=drive_nodes())
     sequential = Harness(replace(config, imu=replace(config.imu, protocol="sequential", base_id=0x514)))
     sequential.cycles(0.1, DISABLE_VOLTAGE)
     assert {can_id for _, can_id, _ in sequential.sent if can_id >= 0x500 and can_id < 0x700} == {0x514, 0x515, 0x516}

@@ -15,10 +15,12 @@ from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
 from simulation.bus.imu_node import VirtualImu
-from simulation.config import ImuNode, PlantTruth, SimulationConfig
+from simulation.config import ImuNode, SimulationConfig
 from simulation.contact import Supports
-from simulation.hidden import HIDDEN, UnknownEffectError, parse_hidden, sizes_of
-from simulation.plant import Plant
+from simulation.monocab.hidden import HIDDEN, MONOCAB
+from simulation.monocab.plant import Plant
+from simulation.monocab.truth import PlantTruth
+from simulation.registry import UnknownEffectError, parse_hidden, sizes_of
 from simulation.servo_axis import AxisMode
 from telemetry.samples import CanFrame
 
@@ -28,7 +30,7 @@ RATES = (50, 100, 250, 500)
 
 
 def plant_at(roll: float, config: SimulationConfig | None = None) -> Plant:
-    plant = Plant(config or SimulationConfig())
+    plant = Plant(config or SimulationConfig(PlantTruth()))
     plant.place(roll)
     return plant
 
@@ -59,7 +61,7 @@ class Balancer:
 @pytest.mark.parametrize("rate", RATES)
 def test_the_step_fits_the_period_and_the_sync(rate: int) -> None:
     """A whole number of steps up to the SYNC at 1 ms and to the next IMU set, at least ten a period."""
-    config = SimulationConfig(rate=rate)
+    config = SimulationConfig(PlantTruth(), rate=rate)
     assert config.steps_per_period * config.step == pytest.approx(1.0 / rate, rel=1e-12)
     assert config.steps_per_ms * config.step == pytest.approx(1e-3, rel=1e-12)
     assert config.steps_per_period >= 10
@@ -128,7 +130,7 @@ def test_a_fall_ends_at_rest_on_the_support(side: float) -> None:
 
 
 def test_it_starts_at_rest_on_the_right_hand_support() -> None:
-    plant = Plant(SimulationConfig())
+    plant = Plant(SimulationConfig(PlantTruth()))
     start = plant.roll
     run_for(plant, 1.0)
     assert math.degrees(start) == pytest.approx(4.0, abs=0.05)
@@ -191,7 +193,7 @@ def test_the_trim_mass_to_the_right_gives_a_positive_roll_torque_and_its_push_th
 
 def test_a_person_on_the_side_needs_a_precession_of_torque_over_momentum() -> None:
     """Held upright, 550 N m cost 550 / 3300 rad/s of precession rate: the truth obeys the torque balance."""
-    config = SimulationConfig(hidden={"torque_step": None}, onsets={"torque_step": 1.0})
+    config = SimulationConfig(PlantTruth(), hidden={"torque_step": None}, onsets={"torque_step": 1.0})
     run = simulate_closed_loop(config, Balancer(amplitude=0.0), 6.0, roll=0.0)
     tail = run.precession_rate[-250:]
     lean = run.true_roll[-250:].mean()
@@ -200,7 +202,7 @@ def test_a_person_on_the_side_needs_a_precession_of_torque_over_momentum() -> No
 
 
 def balanced(hidden: dict[str, float | None], seed: int = 1) -> ClosedLoopRun:
-    config = SimulationConfig(hidden=hidden, seed=seed, onsets={"torque_step": 1.0})
+    config = SimulationConfig(PlantTruth(), hidden=hidden, seed=seed, onsets={"torque_step": 1.0})
     return simulate_closed_loop(config, Balancer(), 3.0, roll=0.0)
 
 
@@ -240,8 +242,8 @@ def test_the_gimbal_turns_while_the_motor_crosses_the_play() -> None:
 
 def test_dry_friction_holds_what_is_below_its_breakaway_torque() -> None:
     """40 N m on an upright vehicle move it off; against 60 N m of dry friction it stays within the bristles' bend."""
-    loose = plant_at(0.0, SimulationConfig(hidden={"static_torque": 1.0 / 3.0}))
-    stuck = plant_at(0.0, SimulationConfig(hidden={"static_torque": 1.0 / 3.0, "coulomb_friction": None}))
+    loose = plant_at(0.0, SimulationConfig(PlantTruth(), hidden={"static_torque": 1.0 / 3.0}))
+    stuck = plant_at(0.0, SimulationConfig(PlantTruth(), hidden={"static_torque": 1.0 / 3.0, "coulomb_friction": None}))
     for plant in (loose, stuck):
         run_for(plant, 0.5)
     assert loose.roll > 2e-3
@@ -250,19 +252,19 @@ def test_dry_friction_holds_what_is_below_its_breakaway_torque() -> None:
 
 def test_an_unknown_effect_names_those_there_are() -> None:
     with pytest.raises(UnknownEffectError, match="coulomb_friction") as caught:
-        SimulationConfig(hidden={}) and parse_hidden(["friction"])
+        SimulationConfig(PlantTruth(), hidden={}) and parse_hidden(["friction"], MONOCAB)
     assert caught.value.name == "friction"
     with pytest.raises(UnknownEffectError, match="static_torque"):
-        Plant(SimulationConfig(hidden={"no_such": None}))
+        Plant(SimulationConfig(PlantTruth(), hidden={"no_such": None}))
 
 
 def test_levels_scale_the_default_size() -> None:
-    assert sizes_of(parse_hidden(["static_torque=2", "input_delay"])[0]) == {
+    assert sizes_of(parse_hidden(["static_torque=2", "input_delay"], MONOCAB)[0], MONOCAB) == {
         "static_torque": 240.0,
         "input_delay": 0.012,
     }
     with pytest.raises(UnknownEffectError, match="Give numbers"):
-        parse_hidden(["static_torque=big"])
+        parse_hidden(["static_torque=big"], MONOCAB)
 
 
 @pytest.mark.parametrize(
@@ -270,15 +272,15 @@ def test_levels_scale_the_default_size() -> None:
 )
 def test_a_level_that_cannot_be_is_refused_with_the_range(argument: str) -> None:
     with pytest.raises(UnknownEffectError, match="Use a level from"):
-        parse_hidden([argument])
-    assert sizes_of({"static_torque": -1.0}) == {"static_torque": -120.0}
+        parse_hidden([argument], MONOCAB)
+    assert sizes_of({"static_torque": -1.0}, MONOCAB) == {"static_torque": -120.0}
 
 
 def test_an_effect_that_sets_in_later_changes_nothing_before() -> None:
     """Bit for bit the same until then; friction shows within a second of it."""
-    hidden, onsets = parse_hidden(["viscous_friction=2@1.5"])
-    late = simulate_closed_loop(SimulationConfig(hidden=hidden, onsets=onsets), Balancer(), 3.0, roll=0.0)
-    never = simulate_closed_loop(SimulationConfig(), Balancer(), 3.0, roll=0.0)
+    hidden, onsets = parse_hidden(["viscous_friction=2@1.5"], MONOCAB)
+    late = simulate_closed_loop(SimulationConfig(PlantTruth(), hidden=hidden, onsets=onsets), Balancer(), 3.0, roll=0.0)
+    never = simulate_closed_loop(SimulationConfig(PlantTruth()), Balancer(), 3.0, roll=0.0)
     changed = np.flatnonzero(late.true_roll != never.true_roll)
     begin = changed[0] * 3.0 / len(late.true_roll)
     assert 1.4 < begin < 1.6
@@ -291,11 +293,11 @@ def test_an_effect_that_sets_in_later_changes_nothing_before() -> None:
 )
 def test_an_onset_that_cannot_be_is_refused(argument: str, match: str) -> None:
     with pytest.raises(UnknownEffectError, match=match):
-        parse_hidden([argument])
+        parse_hidden([argument], MONOCAB)
 
 
 def resting_samples(imu: ImuNode, rate: int = 250, count: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
-    config = SimulationConfig(imu=imu, rate=rate)
+    config = SimulationConfig(PlantTruth(), imu=imu, rate=rate)
     plant = plant_at(0.0, config)
     device = VirtualImu(imu, rate=rate, seed=3, gravity=9.81, sizes={})
     samples = [device.measure(plant) for _ in range(count)]

@@ -22,8 +22,9 @@ from simulation.bus.object_dictionary import SimulationError
 from simulation.bus.power_state import PowerState
 from simulation.config import DriveNode, ImuNode, SimulationConfig
 from simulation.faults import parse_faults
-from simulation.hidden import UnknownEffectError, parse_hidden, sizes_of
 from simulation.kinds import machine
+from simulation.monocab.hidden import MONOCAB
+from simulation.registry import UnknownEffectError, parse_hidden, sizes_of
 from simulation.runner import Runner
 from simulation.twsbr.effects import gear_effects, tilt_effects, wheel_effects
 from simulation.twsbr.hidden import TWSBR, TWSBR_HIDDEN, TWSBR_UNLISTED
@@ -456,7 +457,7 @@ def test_the_registry_is_the_robots_own() -> None:
     with pytest.raises(UnknownEffectError, match="from the beginning"):
         robot(hide=["backlash@3"])
     with pytest.raises(UnknownEffectError, match="slope"):
-        sizes_of({"slope": None})
+        sizes_of({"slope": None}, MONOCAB)
 
 
 # --- IMU

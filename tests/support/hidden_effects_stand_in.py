@@ -21,7 +21,7 @@ from service.hidden_effects.cases import Grid
 from service.hidden_effects.trial import SUBJECT, Bench
 from service.hidden_effects.vehicles import Vehicle
 from simulation.disturbance import Disturbance
-from simulation.hidden import HIDDEN, UNLISTED
+from simulation.monocab.hidden import HIDDEN, UNLISTED
 from telemetry.channels import TABLES
 from telemetry.recording import Recording
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from simulation.bus.imu_node import VirtualImu
 from simulation.config import SimulationConfig
-from simulation.plant import Plant
+from simulation.monocab.plant import Plant
 from simulation.vehicle import START_NS
 from telemetry.samples import ImuSample
 

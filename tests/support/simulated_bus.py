@@ -12,6 +12,7 @@ from typing import Any
 from simulation.bus.drive_node import VirtualDrive
 from simulation.config import DriveNode, SimulationConfig
 from simulation.faults import Fault
+from simulation.monocab.truth import PlantTruth
 from simulation.vehicle import VirtualVehicle
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "eds" / "upright_servo.eds"
@@ -41,7 +42,7 @@ class Harness:
 
     def __init__(self, config: SimulationConfig | None = None, faults: Sequence[Fault] = ()) -> None:
         self.sent: list[tuple[int, int, bytes]] = []
-        self.config = config or SimulationConfig(drives=drive_nodes())
+        self.config = config or SimulationConfig(PlantTruth(), drives=drive_nodes())
         self.vehicle = VirtualVehicle(self.config, self._collect, faults)
         self.vehicle.boot()
         self.vehicle.begin_cycle()

@@ -42,7 +42,7 @@ def _prediction() -> Prediction:
 
 
 def _twin() -> Twin:
-    from simulation.config import PlantTruth
+    from simulation.monocab.truth import PlantTruth
 
     return Twin(PlantTruth(), "upright_servo.eds")
 

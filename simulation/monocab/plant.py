@@ -17,12 +17,13 @@ from typing import ClassVar
 
 from simulation.bus.machine import Machine, Motion
 from simulation.bus.servo_drive import ServoDrive
-from simulation.config import DriveNode, PlantTruth, SimulationConfig
+from simulation.config import DriveNode, SimulationConfig
 from simulation.contact import Supports
-from simulation.gimbal import Gimbal
-from simulation.hidden import check_onsets
 from simulation.input_effects import input_effects
-from simulation.roll_effects import roll_effects
+from simulation.monocab.gimbal import Gimbal
+from simulation.monocab.roll_effects import roll_effects
+from simulation.monocab.truth import PlantTruth
+from simulation.registry import check_onsets
 from simulation.servo_axis import AxisMode, ServoAxis
 from telemetry.samples import Vector3
 
@@ -43,7 +44,7 @@ class Plant(Machine):
             raise TypeError(f"the physics of a MONOCAB are needed, not {type(truth).__name__}")
         step = config.step
         sizes = config.sizes
-        check_onsets(config.onsets)
+        check_onsets(config.onsets, truth.registry)
         super().__init__(step)
         self.gimbals = tuple(
             Gimbal(

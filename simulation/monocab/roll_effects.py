@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
+from simulation.config import EVENT_TIME
 from simulation.friction import (
     AsymmetricFriction,
     BoucWenHysteresis,
@@ -18,10 +19,7 @@ from simulation.friction import (
     Rolling,
     StribeckFriction,
 )
-from simulation.gimbal import Gimbal
-
-EVENT_TIME = 10.0
-"""s after the first SYNC at which a person sits down, unless something else is asked for."""
+from simulation.monocab.gimbal import Gimbal
 
 
 class RollingVehicle(Rolling, Protocol):

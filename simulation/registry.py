@@ -1,8 +1,6 @@
-"""The registry of hidden effects: what a virtual vehicle may contain that the nominal model lacks.
+"""What a virtual vehicle may contain that the nominal model lacks: hidden effects, and how a person asks for them.
 
-Names are the canonical effect names. Each kind of vehicle has a registry of its own; the one here is the MONOCAB's. The
-size at level 1 is physically plausible for it: a few percent of the 1000 N m that gravity exerts at the supports, or a
-few milliseconds. Formulas are in `roll_effects`, `friction`, `input_effects`, `gimbal` and `imu_node`.
+Names are the canonical effect names. Each kind of vehicle has a registry of its own, in its folder.
 """
 
 from __future__ import annotations
@@ -37,99 +35,6 @@ class HiddenEffect:
     most: float = math.inf
 
 
-HIDDEN: dict[str, HiddenEffect] = {
-    effect.name: effect
-    for effect in (
-        HiddenEffect(
-            "static_torque", "N m", 120.0, "constant roll torque: the centre of gravity is off the middle", signed=True
-        ),
-        HiddenEffect("viscous_friction", "N m s/rad", 400.0, "roll torque against the roll rate"),
-        HiddenEffect("coulomb_friction", "N m", 60.0, "dry friction of the safety catch (LuGre bristles)"),
-        HiddenEffect("stribeck_friction", "N m", 80.0, "breakaway torque, half of it lost when sliding (LuGre)"),
-        HiddenEffect("asymmetric_friction", "N m", 60.0, "dry friction right side down, a third of it the other way"),
-        HiddenEffect("load_dependent_friction", "1", 0.2, "dry friction as a share of the gyroscopic torque"),
-        HiddenEffect("quadratic_drag", "N m s^2/rad^2", 5000.0, "roll torque against the rate squared"),
-        HiddenEffect("cubic_stiffness", "N m/rad^3", 1.0e6, "restoring torque of a progressive suspension"),
-        HiddenEffect("end_stop", "N m/rad", 5.0e4, "rubber buffers that touch at +-0.5 deg"),
-        HiddenEffect("hysteresis", "N m", 60.0, "hysteretic torque of flange and cables (Bouc-Wen, yields in 2 mrad)"),
-        HiddenEffect(
-            "position_cogging", "N m", 40.0, "torque that repeats every 5 mrad of roll: a worn rail head", signed=True
-        ),
-        HiddenEffect(
-            "periodic_disturbance", "N m", 40.0, "sinusoidal roll torque at 1.3 Hz: machinery on board", signed=True
-        ),
-        HiddenEffect(
-            "torque_step",
-            "N m",
-            550.0,
-            "a person sits down 10 s after the drives started, a ramp of 0.3 s",
-            signed=True,
-        ),
-        HiddenEffect(
-            "torque_drift", "N m", 150.0, "roll torque that creeps up with a time constant of 45 s", signed=True
-        ),
-        HiddenEffect(
-            "flexible_mode", "1", 0.12, "share of the inertia that is sprung at 7 Hz: the cabin on the frame", most=0.9
-        ),
-        HiddenEffect("gimbal_angle_coupling", "1", 1.0, "gyroscopic torque falls with the cosine of precession"),
-        HiddenEffect(
-            "gimbal_imbalance", "N m", 80.0, "roll torque with the sine of precession: eccentric gimbals", signed=True
-        ),
-        HiddenEffect("backlash", "rad", 5.0e-3, "play between gimbal motor and gimbal, as an angle of the gimbal"),
-        HiddenEffect("input_deadband", "rad/s", 6.0e-3, "precession rate setpoints smaller than this do nothing"),
-        HiddenEffect("input_delay", "s", 0.012, "the setpoint acts this much later"),
-        HiddenEffect("actuator_lag", "s", 0.03, "a further first-order lag ahead of the speed loop"),
-        HiddenEffect(
-            "input_asymmetry", "1", 0.08, "setpoints up act this much stronger, setpoints down weaker", signed=True
-        ),
-        HiddenEffect("input_gain", "1", -0.08, "relative error of the setpoint's gain", signed=True),
-        HiddenEffect("gyro_bias", "rad/s", 8.7e-3, "further bias of the roll gyro (0.5 deg/s)", signed=True),
-        HiddenEffect("sensor_offset", "rad", 8.7e-3, "the IMU is mounted rolled by this much (0.5 deg)", signed=True),
-        HiddenEffect("sensor_lag", "s", 0.02, "low pass inside the IMU"),
-        HiddenEffect("sensor_delay", "s", 0.012, "the IMU reports the past"),
-        HiddenEffect("sensor_scale", "1", 0.03, "relative error of the gyro's scale", signed=True),
-    )
-}
-"""Every hidden effect by its canonical name."""
-
-UNLISTED: dict[str, HiddenEffect] = {
-    effect.name: effect
-    for effect in (
-        HiddenEffect("test_cubic_drag", "N m s^3/rad^3", 1.5e5, "roll torque against the rate cubed", signed=True),
-        HiddenEffect(
-            "test_one_sided_damping", "N m s/rad^2", 5.0e4, "damping that grows with the roll angle", signed=True
-        ),
-        HiddenEffect(
-            "test_varying_stiffness", "N m/rad", 3.0e3, "stiffness that swings with time, at 0.7 Hz", signed=True
-        ),
-        HiddenEffect(
-            "test_patchy_damping", "N m s/rad", 6.0e2, "damping that changes sign every 5 mrad of roll", signed=True
-        ),
-    )
-}
-"""What no catalogue has, to test whether a diagnosis says that it does not know: `test_` begins their names."""
-
-LATE = frozenset(
-    {
-        "static_torque",
-        "viscous_friction",
-        "coulomb_friction",
-        "stribeck_friction",
-        "asymmetric_friction",
-        "load_dependent_friction",
-        "quadratic_drag",
-        "cubic_stiffness",
-        "end_stop",
-        "hysteresis",
-        "position_cogging",
-        "periodic_disturbance",
-        "torque_step",
-        *UNLISTED,
-    }
-)
-"""Effects that can set in during a run: torques on the roll axis."""
-
-
 DISTURBANCE = "disturbance"
 """What the random torque is called beside the effects, and"""
 NARROW_BAND = "narrow_band"
@@ -161,19 +66,8 @@ class Registry:
         return effect
 
 
-MONOCAB = Registry(
-    HIDDEN,
-    UNLISTED,
-    LATE,
-    Disturbance(rms=8.0, correlation_time=0.3),
-    NarrowBand(rms=4.0, frequency=2.0, damping=0.05),
-)
-"""The MONOCAB's. Its disturbance is what the alignment of a worn rail does to it at walking pace, 3 % of the gravity
-torque at 1 deg; the calculation, and what wind does, are in docs/explanation/disturbance.md."""
-
-
 def parse_disturbance(
-    arguments: Iterable[str], registry: Registry = MONOCAB, default: Disturbance | None = None
+    arguments: Iterable[str], registry: Registry, default: Disturbance | None = None
 ) -> tuple[list[str], Disturbance | None]:
     """The `arguments` that are not about the disturbance, for `parse_hidden`; and the disturbance that is asked for.
 
@@ -184,7 +78,7 @@ def parse_disturbance(
     return _parsed(arguments, DISTURBANCE, registry.disturbance, default)
 
 
-def parse_narrow_band(arguments: Iterable[str], registry: Registry = MONOCAB) -> tuple[list[str], NarrowBand | None]:
+def parse_narrow_band(arguments: Iterable[str], registry: Registry) -> tuple[list[str], NarrowBand | None]:
     """The same of the random torque of a narrow band, `narrow_band=RMS,FREQUENCY,DAMPING` in N m and Hz."""
     return _parsed(arguments, NARROW_BAND, registry.narrow_band, None)
 
@@ -226,9 +120,7 @@ def _random(argument: str, name: str, usual: Random) -> Random | None:
         ) from None
 
 
-def parse_hidden(
-    arguments: Iterable[str], registry: Registry = MONOCAB
-) -> tuple[dict[str, float | None], dict[str, float]]:
+def parse_hidden(arguments: Iterable[str], registry: Registry) -> tuple[dict[str, float | None], dict[str, float]]:
     """`["coulomb_friction", "torque_step=2@30"]` as `hidden` and `onsets` of a SimulationConfig.
 
     Raises UnknownEffectError.
@@ -246,7 +138,7 @@ def parse_hidden(
     return hidden, onsets
 
 
-def check_onsets(onsets: Mapping[str, float], registry: Registry = MONOCAB) -> None:
+def check_onsets(onsets: Mapping[str, float], registry: Registry) -> None:
     """Raises UnknownEffectError for an effect that cannot set in during a run, or not then."""
     for name, second in onsets.items():
         if name not in registry.late:
@@ -272,7 +164,7 @@ def _number(name: str, what: str, text: str) -> float:
         ) from None
 
 
-def sizes_of(hidden: Mapping[str, float | None], registry: Registry = MONOCAB) -> dict[str, float]:
+def sizes_of(hidden: Mapping[str, float | None], registry: Registry) -> dict[str, float]:
     """The size of each named effect in its own unit; those at level 0 are left out. Raises UnknownEffectError."""
     sizes = {}
     for name, given in hidden.items():
