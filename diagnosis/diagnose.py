@@ -108,9 +108,7 @@ def diagnose(
         scale = time_scale(model, found.steps[-1].fit.problem.segments)
         kept = [hidden(model, each, pieces(happened, each.source, scale)) for each in recordings]
         rest, _ = whole(kept, partial(_part, tell, ONCE, 1.0 - ONCE), found)
-        # A search that the time cut short, and that found nothing, is no better than the one before.
-        cut_short = not bound.left and not rest.findings
-        if rest.verdict is not Verdict.INSUFFICIENT_DATA and not cut_short:
+        if rest.verdict is not Verdict.INSUFFICIENT_DATA and not _cut_short(rest.untried, rest.findings):
             found = replace(rest, reason=f"{rest.reason} {' '.join(map(str, happened))}", events=tuple(happened))
     return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
 
@@ -204,8 +202,11 @@ def _beside_random_parts(
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
             return found
+        untried = len(workspace.untried)
         again = _searched(looked, workspace, most, masked, partial(_part, tell, begun, ONCE * (1.0 - begun)))
         begun += ONCE * (1.0 - begun)
+        if found.findings and _cut_short(workspace.untried[untried:], again.findings):
+            return found
         if again.last.evidence <= found.last.evidence:
             return found
         found = again
@@ -228,6 +229,11 @@ def _standing(base: FullFit, before: Diagnosis, workspace: Workspace) -> tuple[F
         if not beyond_chance(*gained(whole, without), len(workspace.candidates)):
             return base, NOTHING
     return base, Known(before.findings, one_by_one(before.findings, whole, workspace))
+
+
+def _cut_short(untried: Sequence[str], findings: Sequence[Finding]) -> bool:
+    """Whether a search left something `untried` and found nothing: it is no better than the one before it."""
+    return bool(untried) and not findings
 
 
 def _outdone(base: FullFit, workspace: Workspace) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,12 @@ from scipy.stats import binom
 from shaken_plant import Shaken
 from thorough import of_many
 
+import diagnosis.diagnose
 from benchmarks.others_recordings import EFFECTS, SENSORS, OthersVehicle
-from diagnosis.diagnose import Diagnosis, Verdict, diagnose
+from diagnosis.diagnose import Diagnosis, Searched, Verdict, diagnose
 from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
 from diagnosis.prepare.ready import ready
+from diagnosis.prepare.workspace import Workspace
 from diagnosis.report.sentences import disturbance_sentences, to_within
 from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
 from estimators.fit.disturbance import disturbances
@@ -304,3 +307,29 @@ def test_a_narrow_band_can_be_stated(tmp_path: Path) -> None:
     assert held_by(found.narrow_band.std, found.narrow_band.std_error, 6.0)
     with pytest.raises(ModelError, match=r"damping_ratio: 0\.3 is too much.*give 0\.16 at most"):
         parse(text.replace("0.1 ", "0.3 "), "track.toml")
+
+
+@pytest.mark.parametrize("untried", [(), ("further effects",)])
+def test_a_search_beside_a_random_part_that_time_cuts_short_keeps_what_was_found(
+    monkeypatch: pytest.MonkeyPatch, untried: tuple[str, ...]
+) -> None:
+    workspace, base = Workspace((), None, (), (), {}), SimpleNamespace(evidence=0.0)
+
+    def searched(evidence: float, findings: list[str]) -> Searched:
+        return Searched(base, base, findings, [], [], SimpleNamespace(evidence=evidence))  # type: ignore[arg-type]
+
+    first, second = searched(1.0, ["friction"]), searched(5.0, [])
+    answers = iter([first, second])
+
+    def search(*_: object) -> Searched:
+        found = next(answers)
+        if found is second:
+            workspace.untried.extend(untried)
+        return found
+
+    parts = iter([base])
+    monkeypatch.setattr(diagnosis.diagnose, "_searched", search)
+    monkeypatch.setattr(diagnosis.diagnose, "_outdone", lambda *_: False)
+    monkeypatch.setattr(diagnosis.diagnose, "absorbed", lambda *_: next(parts, None))
+    found = diagnosis.diagnose._beside_random_parts(base, workspace, 3, (), lambda text, share: None, None)  # type: ignore[arg-type]
+    assert found is (first if untried else second)
