@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import axis_plant
 import numpy as np
@@ -236,10 +235,3 @@ class TestModelsOfTheCommandLine:
         path.write_text("{}{")
         with pytest.raises(RecordingError, match="holds no estimates"):
             self.models(str(path))
-
-    def test_a_vehicle_without_a_model_of_its_own_needs_one_given(self) -> None:
-        vehicle = load("monocab")
-        other = SimpleNamespace(vehicle=SimpleNamespace(kind="unicycle"), parameters=vehicle.parameters)
-        with pytest.raises(EstimationError, match="unicycle"):
-            read_models([], other)  # type: ignore[arg-type]
-        assert list(read_models(["axis"], other)) == ["axis"]  # type: ignore[arg-type]

@@ -83,7 +83,7 @@ def test_the_cad_values_are_those_of_the_models_table() -> None:
         ("travel_budget = 2.0", "travel_budget = 3.0", "must be below travel"),
         ("proportional_gain = 25.0", "roll_weight = 25.0", "is missing"),
         ('unit = "ohm"', 'unit = "kohm"', "give it in 'ohm'"),
-        ('kind = "twsbr"', 'kind = "unicycle"', "'monocab' or 'twsbr'"),
+        ('kind = "twsbr"', 'kind = "unicycle"', "there is no kind of vehicle 'unicycle'.*monocab, twsbr"),
     ],
 )
 def test_what_is_wrong_in_its_vehicle_file_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
