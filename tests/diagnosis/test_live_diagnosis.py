@@ -328,7 +328,6 @@ def test_bank_and_news_tell_it_as_json_once() -> None:
     assert "friction" in text
     assert "N m" in text
     assert news.of({**told, "findings": told["findings"][:1]}) == []
-    assert online_estimators("other", {}, {}, 0.1).diagnosis() is None
 
 
 def test_the_terminal_says_what_it_is_since_when_and_what_else_it_may_be() -> None:
