@@ -1,6 +1,6 @@
 """What does the diagnosis decide, and by which numbers? A net of some 300 cases under every change of its code.
 
-    python benchmarks/decisions.py record TABLE     diagnose every case and keep what was decided: an hour on two cores
+    python benchmarks/decisions.py record TABLE     diagnose every case and keep what was decided: an hour or two
     python benchmarks/decisions.py replay TABLE     decide again from the numbers in the table, in seconds
     python benchmarks/decisions.py diff OLD NEW     cases that have another verdict or other names, and by which numbers
     python benchmarks/decisions.py summary TABLE    right names, false names, unknown and adequate, class by class
@@ -8,8 +8,8 @@
 A case is a record with nothing missing, with one effect, two, or one that no catalogue has, shaken and still, of both
 vehicles; a MONOCAB of another simulator; bodies that swing freely; the measured records in ../shared, where they are
 there. All follows from its name, and no case knows a clock: each is diagnosed for as long as it takes. A table holds
-one line of JSON a case, compressed: the verdict, the names, and of every effect that got a fit the numbers that decided
-about it (diagnosis.gates.Tried) with the reason for which it was refused. That of the repository is recorded/decisions.
+one line of JSON a case, compressed where its name ends in .xz: the verdict, the names, and of every effect that got a
+fit the numbers that decided about it (diagnosis.gates.Tried) with the reason for which it was refused.
 
 `record` goes on where it was when it was ended. `--only WORDS` takes the cases whose name has one of these.
 """
@@ -32,7 +32,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 
 from benchmarks import free_decays, measured_verdicts, others_recordings
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.gates import Round, Tried, Unseen, decide, gated
+from diagnosis.gates import HeldOut, Round, Tried, decide, gated
 from diagnosis.parts import diagnose_parts
 from models.effect import Effect, Family
 from models.effects.catalogue import CATALOGUE
@@ -50,14 +50,15 @@ from vehicles.file import load
 
 HERE = Path(__file__).parent
 SHARED = HERE.parents[1] / "shared"
-TABLE = HERE / "recorded" / "decisions.jsonl.xz"
 Line = dict[str, Any]
 
 SEED = 300
+"""Of all cases; nothing was decided on it."""
 SHAKEN = "disturbance=5,0.3"
 """N m RMS and s: the middle of what is drawn for `upright benchmark hidden-effects`."""
 LOUDER = 4.0
-"""Times the level of a still record with which an effect is hidden beside it."""
+"""Times the level of a still record with which an effect is hidden beside it: so much less 30 s show there
+(docs/measurements/diagnosis.md, while the vehicle runs)."""
 LEVELS: Mapping[str, float] = {
     "static_torque": -0.027,
     "viscous_friction": 0.062,
@@ -91,7 +92,8 @@ LEVELS: Mapping[str, float] = {
     "test_varying_stiffness": 0.037,
     "test_patchy_damping": 0.11,
 }
-"""Twice what 30 s of multisine just show where nothing shakes, as levels of the virtual MONOCAB's effects."""
+"""Twice what 30 s of multisine just show where nothing shakes, as levels of the virtual MONOCAB's effects: those of
+`upright benchmark hidden-effects --sizes 2 --excitations multisine --seeds 1 --first 66 --disturbance none`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,15 +251,15 @@ def _round_line(decided: Round) -> Line:
 
 
 def _tried_line(tried: Tried) -> Line:
-    """Without the effect itself, but for what it is alike with where no catalogue has it."""
+    """Its numbers; the effect is found again by its name."""
     own = {name: getattr(tried, name) for name in Tried.__slots__ if name not in ("effect", "held_out")}
     return {**own, "held_out": asdict(tried.held_out) if tried.held_out else None}
 
 
 def _short(value: Any) -> Any:
-    """Numbers to six digits, what is no number as text."""
+    """Numbers to six digits."""
     if isinstance(value, float):
-        return float(f"{value:.6g}") if abs(value) < float("inf") else str(value)
+        return float(f"{value:.6g}")
     if isinstance(value, dict):
         return {key: _short(each) for key, each in value.items()}
     return [_short(each) for each in value] if isinstance(value, list | tuple) else value
@@ -272,16 +274,15 @@ def read_table(path: Path) -> dict[str, Line]:
 def _round_of(line: Mapping[str, Any]) -> Round:
     """As it was before anything was decided."""
     tried = tuple(gated(_tried_of(each), line["tries"]) for each in line["tried"])
-    return Round(tuple(line["beside"]), line["tries"], tried, float(line["p_value"]))
+    return Round(tuple(line["beside"]), line["tries"], tried, line["p_value"])
 
 
 def _tried_of(line: Mapping[str, Any]) -> Tried:
     own = {name: line[name] for name in Tried.__slots__ if name in line and name not in ("held_out", "refused")}
-    held_out = Unseen(**line["held_out"]) if line["held_out"] else None
+    held_out = HeldOut(**line["held_out"]) if line["held_out"] else None
     effect = CATALOGUE.get(line["name"].partition("@")[0]) or _without_kin(line["name"])
-    numbers = {"log_likelihood": float(line["log_likelihood"]), "t_ratio": float(line["t_ratio"])}
     usual = tuple(line["usual"]) if line["usual"] else None
-    return Tried(effect=effect, held_out=held_out, **{**own, **numbers, "usual": usual})
+    return Tried(effect=effect, held_out=held_out, **{**own, "usual": usual})
 
 
 def _without_kin(name: str) -> Effect:
@@ -293,17 +294,8 @@ def decided_again(line: Line) -> list[tuple[str, str]]:
     """Rounds of a case that are decided otherwise now than in its line, and how."""
     found = []
     for each in line["rounds"]:
-        known = {one["name"]: one for one in each["tried"]}
-        lacking: list[str] = []
-
-        def on_held_out(best: Tried, known: Mapping[str, Line] = known, lacking: list[str] = lacking) -> Tried:
-            asked = known[best.name]["held_out"] is not None or known[best.name]["refused"] != ""
-            if not asked and best.name != each["named"]:  # noqa: B023
-                lacking.append(best.name)
-            return best
-
-        again = decide(_round_of(each), on_held_out, lambda other: other.in_usual_shape)
-        before, now = ([one["named"], *one["tied_with"]] for one in (each, {**each, **_named(again)}))
+        again, lacking = _again(each)
+        before, now = [each["named"], *each["tied_with"]], [again.named, *again.tied_with]
         if before != now or lacking:
             beside = " beside " + " and ".join(each["beside"]) if each["beside"] else ""
             told = f"{' = '.join(before) or 'none'} is now {' = '.join(now) or 'none'}"
@@ -312,8 +304,18 @@ def decided_again(line: Line) -> list[tuple[str, str]]:
     return found
 
 
-def _named(decided: Round) -> Line:
-    return {"named": decided.named, "tied_with": list(decided.tied_with)}
+def _again(line: Line) -> tuple[Round, list[str]]:
+    """The round of `line` decided now, and of which effects it asks held-out data that were not asked then."""
+    known = {each["name"]: each for each in line["tried"]}
+    lacking: list[str] = []
+
+    def on_held_out(best: Tried) -> Tried:
+        then = known[best.name]
+        if then["held_out"] is None and not then["refused"] and best.name != line["named"]:
+            lacking.append(best.name)
+        return best
+
+    return decide(_round_of(line), on_held_out, lambda other: other.in_usual_shape), lacking
 
 
 def kind_of(line: Line) -> str:
@@ -402,13 +404,13 @@ def main() -> None:
     verbs = parser.add_subparsers(dest="verb", required=True)
     for verb in ("record", "replay", "summary"):
         one = verbs.add_parser(verb)
-        one.add_argument("table", type=Path, nargs="?", default=TABLE)
+        one.add_argument("table", type=Path)
         if verb == "record":
             one.add_argument("--only", nargs="*", default=[], metavar="WORD", help="of the names of cases")
             one.add_argument("--processes", type=int, default=2)
     two = verbs.add_parser("diff")
     two.add_argument("old", type=Path)
-    two.add_argument("new", type=Path, nargs="?", default=TABLE)
+    two.add_argument("new", type=Path)
     given = parser.parse_args()
     if given.verb == "record":
         recorded(given.table, given.only, given.processes)

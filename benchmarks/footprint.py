@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/footprint.py
 
 Peers in the same run: `python -c pass` for the help, and a process that only imports what the control process cannot do
-without (numpy, scipy, filterpy, canopen, python-can) for the memory.
+without (numpy, scipy, filterpy, canopen, python-can without the asammdf that it looks for) for the memory.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from service.control.api import ApiError, call
 
 BUS = "udp_multicast:239.74.163.77"
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
-IMPORTS = "import numpy, scipy.linalg, filterpy.kalman, canopen, can, sys; sys.stdin.read()"
+LIBRARIES = "numpy, scipy.linalg, filterpy.kalman, canopen, can"
+IMPORTS = f"import sys; sys.modules['asammdf'] = None; import {LIBRARIES}; sys.stdin.read()"
 RUNS = 5
 
 

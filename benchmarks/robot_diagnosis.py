@@ -32,13 +32,13 @@ from typing import Any
 
 from diagnosis.prediction.compare import compare
 from models.library import get
-from service.offline.recorded_loop import recorded_loop
 from service.offline.replay import live_diagnosis
 from service.virtual.run import record
 from simulation.twsbr.hidden import TWSBR_HIDDEN
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.registry import recorded_loop
 
 OTHERS = ("sine", "doublet", "sine_stream")
 FURTHEST = 0.5

@@ -202,10 +202,12 @@ def _beside_random_parts(
         looked = _in_time(partial(absorbed, found.base, found.last, workspace), RANDOM, workspace)
         if looked is None:
             return found
-        untried = len(workspace.untried)
-        again = _searched(looked, workspace, most, masked, partial(_part, tell, begun, ONCE * (1.0 - begun)))
+        own = replace(workspace, untried=[])
+        again = _searched(looked, own, most, masked, partial(_part, tell, begun, ONCE * (1.0 - begun)))
         begun += ONCE * (1.0 - begun)
-        if found.findings and _cut_short(workspace.untried[untried:], again.findings):
+        for each in own.untried:
+            workspace.leave(each)
+        if found.findings and _cut_short(own.untried, again.findings):
             return found
         if again.last.evidence <= found.last.evidence:
             return found
@@ -487,7 +489,8 @@ def _verdict(
         reason = together(findings) + _left_by_blows(rest)
     else:
         verdict = Verdict.ADEQUATE
-        reason = "no known effect, and nothing without a name, would make the innovations smaller than chance does"
+        effect = "no effect tried so far" if _untried(workspace, findings) else "no known effect"
+        reason = f"{effect}, and nothing without a name, would make the innovations smaller than chance does"
         reason += f".{_left_by_blows(rest)}" if rest.struck else ""
     return Diagnosis(
         verdict=verdict,

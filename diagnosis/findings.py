@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from diagnosis.fits.refit import FullFit
-from diagnosis.gates import Round, Unseen
+from diagnosis.gates import HeldOut, Round
 from diagnosis.lack_of_fit.adequacy import Adequacy
 from diagnosis.lack_of_fit.events import Event
 from diagnosis.prediction.limit import PredictionLimit
@@ -61,7 +61,7 @@ class Finding:
     tied_with: tuple[str, ...]
     explanation: str
     log_likelihood_gain: float
-    held_out: Unseen | None
+    held_out: HeldOut | None
     odds: Mapping[str, float]
     gains: Mapping[str, float] = field(default_factory=dict)
     screen: Screen | None = None

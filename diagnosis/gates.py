@@ -35,12 +35,15 @@ CHECKED = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Unseen:
-    """`gain`: rise of the log likelihood; `std` of it, but for what was foretold; `known`: by how much parameters are
-    nearer to what was known of them before, as a logarithm; `closed_percent`: of the error energy a horizon ahead that
-    exceeds the sensors', what is gone, and the standard deviation of that, None where there was none;
-    `closing_percent`: what would be gone if the effect were right, and would have come if there were none of it;
-    `struck`: parts of the model strike each other."""
+class HeldOut:
+    """What held-out data say of one effect more.
+
+    `gain`: rise of the log likelihood, nats; `std`: standard deviation of the part of it that the fit did not predict;
+    `known`: rise of the log prior of the parameters, nats. `closed_percent`: share of the excess error energy (over
+    that of the sensors' noise, one horizon ahead) that the effect removes, with its standard deviation `closed_std`;
+    None where there is no excess. `closing_percent`: what it would remove if it were right, and add if there were none
+    of it. `struck`: parts of the model collide.
+    """
 
     gain: float
     std: float
@@ -52,11 +55,11 @@ class Unseen:
 
     @property
     def stands(self) -> bool:
-        """Whether the likelihood rises beyond its own noise, and no error surely grows.
+        """Whether the log likelihood rises by more than its standard deviation, and no error clearly grows.
 
-        What an effect does ahead that is less than the scatter there is judged by the rows alone: other errors of the
-        model, which add up on the way, would decide. Likewise where parts strike each other: how far ahead is foretold
-        what follows a blow is a matter of the filter that the blows of one record have made.
+        The error ahead does not count where the effect changes it by less than it scatters, because other errors of the
+        model, which add up on the way, would decide. Nor does it count where parts collide: how well the motion after
+        an impact is predicted depends on the filter that the impacts of one record have made.
         """
         return (self.struck or not self._grows) and self.gain + self.known >= self.std
 
@@ -72,11 +75,12 @@ class Tried:
     """One effect more in a model, in the numbers that decide about it.
 
     `log_likelihood` above that of the model without it (nats), with `parameters` more, fitted to `rows` samples;
-    `usual`: these two by its usual formula, where a finer one is likelier. `settled`: its fit did; `possible`: no
-    amplitude ends at a bound; `t_ratio` of the surest of them. `p_value` of it or of what is easily confused with it,
-    with all effects looked at. `among`: instants of which its own was picked. `held_out`: what data say that its fit
-    has not seen, None where they say nothing. `in_usual_shape`: the log likelihood with its shape held at the usual
-    one, None where nobody asked. `refused`: why it is not named; empty where it passed all that it was asked.
+    `usual`: these two by its usual formula, where a finer one is likelier. `converged`: its fit did; `inside_bounds`:
+    no amplitude ends at a bound; `t_ratio`: the largest of its amplitudes'. `p_value` of it or of what is easily
+    confused with it, with all effects looked at. `among`: instants of which its own was picked. `held_out`: what data
+    say that its fit has not seen, None where they say nothing. `in_usual_shape`: the log likelihood with its shape held
+    at the usual one, None where nobody asked. `refused`: why it is not named; empty where it passed all that it was
+    asked.
     """
 
     name: str
@@ -84,13 +88,13 @@ class Tried:
     log_likelihood: float
     parameters: int
     rows: int
-    settled: bool
-    possible: bool
+    converged: bool
+    inside_bounds: bool
     t_ratio: float
     usual: tuple[float, int] | None = None
     p_value: float = 1.0
     among: int = 1
-    held_out: Unseen | None = None
+    held_out: HeldOut | None = None
     in_usual_shape: float | None = None
     refused: str = ""
 
@@ -109,19 +113,19 @@ Gate = Callable[[Tried, int], str]
 """An effect, as one of so many that were tried, to the reason for which it is refused, empty where it passes."""
 
 
-def settles(tried: Tried, tries: int) -> str:
-    """Where a fit does not settle, nothing is known of its likelihood."""
-    return "" if tried.settled else "its fit does not settle"
+def converges(tried: Tried, tries: int) -> str:
+    """Where a fit does not converge, nothing is known of its likelihood."""
+    return "" if tried.converged else "its fit does not converge"
 
 
-def is_possible(tried: Tried, tries: int) -> str:
+def is_inside_its_bounds(tried: Tried, tries: int) -> str:
     """What physics stops short of what the record asks for stands in for another cause."""
-    return "" if tried.possible else "its size ends at a bound"
+    return "" if tried.inside_bounds else "its amplitude ends at a bound"
 
 
-def has_a_size(tried: Tried, tries: int) -> str:
+def is_significant(tried: Tried, tries: int) -> str:
     """An amplitude that may as well be zero leaves all that was gained to the other parameters."""
-    return "" if tried.t_ratio > SURE else f"its size is {tried.t_ratio:.2g} standard deviations, of {SURE:g} needed"
+    return "" if tried.t_ratio > SURE else f"its t-ratio is {tried.t_ratio:.2g}, and more than {SURE:g} is needed"
 
 
 def is_beyond_chance(tried: Tried, tries: int) -> str:
@@ -131,7 +135,7 @@ def is_beyond_chance(tried: Tried, tries: int) -> str:
     return "" if chance < LEVEL else f"chance explains as much in {100.0 * min(1.0, chance):.2g} % of records"
 
 
-GATES: tuple[Gate, ...] = (settles, is_possible, has_a_size, is_beyond_chance)
+GATES: tuple[Gate, ...] = (converges, is_inside_its_bounds, is_significant, is_beyond_chance)
 
 
 def gated(tried: Tried, tries: int) -> Tried:

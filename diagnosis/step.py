@@ -17,7 +17,7 @@ from diagnosis.evidence import LEVEL, SURE
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.fits.finer import finest
-from diagnosis.fits.held_out import UnseenCheck
+from diagnosis.fits.held_out import HeldOutCheck
 from diagnosis.fits.look_ahead import foresees
 from diagnosis.fits.masked import fits as fits_of_masked
 from diagnosis.fits.masked import surprise
@@ -114,7 +114,7 @@ def find(
     hidden = fits_of_masked(base.model, workspace.within(LATE), unseen, [each.name for each in known])
     fits = _at_one_noise([*contenders, *hidden], base, workspace)
     fitted, asked = _asked(base, fits, screened, {each.name for each in hidden}, workspace)
-    check = UnseenCheck(base, workspace)
+    check = HeldOutCheck(base, workspace)
 
     def on_held_out(best: Tried) -> Tried:
         tell(f"checking {best.name} on data that the fit has not seen", 0.95)
@@ -168,7 +168,7 @@ def _gated(fitted: FullFit, base: FullFit, tries: int, workspace: Workspace) -> 
     row = tried(partial(_in_numbers, fitted, base), fitted.name, workspace.failed)
     if row is None:
         return None
-    if not row.settled:
+    if not row.converged:
         workspace.failed[row.name] = "no fit with it ends: it does not settle"
     return gated(row, tries)
 
@@ -177,16 +177,16 @@ def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
     """What decides about `fitted`, the model of `base` with one effect more. Raises ArithmeticError, LinAlgError."""
     assert fitted.candidate is not None
     gain, parameters = gained(fitted, base)
-    settled = fitted.fit.minimum.converged
+    converged = fitted.fit.minimum.converged
     return Tried(
         name=fitted.name,
         effect=fitted.candidate.effect,
         log_likelihood=gain,
         parameters=parameters,
         rows=fitted.rows,
-        settled=settled,
-        possible=possible(fitted),
-        t_ratio=surety(fitted) if settled else math.nan,
+        converged=converged,
+        inside_bounds=possible(fitted),
+        t_ratio=surety(fitted) if converged else math.nan,
         among=fitted.candidate.among if fitted.candidate.picked else 1,
     )
 
@@ -266,7 +266,7 @@ def named_alone(
     rows = {each.name: row for each in fits if (row := _gated(each, base, 1, workspace))}
     if best is None or made.name not in rows or rows[made.name].refused:
         return None
-    held_out = UnseenCheck(base, workspace).of(best)
+    held_out = HeldOutCheck(base, workspace).of(best)
     if held_out is not None and not held_out.stands:
         return None
     p_value = min(screened.score(each.name).p_value for each in fits)

@@ -21,6 +21,12 @@ def _kinds() -> tuple[Any, ...]:
 
 
 def machine(config: SimulationConfig) -> Machine:
-    """The mechanics that `config` describes, at rest. Raises UnknownEffectError."""
-    made: Machine = next(each.MACHINE for each in _kinds() if type(config.plant) is each.TRUTH)(config)
-    return made
+    """The mechanics that `config` describes, at rest.
+
+    Raises UnknownEffectError, and TypeError for a truth that no folder here has.
+    """
+    for each in _kinds():
+        if type(config.plant) is each.TRUTH:
+            made: Machine = each.MACHINE(config)
+            return made
+    raise TypeError(f"nothing here moves as a {type(config.plant).__name__} says")

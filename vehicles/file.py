@@ -72,7 +72,9 @@ def load(name_or_path: str) -> VehicleFile:
 def schema() -> dict[str, Any]:
     """The JSON Schema of vehicle files, of every kind."""
     kinds = [registry.of(name).file for name in registry.names()]
-    return TypeAdapter(reduce(or_, kinds)).json_schema()
+    found: dict[str, Any] = TypeAdapter(reduce(or_, kinds)).json_schema()
+    found["$defs"]["VehicleSection"]["properties"]["kind"]["enum"] = list(registry.names())
+    return found
 
 
 def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:

@@ -11,7 +11,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pkgutil import iter_modules
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import vehicles
 from drivers.vehicle_io import VehicleIo
@@ -19,6 +19,10 @@ from models.model import Model
 from telemetry.errors import UprightError
 from vehicles.contract import Kind, Models, VehicleKind
 from vehicles.sections import VehicleFile
+
+if TYPE_CHECKING:
+    from diagnosis.prediction.closed_loop_error import Loop
+    from telemetry.recording import Recording
 
 
 class UnknownKindError(UprightError):
@@ -65,3 +69,11 @@ def models_of(vehicle: VehicleFile) -> Models:
         with_values(each, known.values, known.deviations) for each in (found.nominal, *found.actuators)
     )
     return Models(nominal, tuple(actuators))
+
+
+def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:
+    """What closed the loop of `recording`, from the first row of its excitation on, or why it is not known, in words.
+
+    It is what a model's free run must be given in order to be compared with a recording of an unstable vehicle.
+    """
+    return of(vehicle.vehicle.kind).recorded_loop(vehicle, recording)

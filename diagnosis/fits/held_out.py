@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from diagnosis.evidence import SURE
 from diagnosis.fits.refit import FullFit, full, off_prior
-from diagnosis.gates import Unseen
+from diagnosis.gates import HeldOut
 from diagnosis.prediction import ahead
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.whitened import whitening
@@ -77,7 +77,7 @@ class Fold:
         return _inside(time, self.pieces)
 
 
-class UnseenCheck:
+class HeldOutCheck:
     """Judges effects that are added to one model, whose own fits are made once."""
 
     def __init__(self, base: FullFit, workspace: Workspace) -> None:
@@ -86,7 +86,7 @@ class UnseenCheck:
         self._few: dict[Pieces, Workspace] = {}
         self._without: dict[Pieces, Fit] = {}
 
-    def of(self, best: FullFit) -> Unseen | None:
+    def of(self, best: FullFit) -> HeldOut | None:
         """What fits of a part of the data say of the rest; None where no part tells the effects that `best` adds."""
         there = {each.name for each in self._base.model.effects}
         further = [each for each in best.model.effects if each.name not in there]
@@ -182,7 +182,7 @@ def judge(
     fits: Callable[[Fold], tuple[Fit, Fit] | None],
     amplitudes: Collection[str],
     support: float | None,
-) -> Unseen | None:
+) -> HeldOut | None:
     """What the second of two fits says of unseen data, against the first; None where no part has such fits, or what its
     `amplitudes` foretell of the gain is less than the noise of that.
 
@@ -217,7 +217,7 @@ def judge(
     squares = np.concatenate(energies)
     before, after, apart = np.mean(squares, axis=0)
     spread = float(np.std(squares[:, 0] - squares[:, 1], ddof=1) / np.sqrt(len(squares)))
-    return Unseen(
+    return HeldOut(
         gain=float(np.sum(differences)),
         std=noise,
         closed_percent=float(100.0 * (before - after) / (before - 1.0)) if before > 1.0 else None,

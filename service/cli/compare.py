@@ -48,8 +48,8 @@ def compare(
     from service.cli.compare_page import print_comparisons
     from service.cli.inputs import load_recording, working
     from service.offline.machine import name_of, support_of
-    from service.offline.recorded_loop import recorded_loop
     from vehicles.file import load
+    from vehicles.registry import recorded_loop
 
     if picture is not None:
         from diagnosis.report.method_figure import check_suffix

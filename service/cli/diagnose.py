@@ -100,9 +100,9 @@ def diagnose(
     from service.cli.inputs import identified_model, load_recording
     from service.offline.machine import is_of, name_of, support_of
     from service.offline.next_experiment import suggest_for
-    from service.offline.recorded_loop import recorded_loop
     from vehicles import registry
     from vehicles.file import load
+    from vehicles.registry import recorded_loop
 
     for target in (auto, report):
         if target is not None and not target.absolute().parent.is_dir():

@@ -11,10 +11,10 @@ from diagnosis.report import write_identification
 from models.model import Model
 from service.cli.diagnose import provenance
 from service.offline.machine import name_of, support_of
-from service.offline.recorded_loop import recorded_loop
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles.file import VehicleFile
+from vehicles.registry import recorded_loop
 
 
 def save_report(

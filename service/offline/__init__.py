@@ -1,2 +1,2 @@
 """Recordings once they are made: replay reads and runs them again, export writes them, machine says whose they are,
-recorded_loop what closed the loop, next_experiment what to record next, trail what a diagnosis leaves behind."""
+next_experiment what to record next, trail what a diagnosis leaves behind."""

@@ -21,13 +21,13 @@ from estimators.speed_loop_steps import SpeedLoopSteps
 from models import library
 from models.model import Model
 from service.cli.compare_page import closed_loop_lines
-from service.offline.recorded_loop import recorded_loop
 from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load as load_recording
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.registry import recorded_loop
 
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})

@@ -27,7 +27,6 @@ from service.hidden_effects.disturbances import drawn_for
 from service.hidden_effects.trial import Bench, disturbance_of
 from service.hidden_effects.vehicles import drawn
 from service.offline import replay
-from service.offline.recorded_loop import recorded_loop
 from service.virtual.run import record
 from simulation.bus.imu_node import SensorPath
 from simulation.config import ImuNode, SimulationConfig
@@ -35,6 +34,7 @@ from simulation.monocab.truth import PlantTruth
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import VehicleFile, load
+from vehicles.registry import recorded_loop
 
 LATENCY = 0.0075
 """s: not a whole number of rows, and the drives are sampled after the IMU."""

@@ -34,7 +34,6 @@ from service.control.rows import rows_from_frames
 from service.control.safety import Observation, Safety
 from service.observer.online_estimators import online_estimators
 from service.offline import replay
-from service.offline.recorded_loop import recorded_loop
 from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import VirtualRunError, record
 from simulation.registry import UnknownEffectError
@@ -46,6 +45,7 @@ from vehicles import registry
 from vehicles.bounds import OK, Code, Reaction
 from vehicles.file import VehicleFileError, load
 from vehicles.phases import Phase
+from vehicles.registry import recorded_loop
 from vehicles.twsbr.axes import WheelMeasurement
 from vehicles.twsbr.controller import GRAVITY, TiltController, WheelReturn
 from vehicles.twsbr.handling import RISE_TIMEOUT

@@ -17,7 +17,6 @@ from diagnosis.prediction.compare import compare
 from models.library import get
 from models.model import Model
 from service.cli import app
-from service.offline.recorded_loop import recorded_loop
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.channels import ChannelTable
@@ -26,6 +25,7 @@ from telemetry.storage import load as load_recording
 from telemetry.storage import save
 from vehicles.file import load
 from vehicles.phases import Phase
+from vehicles.registry import recorded_loop
 
 VEHICLE = load("twsbr")
 TRUTH = get("twsbr").change(TwsbrTruth().table_1)

@@ -9,7 +9,7 @@ import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.fits.held_out import TAILS, WIDER, loss, unsure
-from diagnosis.gates import Unseen
+from diagnosis.gates import HeldOut
 from diagnosis.parts import diagnose_actuators
 from diagnosis.prepare.ready import ready
 from estimators.data.segments import after_settling
@@ -69,19 +69,19 @@ def test_it_is_said_that_nothing_was_held_against_it(found: Diagnosis) -> None:
 def test_an_error_ahead_judges_what_does_something_ahead(
     closed: float | None, closed_std: float | None, closing: float | None, stands: bool
 ) -> None:
-    told = Unseen(30.0, 6.0, closed_percent=closed, closed_std=closed_std, closing_percent=closing)
+    told = HeldOut(30.0, 6.0, closed_percent=closed, closed_std=closed_std, closing_percent=closing)
     assert told.stands is stands
 
 
 def test_where_parts_strike_the_rows_alone_judge() -> None:
-    grows = Unseen(30.0, 6.0, closed_percent=-80.0, closed_std=16.0, closing_percent=55.0)
+    grows = HeldOut(30.0, 6.0, closed_percent=-80.0, closed_std=16.0, closing_percent=55.0)
     assert not grows.stands
     assert replace(grows, struck=True).stands
     assert not replace(grows, struck=True, gain=5.0).stands
 
 
 def test_a_likelihood_that_does_not_rise_refuses_whatever_the_error_ahead() -> None:
-    assert not Unseen(3.0, 6.0, closed_percent=90.0, closed_std=10.0, closing_percent=90.0).stands
+    assert not HeldOut(3.0, 6.0, closed_percent=90.0, closed_std=10.0, closing_percent=90.0).stands
 
 
 def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_leaves() -> None:

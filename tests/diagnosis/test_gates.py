@@ -1,0 +1,117 @@
+"""What decides about effects that were fitted, by their numbers alone; and that a table of these decides the same."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from benchmarks import decisions
+from diagnosis.gates import CHECKED, GATES, HeldOut, Round, Tried, decide, gated
+from models.effects.catalogue import find
+
+ROWS = 6000
+STANDS = HeldOut(gain=300.0, std=20.0, closed_percent=90.0, closed_std=5.0, closing_percent=90.0)
+FAILS = HeldOut(gain=5.0, std=20.0, closed_percent=90.0, closed_std=5.0, closing_percent=90.0)
+
+
+def fitted(name: str, log_likelihood: float, parameters: int = 1, **changes: object) -> Tried:
+    """An effect that passes every gate, unless it is changed."""
+    usual = Tried(name, find(name), log_likelihood, parameters, ROWS, True, True, t_ratio=30.0, p_value=1e-9)
+    return replace(usual, **changes)  # type: ignore[arg-type]
+
+
+def decided(*tried: Tried, held_out: dict[str, HeldOut | None] | None = None, p_value: float = 1e-9) -> Round:
+    """What comes of them as the only ones of thirty that were tried; held-out data let all stand but `held_out`."""
+    asked = Round((), 30, tuple(gated(each, 30) for each in tried), p_value)
+    known = held_out or {}
+    return decide(asked, lambda best: replace(best, held_out=known.get(best.name, STANDS)), lambda other: None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, ""),
+        ({"converged": False}, "its fit does not converge"),
+        ({"inside_bounds": False}, "its amplitude ends at a bound"),
+        ({"t_ratio": 1.5}, "its t-ratio is 1.5, and more than 2 is needed"),
+        ({"log_likelihood": 3.0}, "chance explains as much in 43 % of records"),
+        ({"log_likelihood": 400.0, "usual": (3.0, 1)}, "chance explains as much in 43 % of records"),
+    ],
+)
+def test_each_gate_refuses_with_its_reason(changes: dict[str, object], reason: str) -> None:
+    tried = replace(fitted("viscous_friction", 300.0), **changes)  # type: ignore[arg-type]
+    assert gated(tried, 30).refused == reason
+    assert sum(bool(gate(tried, 30)) for gate in GATES) == bool(reason)
+
+
+def test_the_likeliest_is_named_and_what_no_gate_lets_through_is_not() -> None:
+    found = decided(fitted("cubic_stiffness", 900.0, inside_bounds=False), fitted("viscous_friction", 300.0))
+    assert (found.named, found.tied_with) == ("viscous_friction", ())
+    assert found.tried[0].refused == "its amplitude ends at a bound"
+    assert not decided(fitted("cubic_stiffness", 900.0, converged=False)).named
+
+
+def test_nothing_is_named_that_chance_makes_among_all_that_were_tried() -> None:
+    assert not decided(fitted("viscous_friction", 300.0), p_value=0.02).named
+
+
+def test_of_two_that_explain_almost_the_same_the_simpler_is_named_and_the_other_tied_with_it() -> None:
+    coulomb, stribeck = fitted("coulomb_friction", 300.0), fitted("stribeck_friction", 310.0, 3)
+    found = decided(coulomb, stribeck)
+    assert found.named == "coulomb_friction"
+    assert found.tied_with == ("stribeck_friction",)
+    assert decided(coulomb, replace(stribeck, log_likelihood=400.0)).named == "stribeck_friction"
+
+
+def test_one_that_held_out_data_refuse_makes_room_for_the_next() -> None:
+    first, second = fitted("viscous_friction", 300.0), fitted("cubic_stiffness", 200.0)
+    found = decided(first, second, held_out={"viscous_friction": FAILS})
+    assert found.named == "cubic_stiffness"
+    assert found.tried[0].refused == "does not hold on held-out data"
+
+
+def test_after_one_that_was_refused_none_is_named_that_held_out_data_say_nothing_of() -> None:
+    first, second = fitted("viscous_friction", 300.0), fitted("cubic_stiffness", 200.0)
+    assert decided(first, held_out={"viscous_friction": None}).named == "viscous_friction"
+    assert not decided(first, second, held_out={"viscous_friction": FAILS, "cubic_stiffness": None}).named
+
+
+def test_only_so_many_are_tried_on_held_out_data() -> None:
+    names = ("viscous_friction", "cubic_stiffness", "hysteresis", "end_stop")
+    tried = [fitted(name, 300.0 - 50.0 * place) for place, name in enumerate(names)]
+    refused = dict.fromkeys(names[:CHECKED], FAILS)
+    assert not decided(*tried, held_out=refused).named  # type: ignore[arg-type]
+
+
+def test_a_table_decides_what_was_decided_and_tells_what_it_lacks() -> None:
+    found = decided(fitted("coulomb_friction", 300.0), fitted("stribeck_friction", 310.0, 3), fitted("end_stop", 2.0))
+    line = {
+        "case": "monocab still coulomb_friction",
+        "hidden": ["coulomb_friction"],
+        "unlisted": False,
+        "verdict": "missing_effect",
+        "named": [["coulomb_friction", "stribeck_friction"]],
+        "rounds": [decisions._short(decisions._round_line(found))],
+    }
+    line = json.loads(json.dumps(line))
+    assert decisions.decided_again(line) == []
+    assert decisions.right(line)
+    assert decisions.false_names(line) == 0
+    (told,) = decisions.summary([line])
+    assert "right   1 of   1, false names  0" in told
+    other = json.loads(json.dumps(line))
+    other["rounds"][0]["tried"][1]["log_likelihood"] = 400.0
+    ((_, how),) = decisions.decided_again(other)
+    assert how == (
+        "coulomb_friction = stribeck_friction is now stribeck_friction, and asks held-out data about stribeck_friction"
+    )
+    changed = {**line, "named": [["stribeck_friction"]]}
+    (told,) = decisions.difference({line["case"]: line}, {line["case"]: changed})
+    assert told.startswith("WORSE")
+
+
+def test_every_case_of_the_net_has_a_name_of_its_own() -> None:
+    names = [each.name for each in decisions.cases()]
+    assert len(names) == len(set(names)) >= 280
