@@ -12,8 +12,8 @@ import numpy as np
 import paho.mqtt.client as mqtt
 
 from service.mqtt.payloads import TelemetryBatches
-from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.sections import VehicleFile
 
 STATE = {

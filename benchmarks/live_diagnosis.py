@@ -35,9 +35,9 @@ from estimators.recursive.predictor import Seen
 from service.virtual.run import BOOT_TIME, record
 from simulation.monocab.hidden import HIDDEN, LATE, UNLISTED
 from simulation.vehicle import START_NS
-from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
 from vehicles.file import load
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
@@ -49,7 +49,11 @@ ONSET = 30.0
 def live() -> LiveDiagnosis:
     given = VEHICLE.parameters
     return LiveDiagnosis(
-        nominal_model("monocab"), parameters=given.values, deviations=given.deviations, support=VEHICLE.support
+        nominal_model("monocab"),
+        parameters=given.values,
+        deviations=given.deviations,
+        support=VEHICLE.support,
+        channels=MONOCAB,
     )
 
 

@@ -140,7 +140,7 @@ def fit(method: str, path: Path) -> Fit:
         estimate = _recursive(method, recording, vehicle)
     else:
         import estimators
-        from models.library.monocab import MONOCAB_ROLL
+        from vehicles.monocab.model import MONOCAB_ROLL
 
         there = {parameter.name for parameter in MONOCAB_ROLL.parameters}
         cad, std = vehicle.parameters.values, vehicle.parameters.deviations
@@ -159,7 +159,7 @@ def fit(method: str, path: Path) -> Fit:
 
 
 def _recursive(method: str, recording: Any, vehicle: Any) -> Any:
-    from estimators.recursive.torque_balance import Method, make
+    from vehicles.monocab.identification.torque_balance import Method, make
 
     values, deviations = (
         {**vehicle.parameters.values, **EXACT},

@@ -1,7 +1,7 @@
 """How true are the balancing robot's estimates, and their +-? `python benchmarks/robot_estimates.py --runs 20`
 
 The virtual robot is recorded with the paper's square wave, and what a record near upright can tell (combinations of
-parameters, `models.library.twsbr.TOLD_NEAR_UPRIGHT`) is estimated from the vehicle file's numbers, which are up to 40 %
+parameters, `vehicles.twsbr.model.TOLD_NEAR_UPRIGHT`) is estimated from the vehicle file's numbers, which are up to 40 %
 off. Told are, of each combination, the scatter of estimate over truth, the deviations that it is off by (RMS: 1 where a
 +- is right), and how often the 95 % interval holds the truth; then by how much the recursive estimator is off at the
 end of the run (RMS). Six combinations of one record are not independent: the last line's interval (Wilson) counts
@@ -30,12 +30,12 @@ from estimators.identify.validation import on_others
 from estimators.methods.prediction_error import predicted_percent
 from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
-from models.library.twsbr import TOLD_NEAR_UPRIGHT
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
-from telemetry.channels import TWSBR
 from vehicles.file import load
 from vehicles.registry import nominal_model
+from vehicles.twsbr.channels import CHANNELS as TWSBR
+from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
 
 VEHICLE = load("twsbr")
 GIVEN = VEHICLE.parameters

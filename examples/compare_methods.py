@@ -25,7 +25,7 @@ from simulation.config import SimulationConfig
 from simulation.monocab.truth import PlantTruth
 from telemetry.recording import Recording
 from vehicles.file import load
-from vehicles.registry import nominal_model
+from vehicles.registry import nominal_model, of
 
 VEHICLE = load("monocab")
 PLANT = PlantTruth()
@@ -51,7 +51,8 @@ def compare(recordings: Sequence[Recording], methods: Sequence[str] = ()) -> dic
     """What `upright identify --json` says of these recordings."""
     parameters, support = VEHICLE.parameters, VEHICLE.support
     model = with_values(nominal_model("monocab"), parameters.values, parameters.deviations)
-    known = {"deviations": parameters.deviations, "bandwidth": BANDWIDTH, "model": model}
+    own = of("monocab").identification()
+    known = {"deviations": parameters.deviations, "bandwidth": BANDWIDTH, "model": model, "own": own}
     return identify(recordings, parameters.values, support, methods, **known)
 
 

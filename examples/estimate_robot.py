@@ -29,9 +29,9 @@ from estimators.identify.combinations import combinations
 from estimators.identify.validation import in_windows, on_others
 from estimators.methods.prediction_error import predicted_percent
 from models.library import get
-from models.library.twsbr import TOLD_NEAR_UPRIGHT
 from service.virtual.run import record
 from telemetry.recording import Recording
+from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
 
 MODEL = get("twsbr")
 TABLE_1 = MODEL.values

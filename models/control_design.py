@@ -10,23 +10,20 @@ by the discrete algebraic Riccati equation. Weights are those of the states and 
 same at every sampling rate.
 
 Robustness is judged on the loop broken at the plant's input: gain margins, phase and delay margin, and the closed-loop
-poles at every corner of the uncertain parameters, each also with one more period of delay.
+poles, also with one more period of delay.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
-from models.monocab import Matrix, MonocabParameters, StateSpace, reduced_model
 from telemetry.errors import UprightError
 
-UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")
-"""Parameters whose CAD values are not to be trusted; the angular momentum is known from the flywheels' speed."""
+Matrix = NDArray[np.float64]
 
 
 class ControlDesignError(UprightError):
@@ -68,34 +65,15 @@ class Margins:
 
 
 @dataclass(frozen=True, slots=True)
-class Corner:
-    """The closed loop at one corner of the uncertain parameters.
+class StateSpace:
+    """x' = A x + B u, y = C x, with the names of states, inputs and outputs."""
 
-    `factors` holds (parameter, factor on its nominal value); `delay` s in all; `damping` is the worst damping ratio,
-    `slowest` (1/s) the decay rate of the slowest pole, negative where the loop is unstable.
-    """
-
-    factors: tuple[tuple[str, float], ...]
-    delay: float
-    damping: float
-    slowest: float
-
-    def __str__(self) -> str:
-        values = ", ".join(f"{name} x {factor:g}" for name, factor in self.factors)
-        return (
-            f"{values}, delay {self.delay * 1e3:g} ms: damping {self.damping:.2f}, slowest pole {self.slowest:.2f} 1/s"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class RollDesign:
-    """A roll controller with what is known about it. `poles` (1/s) are those of the nominal closed loop."""
-
-    gains: LqiGains
-    parameters: MonocabParameters
-    poles: tuple[complex, ...]
-    margins: Margins
-    worst: Corner
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
 
 
 def design_lqi(A: Matrix, B: Matrix, C: Matrix, weights: LqiWeights, period: float) -> LqiGains:
@@ -169,40 +147,6 @@ def margins(model: StateSpace, gains: LqiGains) -> Margins:
     return Margins(decrease, increase, phase, delay, float(omega[unity[worst]]))
 
 
-def corners(
-    parameters: MonocabParameters, gains: LqiGains, spread: float, uncertain: Sequence[str] = UNCERTAIN
-) -> Iterator[Corner]:
-    """The closed loop `spread` (0.2: 20 %) to either side of every uncertain parameter, one and two periods late."""
-    for factors in itertools.product((1.0 - spread, 1.0 + spread), repeat=len(uncertain)):
-        values = {name: getattr(parameters, name) * f for name, f in zip(uncertain, factors, strict=True)}
-        model = reduced_model(replace(parameters, **values))
-        sampled = discretise(model.A, model.B, gains.period)
-        for delay_periods in (1, 2):
-            poles = continuous_poles(_open_loop(*sampled, model.C, gains, delay_periods)[0], gains.period)
-            damping, slowest = _damping(poles)
-            yield Corner(tuple(zip(uncertain, factors, strict=True)), delay_periods * gains.period, damping, slowest)
-
-
-def design_roll_controller(
-    parameters: MonocabParameters, weights: LqiWeights, period: float, *, spread: float = 0.2
-) -> RollDesign:
-    """The reduced LQI of the paper (section II) for a vehicle, checked over the uncertainty of its parameters.
-
-    Weights are of [roll, roll_rate, precession_rate]. Raises ControlDesignError where no controller is found or where
-    it is unstable at a corner; the message names the corner.
-    """
-    model = reduced_model(parameters)
-    gains = design_lqi(model.A, model.B, model.C, weights, period)
-    worst = min(corners(parameters, gains, spread), key=lambda corner: (corner.slowest > 0.0, corner.damping))
-    if worst.slowest <= 0.0:
-        raise ControlDesignError(
-            f"the controller falls over where the vehicle differs from its CAD values ({worst}).",
-            remedy="raise effort_weight (less bandwidth) or the control rate, or narrow the CAD values' uncertainty.",
-        )
-    poles = continuous_poles(closed_loop(model, gains), period)
-    return RollDesign(gains, parameters, tuple(complex(pole) for pole in poles), margins(model, gains), worst)
-
-
 def continuous_poles(transition: Matrix, period: float) -> list[complex]:
     """The poles in 1/s, slowest first, of a transition matrix over `period`; those of pure delays are left out."""
     eigenvalues = np.linalg.eigvals(transition)
@@ -210,7 +154,7 @@ def continuous_poles(transition: Matrix, period: float) -> list[complex]:
     return sorted((complex(pole) for pole in poles), key=lambda pole: (-pole.real, pole.imag))
 
 
-def _damping(poles: list[complex]) -> tuple[float, float]:
+def damping_and_decay(poles: list[complex]) -> tuple[float, float]:
     """(worst damping ratio, decay rate of the slowest pole) of poles in 1/s."""
     return min(-pole.real / abs(pole) if pole else 0.0 for pole in poles), min(-pole.real for pole in poles)
 

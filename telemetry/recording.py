@@ -11,12 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.channels import TABLES, Channel, ChannelTable
+from telemetry.channels import Channel, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.samples import Frame
-
-_STEEPEST = 1.6
-"""rad: a roll or pitch angle beyond it (92 deg) was recorded in degrees."""
+from telemetry.vehicle_modules import each_with
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +54,15 @@ class Recording:
                 f"does not rise at row {backwards[0] + 2}",
                 remedy="Sort the rows by time and leave out repeated ones.",
             )
-        for name in {"roll", "pitch"}.intersection(self.channels.names):
-            largest = float(np.nanmax(np.abs(self.values[name]), initial=0.0))
-            if largest > _STEEPEST:
+        for channel in self.channels:
+            if not math.isfinite(channel.most):
+                continue
+            largest = float(np.nanmax(np.abs(self.values[channel.name]), initial=0.0))
+            if largest > channel.most:
                 raise RecordingError(
                     self.source,
-                    name,
-                    f"reaches {largest:.3g}, which cannot be rad",
+                    channel.name,
+                    f"reaches {largest:.3g}, which cannot be {channel.unit}",
                     remedy="Convert angles to rad and rates to rad/s; recordings are in SI units.",
                 )
 
@@ -134,7 +134,7 @@ class Recording:
 
 def describe(names: Mapping[str, str]) -> ChannelTable:
     """The channel table of columns `names`, name to unit ("" where the file does not say); known ones are explained."""
-    known = {channel.name: channel for table in TABLES.values() for channel in table}
+    known = {channel.name: channel for module in each_with("channels").values() for channel in module.CHANNELS}
     return ChannelTable(
         known[name] if name in known and unit in ("", known[name].unit) else Channel(name, unit, "")
         for name, unit in names.items()

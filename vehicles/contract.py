@@ -13,7 +13,7 @@ the same code for every vehicle, and asks
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -29,7 +29,7 @@ from vehicles.views import Views
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop import Experiment
     from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.contract import Estimator
+    from estimators.identify.subject import OwnMethods
     from models.model import Model
     from simulation.config import Truth
     from telemetry.recording import Recording
@@ -192,19 +192,21 @@ class Twin:
 class VehicleKind:
     """All that is one kind of vehicle's own.
 
-    `file`: what its vehicle file holds; `kind` makes it of that and of its drivers; `views` is what people see of it.
-    `models`: the one that is identified, and those of its actuators. `regressions` run along with it, made of CAD
-    values, their standard deviations and the angle on a support, rad. `recorded_loop`: what closed the loop of a
+    `file`: what its vehicle file holds; `channels`: what is recorded of it; `kind` makes it of its file and of its
+    drivers; `views` is what people see of it. `models`: the one that is identified, and those of its actuators.
+    `identification`: what an identification has for it alone, of which the regressions run along with the vehicle.
+    `recorded_loop`: what closed the loop of a
     recording from the first row of its excitation on, or why it is not known, in words; `prediction`: how that loop is
     predicted; `twin`: its virtual vehicle, which `shaken` (RMS from and to, in the unit of the force it falls by) is
     pushed by in benchmarks. What is a function imports what it needs when it is asked.
     """
 
     file: type[VehicleFile]
+    channels: ChannelTable
     kind: Callable[[Any, VehicleIo], Kind[Any]]
     views: Views
     models: Callable[[], Models]
-    regressions: Callable[[Mapping[str, float], Mapping[str, float], float], list[Estimator]]
+    identification: Callable[[], OwnMethods]
     recorded_loop: Callable[[Any, Recording], Loop | str]
     prediction: Callable[[], Prediction]
     twin: Callable[[], Twin]

@@ -59,8 +59,8 @@ class InjectionPoint(StrEnum):
 class Excitation:
     """A signal of `duration` seconds and at most +-`peak` at an injection point, faded in and out over `ramp` seconds.
 
-    The step is one that happens before the vehicle is upright (`vehicles.monocab.rise.RiseFromRest` plays it, `peak`
-    being its size), so its value here is zero.
+    The step is one that happens before the vehicle is upright (the kind's `Handling` plays it, `peak` being its
+    size), so its value here is zero.
     """
 
     at: InjectionPoint

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
-from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any
 
-import vehicles
 from drivers.vehicle_io import VehicleIo
 from models.model import Model
+from telemetry.channels import ChannelTable
 from telemetry.errors import UprightError
+from telemetry.vehicle_modules import kinds_with
 from vehicles.contract import Kind, Models, VehicleKind
 from vehicles.sections import VehicleFile
 
@@ -33,11 +32,9 @@ class UnknownKindError(UprightError):
         self.name = name
 
 
-@cache
 def names() -> tuple[str, ...]:
     """Of all kinds, as a vehicle file's `kind` has them."""
-    folders = sorted(each.name for each in iter_modules(vehicles.__path__) if each.ispkg)
-    return tuple(each for each in folders if find_spec(f"vehicles.{each}.vehicle"))
+    return kinds_with("vehicle")
 
 
 @cache
@@ -53,6 +50,11 @@ def of(name: str) -> VehicleKind:
 def kind_of(vehicle: VehicleFile, io: VehicleIo) -> Kind[Any]:
     """The kind of a vehicle, with its drivers."""
     return of(vehicle.vehicle.kind).kind(vehicle, io)
+
+
+def channels_of(kind: str) -> ChannelTable:
+    """What is recorded of a vehicle of this kind. Raises UnknownKindError."""
+    return of(kind).channels
 
 
 def nominal_model(kind: str) -> Model:

@@ -36,7 +36,7 @@ from models.effect import Effect
 from models.effects.catalogue import CATALOGUE
 from models.model import Model
 from models.parts import ModelError
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ class LiveDiagnosis:
         parameters: Mapping[str, float] | None = None,
         deviations: Mapping[str, float] | None = None,
         support: float | None = None,
-        channels: ChannelTable = MONOCAB,
+        channels: ChannelTable,
         effects: Sequence[str | Effect] | None = None,
         progress: Progress | None = None,
     ) -> None:

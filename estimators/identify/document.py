@@ -8,8 +8,8 @@ from typing import Any
 
 from estimators.contract import Estimate, ParameterEstimate, Status
 from estimators.identify.choice import OWN, choose
+from estimators.identify.subject import OwnMethods
 from estimators.identify.table import METHODS, Domain, Experiment
-from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
 from telemetry.recording import Recording
 
 FAILED, NOT_SUITED, CANCELLED = "failed", "not_suited", "cancelled"
@@ -40,6 +40,7 @@ def document(
     found: Results,
     *,
     before: Mapping[str, Mapping[str, Any]],
+    own: OwnMethods,
     vehicle: Mapping[str, tuple[float, float]],
     horizon: float | None,
     cancelled: bool,
@@ -47,8 +48,9 @@ def document(
     """The whole document.
 
     `left_out`: by method, for each recording, why it is not taken, "" where it is. `before`: value, std and unit of
-    what is sought, as the vehicle file or the model has it; `vehicle`: value and std of all that the file has.
-    `horizon` s ahead that the fits tell of which were measured alike; None where none was.
+    what is sought, as the vehicle file or the model has it; `own`: what the kind of vehicle has of
+    its own; `vehicle`: value and std of all that the file has. `horizon` s ahead that the fits tell of which were
+    measured alike; None where none was.
     """
     methods = {
         name: {"domain": METHODS[name].domain.value, **_method(name, recordings, reasons, found)}
@@ -64,7 +66,7 @@ def document(
         entry["unsound"], entry["not_chosen"] = choice.unsound[name], choice.not_chosen[name]
     for entry in methods.values():
         if entry["domain"] == Domain.DRIVES:
-            entry["parameters"] |= _apparent_inertia(entry["parameters"], methods.get(best, {}), vehicle)
+            entry["parameters"] |= _derived(own, entry["parameters"], methods.get(best, {}), vehicle)
             entry["inertia_from"] = best
     return {
         "methods": methods,
@@ -111,25 +113,19 @@ def _means(runs: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, dict[str, A
             yield name, {"value": fmean(known), "std": std, "unit": unit, "runs": len(known)}
 
 
-def _apparent_inertia(
-    drives: Mapping[str, Any], best: Mapping[str, Any], vehicle: Mapping[str, tuple[float, float]]
+def _derived(
+    own: OwnMethods,
+    drives: Mapping[str, Any],
+    best: Mapping[str, Any],
+    vehicle: Mapping[str, tuple[float, float]],
 ) -> dict[str, Any]:
-    """The apparent inertia beside the mechanical one of the best method: as measured, and by the formula."""
-    if "inertia" not in best.get("parameters", {}) or not {"speed_loop_lag", "roll_reaction"} <= drives.keys():
-        return {}
-    inertia, lag, reaction = (
-        _estimate(entry) for entry in (best["parameters"]["inertia"], drives["speed_loop_lag"], drives["roll_reaction"])
+    """What the kind of vehicle makes of the drives' parameters and of those of the best method, JSON-ready."""
+    told, found = (
+        {name: _estimate(entry) for name, entry in each.items()} for each in (drives, best.get("parameters", {}))
     )
-    found = {}
-    if "angular_momentum" in vehicle:
-        momentum = vehicle["angular_momentum"]
-        found["apparent_inertia"] = measured_apparent_inertia(inertia, reaction, momentum)
-        if "gimbal_inertia" in vehicle:
-            found["apparent_inertia_by_formula"] = apparent_inertia_estimate(
-                inertia, lag, momentum, vehicle["gimbal_inertia"]
-            )
-    shown: dict[str, Any] = Estimate("", found, Status.OK, "", 0, 0.0).to_json()["parameters"]
-    return shown
+    shown: dict[str, Any] = Estimate("", own.derived(told, found, vehicle), Status.OK, "", 0, 0.0).to_json()
+    parameters: dict[str, Any] = shown["parameters"]
+    return parameters
 
 
 def _estimate(entry: Mapping[str, Any]) -> ParameterEstimate:

@@ -4,11 +4,9 @@ Each method gives a joint estimate over all recordings that it takes (estimators
 each by itself: the runs, whose scatter tells what one recording is worth. A method that fails, or takes none of the
 recordings, says so and does not stop the others.
 
-How well a method's values predict is measured alike for all, over all recordings. For the MONOCAB's balance with a
-static torque and no other effect: roll and roll rate half a second ahead of the measured state. For any other model:
-what is measured, ahead of the filtered state by a horizon that follows from the model's time scale
-(estimators.identify.common_fit). A method that does not give all values keeps its own measure.
-estimators.identify.choice chooses by it.
+How well a method's values predict is measured alike for all, over all recordings: what is measured, ahead of the
+filtered state by a horizon that follows from the model's time scale (estimators.identify.common_fit), or as the kind of
+vehicle has it. A method that does not give all values keeps its own measure. estimators.identify.choice chooses by it.
 """
 
 from __future__ import annotations
@@ -21,14 +19,12 @@ from typing import Any
 
 import estimators
 from estimators.contract import Estimate, EstimationError, Estimator, Status
-from estimators.data.balance_rows import BALANCE_CHANNELS, INSTRUMENT_CHANNELS
 from estimators.data.segments import DataError
 from estimators.fit.logarithms import is_known_roughly
 from estimators.identify.document import FAILED, Results, document, nothing
-from estimators.identify.fits import Subject, measure
+from estimators.identify.fits import measure
+from estimators.identify.subject import NOTHING_OWN, OwnMethods, Subject
 from estimators.identify.table import METHODS, Domain, Method, experiment_of, unsuited
-from estimators.recursive.torque_balance import Method as BalanceMethod
-from estimators.recursive.torque_balance import TorqueBalance
 from estimators.stopwatch import stopwatch
 from models.compiler.kernel import compile_model
 from models.model import Model
@@ -69,6 +65,7 @@ def identify(
     *,
     deviations: Mapping[str, float] | None = None,
     model: Model,
+    own: OwnMethods = NOTHING_OWN,
     every: bool = False,
     bandwidth: float | None = None,
     progress: Progress = lambda method, label, done, total: None,
@@ -76,12 +73,13 @@ def identify(
     """The document of `identify --json`: by method its parameters, fit, status, reason, seconds, runs and their mean.
 
     `parameters` and `deviations` are the vehicle file's; `support` is in rad. `methods` are names of
-    estimators.identify.table, by default all. `model` comes with its own values. With `every`, each method takes all
-    recordings; `bandwidth` rad/s is that of the filter of least_squares and instrumental_variables. `progress` is told
-    what begins and how much is done. KeyboardInterrupt ends it early: what is missing then is "cancelled". Raises
-    EstimationError for an unknown method.
+    estimators.identify.table, by default all. `model` comes with its own values. `own` is what the kind of
+    vehicle has (`vehicles.registry.of(kind).identification()`). With `every`, each method takes all recordings;
+    `bandwidth` rad/s is that of the filter of least_squares and instrumental_variables. `progress` is told what begins
+    and how much is done. KeyboardInterrupt ends it early: what is missing then is "cancelled". Raises EstimationError
+    for an unknown method.
     """
-    subject = Subject(model, parameters, deviations or {}, support, bandwidth)
+    subject = Subject(model, parameters, deviations or {}, support, bandwidth, own)
     chosen = _chosen(methods, subject)
     experiments = [experiment_of(recording) for recording in recordings]
     left_out = {name: [""] * len(recordings) if every else unsuited(METHODS[name], experiments) for name in chosen}
@@ -108,6 +106,7 @@ def identify(
         left_out,
         found,
         before=_before(subject),
+        own=own,
         vehicle={name: (value, subject.deviations.get(name, 0.0)) for name, value in parameters.items()},
         horizon=horizon,
         cancelled=len(found) < len(tasks),
@@ -120,11 +119,10 @@ def _chosen(methods: Sequence[str], subject: Subject) -> list[str]:
             raise EstimationError(
                 f"method {name}", "there is no such method", remedy=f"choose among {', '.join(METHODS)}."
             )
-    known = {"inertia", "gravity_stiffness", "angular_momentum"} <= set(subject.parameters)
-    apart = (Domain.RECURSIVE, Domain.DRIVES)
+    own, apart = (*subject.own.regressions, *subject.own.asked), (Domain.RECURSIVE, Domain.DRIVES)
     if not methods and any(is_known_roughly(each) for each in subject.model.parameters if each.estimated):
         return ["prediction_error"]  # such numbers are told in products: no balance is linear in them
-    return list(methods or (name for name, method in METHODS.items() if known or method.domain not in apart))
+    return list(methods or (name for name, method in METHODS.items() if name in own or method.domain not in apart))
 
 
 def plan(recordings: Sequence[Recording], left_out: Mapping[str, Sequence[str]]) -> list[Task]:
@@ -165,24 +163,33 @@ def _estimate(method: Method, subject: Subject, recordings: Sequence[Recording])
                 estimator.update(frame)
         return estimator.result()
     fit: Callable[..., Estimate] = getattr(estimators, method.name)
+    settings = dict(subject.own.settings.get(method.name, {}))
     if method.domain is Domain.DRIVES:
-        return fit(recordings)
-    settings = {"bandwidth": subject.bandwidth} if method.name in REGRESSIONS else {}
+        if not settings:
+            raise _not_of_this_kind(method.name)
+        return fit(recordings, **settings)
+    if method.name in REGRESSIONS:
+        settings["bandwidth"] = subject.bandwidth
     return fit(subject.model, recordings, support=subject.support, **settings)
 
 
 def _recursive(name: str, subject: Subject, recorded: ChannelTable) -> tuple[Estimator, ChannelTable]:
     """A recursive estimator, and the channels that it takes."""
-    if name in tuple(BalanceMethod):
-        method, deviations = BalanceMethod(name), subject.deviations
-        channels = INSTRUMENT_CHANNELS if method is BalanceMethod.INSTRUMENTAL else BALANCE_CHANNELS
+    if name not in RECURSIVE_FITS:
+        regression = subject.own.regressions.get(name)
+        if regression is None:
+            raise _not_of_this_kind(name)
         support = math.inf if subject.support is None else subject.support
-        estimator = TorqueBalance(subject.values, support, method=method, deviations=deviations, channels=channels)
-        return estimator, channels
+        return regression.make(subject.values, subject.deviations, support, regression.channels), regression.channels
     module = import_module("estimators.recursive.prediction_error")
     form = module.Method(name)
     made = module.RecursivePredictionError(subject.model, support=subject.support, channels=recorded, method=form)
     return made, recorded
+
+
+def _not_of_this_kind(method: str) -> EstimationError:
+    remedy = "choose another, or say which vehicle it is."
+    return EstimationError(f"method {method}", "this kind of vehicle has none", remedy=remedy)
 
 
 def _before(subject: Subject) -> dict[str, dict[str, Any]]:

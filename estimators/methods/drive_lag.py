@@ -1,6 +1,6 @@
-"""How fast the gimbals' speed loops are, and how far they give way: from setpoint to measured rate.
+"""How fast a drive's speed loop is, and how far it gives way to what pushes: from setpoint to measured rate.
 
-    precession_rate = [ setpoint - roll_reaction (s + tau s^2) roll_rate ] / (1 + 4 tau s + 8 tau^2 s^2 + 8 tau^3 s^3)
+    rate = [ setpoint - roll_reaction (s + tau s^2) body_rate ] / (1 + 4 tau s + 8 tau^2 s^2 + 8 tau^3 s^3)
 
 is a speed loop tuned by the symmetric optimum (estimators.speed_loop). `speed_loop_lag` is 4 tau (s), the mean delay of
 the loop. Rolling precesses the gimbals against their loops; `roll_reaction` (s) is the rate that they give way by for a
@@ -54,21 +54,22 @@ Array = NDArray[np.float64]
 def drive_lag(
     recordings: Sequence[Recording],
     *,
-    setpoint: str = "precession_rate_setpoint",
-    rate: str = "precession_rate",
+    setpoint: str,
+    rate: str,
+    body_rate: str = "",
     age: str = "drive_age",
-    roll_rate: str = "roll_rate",
     loop: Loop = Loop.SYMMETRIC_OPTIMUM,
 ) -> Estimate:
     """Lag, offset and reaction of the speed loops, s, from the rows after a change of the setpoint; see the module.
 
-    Names are of channels; `roll_rate` "" leaves the reaction out, for axes that nothing pushes at.
+    The others are names of channels, in rad/s and s; `body_rate` "" leaves the reaction out, for axes that nothing
+    pushes at.
 
     Raises RecordingError where a channel is missing.
     """
     started = stopwatch()
-    count = 3 if roll_rate else 2
-    names, channels = PARAMETERS[:count], (setpoint, rate, age, roll_rate)[: count + 1]
+    count = 3 if body_rate else 2
+    names, channels = PARAMETERS[:count], (setpoint, rate, age, body_rate)[: count + 1]
     for recording in recordings:
         recording.require(*channels)
     known = [recording[setpoint][np.isfinite(recording[setpoint])] for recording in recordings]

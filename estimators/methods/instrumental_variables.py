@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.contract import Estimate, Status
-from estimators.data.balance_rows import InstrumentBank
+from estimators.data.instrument_bank import InstrumentBank
 from estimators.data.segments import DataError, segments
 from estimators.fit.result import refused
 from estimators.methods.balance import Balance, channel, split
@@ -39,8 +39,6 @@ Array = NDArray[np.float64]
 METHOD = "instrumental_variables"
 ANSWERED = 0.3
 """Share of the rate's power that has to go with the excitation; by chance it is up to a fifth in half a minute."""
-SETPOINT = "precession_rate_setpoint"
-"""The channel that tells, where there is one, whether the excitation alone drives the vehicle."""
 
 
 def instrumental_variables(
@@ -52,9 +50,11 @@ def instrumental_variables(
     bandwidth: float | None = None,
     joint: str = "",
     excitation: str = "excitation",
+    setpoint: str = "",
 ) -> Estimate:
     """As `least_squares`, with instruments from the channel `excitation`, whatever its unit.
 
+    `setpoint` is the channel of the actuators' command, where the excitation alone may drive the vehicle (see above).
     It has to be known at every row and injected from outside: a reference or a test signal, no measurement. Data that
     cannot be used give an Estimate without values that says why; errors as `least_squares`.
     """
@@ -66,7 +66,9 @@ def instrumental_variables(
         if not stretches:
             raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
         bandwidth = checked_bandwidth(bandwidth, stretches)
-        injected = [injection(segment, recording, excitation) for found, recording in data for segment in found]
+        injected = [
+            injection(segment, recording, excitation, setpoint) for found, recording in data for segment in found
+        ]
         banks = [bank(segment, *each, bandwidth) for segment, each in zip(stretches, injected, strict=True)]
         if not any(np.ptp(values) > 0.0 for values, _ in injected):
             what = f"channel {excitation} never moves"
@@ -80,7 +82,9 @@ def instrumental_variables(
     return regression(METHOD, balance, stretches, rows, bandwidth, began, [each.regressors for each in quiet])
 
 
-def injection(segment: Segment, recording: Recording, excitation: str) -> tuple[Array, NDArray[np.bool_]]:
+def injection(
+    segment: Segment, recording: Recording, excitation: str, setpoint: str
+) -> tuple[Array, NDArray[np.bool_]]:
     """The excitation at the rows of `segment`, and where it alone drives. Raises DataError where it is not known."""
     remedy = "it is not on the bus: use the .arrow that was recorded beside the log, or least_squares."
     if excitation not in recording.values:
@@ -94,8 +98,8 @@ def injection(segment: Segment, recording: Recording, excitation: str) -> tuple[
         what = f"channel {excitation} is unknown in {unknown} of {len(values)} rows"
         raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
     alone = np.zeros(len(values), dtype=bool)
-    if SETPOINT in recording.values:
-        alone = np.abs(recording[SETPOINT][at] - values) < InstrumentBank.ALONE
+    if setpoint in recording.values:
+        alone = np.abs(recording[setpoint][at] - values) < InstrumentBank.ALONE
     return values, alone
 
 

@@ -32,7 +32,7 @@ from models.model import Model
 from models.parts import Parameter
 from models.random.disturbance import disturbed, parameters_of
 from models.segment import Segment
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
 
 CHUNK = 25
@@ -72,7 +72,7 @@ class RecursivePredictionError:
         parameters: Mapping[str, float] | None = None,
         deviations: Mapping[str, float] | None = None,
         support: float | None = None,
-        channels: ChannelTable = MONOCAB,
+        channels: ChannelTable,
         method: Method = Method.PREDICTION_ERROR,
         memory: float = math.inf,
         progress: Progress | None = None,

@@ -1,16 +1,17 @@
-"""The models that are shipped, by name. `get("monocab_roll")` gives one; nothing here imports SymPy or numba."""
+"""The models that are shipped, by name. `get("monocab_roll")` gives one; nothing here imports SymPy or numba.
+
+What belongs to no vehicle is beside this file; a vehicle's models are the `MODELS` of the module `model` in its folder.
+"""
 
 from __future__ import annotations
 
 from models.library.axis import AXIS
-from models.library.monocab import MONOCAB_FULL, MONOCAB_REDUCED, MONOCAB_ROLL
-from models.library.monocab_gimbals import SPEED_LOOPS
-from models.library.twsbr import TWSBR
 from models.model import Model
 from models.parts import ModelError
+from telemetry.vehicle_modules import each_with
 
-MODELS: dict[str, Model] = {
-    model.name: model for model in (MONOCAB_ROLL, MONOCAB_REDUCED, MONOCAB_FULL, *SPEED_LOOPS, TWSBR, AXIS)
+MODELS: dict[str, Model] = {model.name: model for module in each_with("model").values() for model in module.MODELS} | {
+    AXIS.name: AXIS
 }
 
 

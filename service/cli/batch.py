@@ -73,13 +73,18 @@ def identify(
     from math import tau
 
     from estimators.identify.run import identify as run
+    from estimators.identify.subject import NOTHING_OWN
     from service.offline.machine import is_of, support_of
+    from vehicles import registry
     from vehicles.file import load
 
     file = load(vehicle)
     subject = identified_model(model, file)
     cad = file.parameters
-    before = (cad.values, cad.deviations) if is_of(subject, file) else ({}, {})
+    before: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    own = NOTHING_OWN
+    if is_of(subject, file):
+        before, own = (cad.values, cad.deviations), registry.of(file.vehicle.kind).identification()
     known = truths(truth or [])
     if picture is not None:
         from diagnosis.report.method_figure import check_suffix
@@ -95,6 +100,7 @@ def identify(
             method or (),
             deviations=before[1],
             model=subject,
+            own=own,
             every=every,
             bandwidth=None if bandwidth is None else tau * bandwidth,
             progress=progress,

@@ -122,6 +122,7 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
     from service.cli.compare import estimates_beside
     from service.cli.identify_page import print_methods
     from service.cli.inputs import fitting, identified_model, load_recording
+    from vehicles import registry
 
     recording = load_recording(path, file.path).between(begin, math.inf)
     cad = file.parameters
@@ -133,6 +134,7 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
             (),
             deviations=cad.deviations,
             model=identified_model(None, file),
+            own=registry.of(file.vehicle.kind).identification(),
             progress=progress,
         )
     print_methods(document, {})

@@ -17,7 +17,8 @@ from drivers.imu import Imu
 from drivers.imu_layout import ImuConfig
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollFilter, RollFilterConfig
-from telemetry.channels import TABLES, ChannelTable
+from telemetry.channels import ChannelTable
+from vehicles import registry
 from vehicles.drives import drive_config
 from vehicles.sections import VehicleFile
 
@@ -30,7 +31,7 @@ def version() -> str:
 
 def channels(vehicle: VehicleFile) -> ChannelTable:
     """The channel table of a vehicle."""
-    return TABLES[vehicle.vehicle.kind]
+    return registry.channels_of(vehicle.vehicle.kind)
 
 
 def imu_config(vehicle: VehicleFile) -> ImuConfig:

@@ -32,7 +32,6 @@ from models.place import places_of
 from service.control import assembly
 from service.dashboard.jobs import Jobs
 from service.dashboard.recordings import Folder, UnknownRecording
-from telemetry.channels import TABLES
 from telemetry.errors import UprightError
 from vehicles import registry
 from vehicles.file import VehicleFile
@@ -114,7 +113,7 @@ class Dashboard:
                 {"name": views.limits[key][0], "value": value, "unit": views.limits[key][1]}
                 for key, value in vehicle.limits.model_dump().items()
             ],
-            "units": {channel.name: channel.unit for channel in TABLES[vehicle.vehicle.kind]},
+            "units": {channel.name: channel.unit for channel in registry.channels_of(vehicle.vehicle.kind)},
             "amplitude_unit": views.amplitude,
             "parameters": {
                 name: getattr(vehicle.parameters, name).model_dump() for name in vehicle.parameters.values

@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimators.recursive import torque_balance
 from service.control import assembly
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import VehicleFile
+from vehicles.monocab.identification import torque_balance
 from vehicles.phases import Phase
 from vehicles.views import DARK, LIGHT, Panel, Story
 

@@ -19,8 +19,8 @@ from typing import Any
 from service.observer import link
 from service.observer.pipe import ObserverPipe, PipeStatistics
 from service.observer.raw_log_client import RawLogProcess
-from telemetry.channels import TABLES
 from telemetry.samples import CanFrame, Frame
+from vehicles import registry
 
 ORDERS = ("start_recording", "stop_recording")
 """Messages that must not be lost."""
@@ -93,7 +93,7 @@ class ObserverClient:
             self._process = await asyncio.create_subprocess_exec(
                 *command, pass_fds=(other.fileno(),), stdin=DEVNULL, stdout=DEVNULL, start_new_session=True
             )
-        channels = len(TABLES[self._hello["kind"]])
+        channels = len(registry.channels_of(self._hello["kind"]))
         pipe = self._pipe = ObserverPipe(own, channels, self._counts, self._handle, lossless=self._lossless)
         self._watch = asyncio.create_task(self._wait_for_exit(self._process, pipe), name="watch the observer")
         pipe.post(link.pack_json({"type": "hello", **self._hello}))

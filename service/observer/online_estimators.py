@@ -12,7 +12,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from estimators.contract import Estimator
-from telemetry.channels import TABLES
 from telemetry.samples import Frame
 from vehicles import registry
 
@@ -37,7 +36,9 @@ def online_estimators(
     `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support.
     Raises EstimationError where a parameter is missing.
     """
-    regressions = registry.of(kind).regressions(parameters, deviations, support)
+    found = registry.of(kind)
+    own = found.identification().regressions.values()
+    regressions = [each.make(parameters, deviations, support, found.channels) for each in own]
     late = {RECURSION: partial(_live_diagnosis, kind, parameters, deviations, support)}
     return EstimatorBank(regressions, late)
 
@@ -46,10 +47,13 @@ def _live_diagnosis(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> LiveDiagnosis:
     from diagnosis.live.live import LiveDiagnosis
-    from vehicles.registry import nominal_model
 
     return LiveDiagnosis(
-        nominal_model(kind), parameters=parameters, deviations=deviations, support=support, channels=TABLES[kind]
+        registry.nominal_model(kind),
+        parameters=parameters,
+        deviations=deviations,
+        support=support,
+        channels=registry.channels_of(kind),
     )
 
 

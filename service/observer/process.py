@@ -34,9 +34,9 @@ from service.observer.live_prediction import LivePrediction, live_prediction
 from service.observer.news import News
 from service.observer.online_estimators import EstimatorBank, online_estimators
 from service.observer.recorder import Recorder
-from telemetry.channels import TABLES
 from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, Frame
+from vehicles import registry
 
 NICENESS = 5
 
@@ -73,7 +73,7 @@ class Observer:
 
     def __init__(self, connection: socket.socket, hello: Mapping[str, Any]) -> None:
         self._connection = connection
-        self._channels = TABLES[hello["kind"]]
+        self._channels = registry.channels_of(hello["kind"])
         self._codec = link.FrameCodec(len(self._channels))
         given = hello["parameters"]
         values = {name: entry["value"] for name, entry in given.items()}

@@ -18,7 +18,6 @@ from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
 from estimators.fit.released import freed
 from estimators.identify.run import with_values
-from estimators.methods.drive_lag import drive_lag
 from estimators.methods.prediction_error import prediction_error
 from models.library import get
 from models.model import Model
@@ -34,6 +33,7 @@ from simulation.monocab.truth import PlantTruth
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import VehicleFile, load
+from vehicles.monocab.identification.own import drive_lag
 from vehicles.registry import recorded_loop
 
 LATENCY = 0.0075

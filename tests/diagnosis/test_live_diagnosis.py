@@ -29,14 +29,15 @@ from service.observer.online_estimators import online_estimators
 from service.output import missing_effects
 from service.virtual.run import BOOT_TIME, record
 from simulation.vehicle import START_NS
-from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.registry import nominal_model
 
 GIVEN: dict[str, Any] = {
     "parameters": VEHICLE.parameters.values,
     "deviations": VEHICLE.parameters.deviations,
     "support": VEHICLE.support,
+    "channels": MONOCAB,
 }
 
 

@@ -20,11 +20,10 @@ from models.library import get
 from models.model import Model
 from models.parts import Place
 from simulation.monocab.hidden import HIDDEN
-from telemetry.channels import TABLES
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import load
-from vehicles.registry import nominal_model
+from vehicles.registry import channels_of, nominal_model
 
 VEHICLE = load("monocab")
 LOOPS = registry.models_of(VEHICLE).actuators
@@ -64,10 +63,10 @@ def plain_servo(lag: float = 0.04, gain: float = 0.0) -> Recording:
             roll_rate += fine * (14500.0 * roll + 3300.0 * precession_rate) / 1650.0
             roll += fine * roll_rate
     rows = rows[2 * rate :]
-    values = {each.name: np.zeros(len(rows)) for each in TABLES["monocab"]}
+    values = {each.name: np.zeros(len(rows)) for each in channels_of("monocab")}
     names = ("roll", "roll_rate", "precession", "precession_rate", "precession_rate_setpoint")
     values |= dict(zip(names, rows.T, strict=True))
-    return Recording(TABLES["monocab"], np.arange(len(rows)) * (10**9 // rate), values)
+    return Recording(channels_of("monocab"), np.arange(len(rows)) * (10**9 // rate), values)
 
 
 class TestVirtualGimbals:

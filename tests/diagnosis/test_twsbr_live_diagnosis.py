@@ -31,11 +31,11 @@ from service.cli import app
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import live_diagnosis
 from service.virtual.run import record
-from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
 from vehicles.registry import nominal_model
+from vehicles.twsbr.channels import CHANNELS as TWSBR
 
 VEHICLE = load("twsbr")
 MODEL = nominal_model("twsbr")

@@ -16,7 +16,7 @@ import small_vehicle
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.state_variable_filter import StateVariableFilter
 from estimators.methods.balance import Pieces, split
-from estimators.methods.instrumental_variables import instrumental_variables
+from estimators.methods.instrumental_variables import instrumental_variables as any_instruments
 from estimators.methods.least_squares import filtered, least_squares
 from models.library import get
 from models.library.axis import axis
@@ -26,6 +26,7 @@ from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording, describe
 
 Method = Callable[..., Estimate]
+instrumental_variables = partial(any_instruments, setpoint="precession_rate_setpoint")
 METHODS = [least_squares, instrumental_variables]
 SUPPORT = float(np.radians(4.0))
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 40.0}

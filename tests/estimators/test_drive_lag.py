@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,14 +13,15 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.methods.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
-from estimators.methods.drive_lag import drive_lag
+from estimators.methods.drive_lag import drive_lag as any_drive_lag
 from estimators.speed_loop import MODES, Loop, predict, windows_of
 from service.virtual.run import record
 from simulation.monocab.truth import PlantTruth
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording, describe
 from vehicles.file import load
+from vehicles.monocab.identification.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
+from vehicles.monocab.identification.own import GIMBALS
 
 CHANNELS = ("precession_rate_setpoint", "precession_rate", "drive_age", "roll_rate")
 FINE = 1e-4
@@ -74,6 +76,9 @@ def synthetic(loop: Loop, seconds: float = 6.0) -> Recording:
 
 def with_rate(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
     return replace(recording, values={**recording.values, "precession_rate": change(recording["precession_rate"])})
+
+
+drive_lag = partial(any_drive_lag, **GIMBALS)
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +162,7 @@ def test_the_virtual_vehicle(step: Recording) -> None:
     added = TRUTH.angular_momentum * values["roll_reaction"]
     assert added == pytest.approx(1795.2 - 1650.0, rel=0.05)
     # A first-order lag is another shape: half of the lag goes into the offset.
-    first_order = drive_lag([step], roll_rate="", loop=Loop.FIRST_ORDER).values
+    first_order = drive_lag([step], body_rate="", loop=Loop.FIRST_ORDER).values
     assert first_order["speed_loop_lag"] < 0.6 * lag
     assert first_order["setpoint_offset"] > 0.5 * lag
 
@@ -239,7 +244,7 @@ def test_a_roll_that_does_not_move_leaves_the_reaction_open(clean: Recording) ->
     quiet = replace(clean, values={**clean.values, "roll_rate": np.zeros(len(clean))})
     found = drive_lag([quiet])
     assert found.parameters["roll_reaction"].status is Status.UNIDENTIFIABLE
-    assert drive_lag([quiet], roll_rate="").parameters.keys() == {"speed_loop_lag", "setpoint_offset"}
+    assert drive_lag([quiet], body_rate="").parameters.keys() == {"speed_loop_lag", "setpoint_offset"}
 
 
 def test_a_missing_channel_is_named(clean: Recording) -> None:

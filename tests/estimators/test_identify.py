@@ -30,6 +30,7 @@ from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.monocab.identification.own import OWN
 from vehicles.registry import UnknownKindError, nominal_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -65,7 +66,7 @@ def files(recordings: list[Recording], tmp_path_factory: pytest.TempPathFactory)
 
 def run(*arguments: Any, **settings: Any) -> dict[str, Any]:
     recordings, *methods = arguments
-    usual = {"model": with_values(nominal_model("monocab"), KNOWN.values, KNOWN.deviations)}
+    usual = {"own": OWN, "model": with_values(nominal_model("monocab"), KNOWN.values, KNOWN.deviations)}
     return identify(recordings, KNOWN.values, SUPPORT, methods, deviations=KNOWN.deviations, **{**usual, **settings})
 
 

@@ -8,11 +8,12 @@ from closed_loop import ClosedLoop
 
 from diagnosis.prediction.compare import compare
 from estimators.identify.run import identify, with_values
-from estimators.recursive.torque_balance import Method, TorqueBalance
 from simulation.monocab.truth import PlantTruth
-from telemetry.channels import MONOCAB
 from telemetry.recording import Recording
 from telemetry.samples import Frame
+from vehicles.monocab.channels import CHANNELS as MONOCAB
+from vehicles.monocab.identification.own import OWN
+from vehicles.monocab.identification.torque_balance import Method, TorqueBalance
 from vehicles.registry import nominal_model
 
 TRUTH = PlantTruth()
@@ -39,7 +40,9 @@ def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle(experiment: str, w
     recording = recording_of(recorded(loop, experiment))
     known, deviations = vehicle.parameters.values, vehicle.parameters.deviations
     model = with_values(nominal_model("monocab"), known, deviations)
-    methods = identify([recording], known, vehicle.support, [METHOD], deviations=deviations, model=model)["methods"]
+    methods = identify([recording], known, vehicle.support, [METHOD], deviations=deviations, model=model, own=OWN)[
+        "methods"
+    ]
     document = methods[METHOD]
     assert document["status"] == "ok"
     for name, truth in (("inertia", TRUTH.inertia), ("gravity_stiffness", TRUTH.gravity_stiffness)):

@@ -15,10 +15,8 @@ import unstable_plant
 from diagnosis.report import write_identification
 from estimators.identify.choice import OWN, SHORT, Choice, choose
 from estimators.identify.common_fit import HORIZON, CommonPredictor
-from estimators.identify.fits import Subject
 from estimators.identify.run import identify
 from estimators.identify.table import METHODS
-from models import library
 from models.model import Model
 from service.cli.identify_page import print_methods
 from telemetry.recording import Recording
@@ -207,12 +205,6 @@ class TestAStablePlant:
     def test_a_model_without_a_time_scale_is_measured_over_a_part_of_the_record(self) -> None:
         predictor = CommonPredictor.of(axis_plant.model(), [axis_plant.record()], None)
         assert predictor.horizon([{"inertia": 2.0, "stiffness": 0.0}]) == pytest.approx(1.0, rel=0.01)
-
-
-def test_the_measure_of_the_roll_is_for_models_of_the_roll_alone() -> None:
-    assert Subject(library.get("monocab_roll").add("static_torque"), {}, {}, 0.3).is_roll
-    for other in (library.get("monocab_roll").add("viscous_friction"), library.get("monocab_gimbals")):
-        assert not Subject(other, {}, {}, 0.3).is_roll
 
 
 def faster(model: Model, factor: float) -> Model:

@@ -27,10 +27,11 @@ from models.model import Model
 from models.parts import Hold
 from service.observer.online_estimators import STARTING, EstimatorBank, online_estimators
 from service.virtual.run import record
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.samples import Frame
 from vehicles.file import load
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.registry import nominal_model
 
 Array = NDArray[np.float64]
@@ -48,6 +49,7 @@ def made(method: Method = Method.PREDICTION_ERROR, **changes: float) -> Recursiv
         parameters={**CAD, **changes},
         deviations=SPREAD,
         support=VEHICLE.support,
+        channels=MONOCAB,
         method=method,
     )
 
@@ -217,7 +219,7 @@ def test_its_standard_deviations_are_right() -> None:
     errors = []
     for seed in range(12):
         estimator = RecursivePredictionError(
-            nominal_model("monocab"), parameters=CAD, deviations=known, support=VEHICLE.support
+            nominal_model("monocab"), parameters=CAD, deviations=known, support=VEHICLE.support, channels=MONOCAB
         )
         found = after(estimator, small_vehicle.frames(stamps, table, seed)).parameters
         for name, true in TRUTH.items():
@@ -270,7 +272,12 @@ def test_what_is_forgotten_is_known_less() -> None:
     """10 s of sweep, then 20 s of rest, with a memory of 2 s: what noise alone moves tells far less."""
     stamps, table = small_vehicle.run(1, 30.0, reference=lambda t: small_vehicle.sweep(t, 10.0))
     estimator = RecursivePredictionError(
-        nominal_model("monocab"), parameters=CAD, deviations=SPREAD, support=VEHICLE.support, memory=2.0
+        nominal_model("monocab"),
+        parameters=CAD,
+        deviations=SPREAD,
+        support=VEHICLE.support,
+        channels=MONOCAB,
+        memory=2.0,
     )
     cycles = list(small_vehicle.frames(stamps, table, 0))
     excited = after(estimator, cycles[:2450])
@@ -293,9 +300,9 @@ def test_what_cannot_be_estimated_is_refused() -> None:
         )
     assert caught.value.status is Status.MISSING_CHANNEL
     with pytest.raises(EstimationError, match="no parameter"):
-        RecursivePredictionError(library.get("monocab_roll").change(estimated=[]))
+        RecursivePredictionError(library.get("monocab_roll").change(estimated=[]), channels=MONOCAB)
     with pytest.raises(EstimationError, match="time constant"):
-        RecursivePredictionError("monocab_roll", memory=0.0)
+        RecursivePredictionError("monocab_roll", channels=MONOCAB, memory=0.0)
 
 
 # Its parts

@@ -22,12 +22,12 @@ from estimators.identify.validation import in_windows, on_others
 from estimators.methods.prediction_error import predicted_percent, prediction_error
 from models.expressions import number
 from models.library import get
-from models.library.twsbr import TOLD_NEAR_UPRIGHT
 from service.cli import app
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 from telemetry.storage import save
+from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "estimate_robot.py"))
 MODEL = get("twsbr")

@@ -10,10 +10,10 @@ import pytest
 from estimators.contract import EstimationError
 from estimators.identify.structural import SMALL, Motion, generic_motions, reduced, structure
 from models.library import get
-from models.library.twsbr import TOLD_AT_LARGE_TILT, TOLD_IN_TURNS, TOLD_NEAR_UPRIGHT
 from models.model import Model
 from models.parts import Hold, Input, ModelError, Output, Parameter, State
 from models.segment import Segment
+from vehicles.twsbr.model import TOLD_AT_LARGE_TILT, TOLD_IN_TURNS, TOLD_NEAR_UPRIGHT
 
 TWSBR = get("twsbr")
 ALIKE = (("left_voltage", "right_voltage"), ("left_wheel_rate", "right_wheel_rate"))

@@ -13,16 +13,16 @@ from estimators.identify.run import identify
 from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from models.expressions import number
-from models.library.twsbr import COUNT, TOLD_NEAR_UPRIGHT
 from service.observer.online_estimators import RECURSION, STARTING, EstimatorBank, online_estimators
 from service.offline.replay import replay
 from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
-from telemetry.channels import TWSBR
 from telemetry.recording import Recording
 from telemetry.samples import Frame
 from vehicles.file import load
 from vehicles.registry import nominal_model
+from vehicles.twsbr.channels import CHANNELS as TWSBR
+from vehicles.twsbr.model import COUNT, TOLD_NEAR_UPRIGHT
 
 VEHICLE = load("twsbr")
 GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}

@@ -13,13 +13,12 @@ from models.control_design import (
     LqiWeights,
     closed_loop,
     continuous_poles,
-    corners,
     design_lqi,
-    design_roll_controller,
     discretise,
     margins,
 )
-from models.monocab import MonocabParameters, full_model, reduced_model
+from vehicles.monocab.control.linear_model import MonocabParameters, full_model, reduced_model
+from vehicles.monocab.control.roll_design import corners, design_roll_controller
 
 CAD = MonocabParameters(1450.0, 12600.0, 3300.0, 0.04, 500.0, 0.4)
 TRUTH = replace(CAD, inertia=1795.0, gravity_stiffness=14500.0)

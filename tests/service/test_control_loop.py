@@ -11,9 +11,9 @@ from drivers.cia402.states import State
 from service.control import assembly
 from service.control.loop import Mode
 from service.control.rows import rows_from_frames
-from telemetry.channels import MONOCAB
 from vehicles import registry
 from vehicles.file import VehicleFile, load
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.phases import Phase
 
 ROLL = MONOCAB.index_of("roll")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from service.offline.replay import convert
-from telemetry.channels import MONOCAB
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 
 
 @pytest.fixture

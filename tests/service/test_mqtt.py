@@ -22,8 +22,8 @@ from service.mqtt.client import MOST_EVENTS, MOST_TELEMETRY, MqttConfig, MqttCon
 from service.mqtt.embedded_broker import EmbeddedBroker
 from service.mqtt.payloads import TelemetryBatches, parameters
 from service.observer.client import ObserverClient
-from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.sections import MqttSection
 
 STATE = {"vehicle": "monocab", "mode": "disarmed", "interlocks": ["The vehicle does not rest."], "faults": []}

@@ -19,16 +19,16 @@ import pytest
 from observer_harness import VEHICLE, cycles, hello, record, until
 
 from diagnosis.live.live import LiveDiagnosis
-from estimators.recursive.torque_balance import make as make_plain
 from service.observer.client import ObserverClient
 from service.observer.online_estimators import EstimatorBank, online_estimators
 from service.observer.pipe import MOST_WAITING
 from service.observer.process import Observer, link
 from service.offline import replay
 from telemetry.candump import CandumpReader
-from telemetry.channels import MONOCAB
 from telemetry.samples import CanFrame, Frame
 from telemetry.storage import load
+from vehicles.monocab.channels import CHANNELS as MONOCAB
+from vehicles.monocab.identification.torque_balance import make as make_plain
 from vehicles.registry import nominal_model
 
 
@@ -85,7 +85,9 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
     def slowly(*given: Any) -> EstimatorBank:
         def make() -> LiveDiagnosis:
             compiled.wait(20.0)
-            return LiveDiagnosis(nominal_model("monocab"), parameters=given[1], deviations=given[2], support=given[3])
+            return LiveDiagnosis(
+                nominal_model("monocab"), parameters=given[1], deviations=given[2], support=given[3], channels=MONOCAB
+            )
 
         return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
 

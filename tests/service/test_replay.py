@@ -11,12 +11,13 @@ from scipy.io import loadmat
 
 from service.observer.recorder import Recorder
 from service.offline import replay
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from telemetry.samples import CanFrame, Frame
 from telemetry.storage import load as load_file
 from vehicles.file import load
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.phases import Phase
 
 VEHICLE = load("monocab")

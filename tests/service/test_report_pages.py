@@ -22,6 +22,7 @@ from service.cli import app
 from telemetry.recording import Recording
 from telemetry.storage import save
 from vehicles.file import load
+from vehicles.monocab.identification.own import OWN
 from vehicles.registry import nominal_model
 
 VEHICLE = load("monocab")
@@ -47,7 +48,7 @@ def compared() -> list[Comparison]:
 @cache
 def document() -> dict[str, Any]:
     model = with_values(nominal_model("monocab"), VEHICLE.parameters.values, {})
-    return identify([sweep()], VEHICLE.parameters.values, VEHICLE.support, METHODS, model=model)
+    return identify([sweep()], VEHICLE.parameters.values, VEHICLE.support, METHODS, model=model, own=OWN)
 
 
 def check(text: str) -> Page:

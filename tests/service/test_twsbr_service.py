@@ -25,7 +25,7 @@ from diagnosis.prediction.closed_loop_error import Loop
 from drivers.cia402.config import DriveConfig
 from drivers.cia402.drive import Drive
 from drivers.cia402.states import State
-from models.library.twsbr import TWSBR as MODEL
+from models.gravity import GRAVITY
 from service.cli import app
 from service.control import api, assembly
 from service.control.daemon import Daemon, Places
@@ -38,7 +38,6 @@ from service.virtual import vehicle as virtual_vehicle
 from service.virtual.run import VirtualRunError, record
 from simulation.registry import UnknownEffectError
 from simulation.twsbr.plant import TwsbrPlant
-from telemetry.channels import TWSBR
 from telemetry.samples import CanFrame
 from telemetry.storage import load as load_recording
 from vehicles import registry
@@ -47,9 +46,11 @@ from vehicles.file import VehicleFileError, load
 from vehicles.phases import Phase
 from vehicles.registry import recorded_loop
 from vehicles.twsbr.axes import WheelMeasurement
-from vehicles.twsbr.controller import GRAVITY, TiltController, WheelReturn
+from vehicles.twsbr.channels import CHANNELS as TWSBR
+from vehicles.twsbr.controller import TiltController, WheelReturn
 from vehicles.twsbr.handling import RISE_TIMEOUT
 from vehicles.twsbr.kind import bounds
+from vehicles.twsbr.model import TWSBR as MODEL
 
 VEHICLE = load("twsbr")
 FILE = Path(VEHICLE.path).read_text()
@@ -64,7 +65,7 @@ SHORT = 4.0
 
 
 def test_the_cad_values_are_those_of_the_models_table() -> None:
-    """The paper's Table 1 and a quarter of Table 2's range, written down twice: here and in models.library.twsbr."""
+    """The paper's Table 1 and a quarter of Table 2's range, written down twice: here and in vehicles.twsbr.model."""
     values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
     table = {each.name: each for each in MODEL.base_parameters if each.name in values}
     assert len(table) == len(values) == 14

@@ -22,8 +22,8 @@ from service.hidden_effects.trial import SUBJECT, Bench
 from service.hidden_effects.vehicles import Vehicle
 from simulation.disturbance import Disturbance
 from simulation.monocab.hidden import HIDDEN, UNLISTED
-from telemetry.channels import TABLES
 from telemetry.recording import Recording
+from vehicles.registry import channels_of
 
 FOLDER = "UPRIGHT_TEST_FOLDER"
 """Where the stand-ins leave a file a call, so that a test can count calls in other processes."""
@@ -47,7 +47,7 @@ def labelled(
     disturbance: Disturbance | None = None,
 ) -> Recording:
     """No record at all, only what is in it."""
-    channels = TABLES["monocab"]
+    channels = channels_of("monocab")
     metadata = {
         "hidden": json.dumps(dict(hidden)),
         "seed": str(seed),

@@ -1,4 +1,4 @@
-"""The two-wheeled balancing robot from its energies: how the equations of models.library.twsbr come about.
+"""The two-wheeled balancing robot from its energies: how the equations of vehicles.twsbr.model come about.
 
 Coordinates (rad): angles theta of the left and the right wheel against the floor, and of the body against upright, all
 positive forward. x forward, y left, z up; the body's centre of mass is `com_height` above the axle. The wheels roll

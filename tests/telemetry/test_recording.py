@@ -10,10 +10,11 @@ import pyarrow.parquet
 import pytest
 
 from telemetry.arrow_file import ArrowStreamWriter
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording
 from telemetry.storage import load, save
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 
 START_NS = 1_730_301_035_277_560_123
 TWO = ChannelTable(MONOCAB[:2])

@@ -12,7 +12,7 @@ from roll_plant import RATES, SETTLE, Log, Plant, balance, designed, get_down, g
 
 from vehicles.excitation import make_excitation
 from vehicles.file import load
-from vehicles.monocab.rise import RiseState, lowering_side, lowering_travel
+from vehicles.monocab.control.rise import RiseState, lowering_side, lowering_travel
 
 
 @pytest.mark.parametrize("rate", RATES)

@@ -43,7 +43,7 @@ class MonocabLimits(LimitsSection):
 
 
 class MonocabCad(ParametersSection):
-    """The roll motion's parameters; see `models.monocab`."""
+    """The roll motion's parameters; see `vehicles.monocab.control.linear_model`."""
 
     UNITS: ClassVar[Mapping[str, str]] = {
         "inertia": "kg m^2",
@@ -66,7 +66,7 @@ class MonocabCad(ParametersSection):
 
 
 class MonocabController(ControllerSection):
-    """Weights of the LQI design, and the lean that brings the gimbals back; see `vehicles.monocab.controller`."""
+    """Weights of the LQI design, and the lean that brings the gimbals back; see `control.controller`."""
 
     roll_weight: Positive
     roll_rate_weight: NotNegative

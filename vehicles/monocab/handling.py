@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import copysign
 
 from drivers.cia402.states import State
-from models.monocab import MonocabParameters
 from vehicles.contract import Command, Lean
 from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.controller import RollController
-from vehicles.monocab.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
+from vehicles.monocab.control.controller import RollController
+from vehicles.monocab.control.linear_model import MonocabParameters
+from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
 
 CENTRE_RATE = 0.08
 """rad/s: 264 N m at 3300 N m s, a quarter of what would lift the vehicle off the support."""

@@ -8,16 +8,17 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from models.control_design import RollDesign
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation, InjectionPoint
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
-from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.channels import CHANNELS as MONOCAB
+from vehicles.monocab.control.controller import RollController, design
+from vehicles.monocab.control.rise import RiseFromRest, rise_rate
+from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import MonocabFile
 from vehicles.monocab.handling import GimbalHandling
-from vehicles.monocab.rise import RiseFromRest, rise_rate
 
 RATE_MARGIN = 1.5
 """How far the measured precession rate may exceed the setpoint's limit: the speed loop overshoots a little."""

@@ -8,9 +8,9 @@ from math import degrees, expm1, radians
 
 from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
 from estimators.data.segments import SUPPORT_MARGIN
-from models.control_design import RollDesign
 from vehicles.excitation import Excitation, ExcitationError, make_excitation
-from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.control.controller import RollController, design
+from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import MonocabFile
 from vehicles.sections import ExperimentSection
 

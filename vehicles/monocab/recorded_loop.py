@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from diagnosis.prediction.closed_loop import Controller
 from diagnosis.prediction.closed_loop_error import Loop
-from estimators.methods.drive_lag import drive_lag
 from estimators.speed_loop import RUN_IN
 from estimators.speed_loop_steps import SpeedLoopSteps
-from models.control_design import RollDesign
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles.excitation import InjectionPoint
-from vehicles.monocab.controller import RollController, design
+from vehicles.monocab.control.controller import RollController, design
+from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import MonocabFile
+from vehicles.monocab.identification.own import drive_lag
 from vehicles.phases import Phase
 
 Array = NDArray[np.float64]

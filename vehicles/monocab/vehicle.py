@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from vehicles.contract import Models, Prediction, Twin, VehicleKind
+from vehicles.monocab.channels import CHANNELS
 from vehicles.monocab.file import MonocabFile
 from vehicles.monocab.kind import Monocab
 from vehicles.monocab.views import VIEWS
 
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.contract import Estimator
+    from estimators.identify.subject import OwnMethods
     from telemetry.recording import Recording
 
 
 def _models() -> Models:
-    from models import library
-    from models.library.monocab_gimbals import SPEED_LOOPS
+    from vehicles.monocab.gimbals import SPEED_LOOPS
+    from vehicles.monocab.model import MONOCAB_ROLL
 
-    return Models(library.get("monocab_roll").add("static_torque"), SPEED_LOOPS)
+    return Models(MONOCAB_ROLL.add("static_torque"), SPEED_LOOPS)
 
 
-def _regressions(parameters: Mapping[str, float], deviations: Mapping[str, float], support: float) -> list[Estimator]:
-    from vehicles.monocab.estimators import regressions
+def _identification() -> OwnMethods:
+    from vehicles.monocab.identification.own import OWN
 
-    return regressions(parameters, deviations, support)
+    return OWN
 
 
 def _recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
@@ -49,10 +49,11 @@ def _twin() -> Twin:
 
 KIND = VehicleKind(
     file=MonocabFile,
+    channels=CHANNELS,
     kind=Monocab,
     views=VIEWS,
     models=_models,
-    regressions=_regressions,
+    identification=_identification,
     recorded_loop=_recorded_loop,
     prediction=_prediction,
     twin=_twin,

@@ -25,10 +25,8 @@ from __future__ import annotations
 
 from math import degrees, radians
 
+from models.gravity import GRAVITY
 from vehicles.twsbr.file import TwsbrFile
-
-GRAVITY = 9.81
-"""m/s^2."""
 
 
 class WheelReturn:

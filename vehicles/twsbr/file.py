@@ -46,7 +46,7 @@ class TwsbrLimits(LimitsSection):
 
 
 class TwsbrCad(ParametersSection):
-    """The parameters of `models.library.twsbr`, the source paper's table 1."""
+    """The parameters of `vehicles.twsbr.model`, the source paper's table 1."""
 
     UNITS: ClassVar[Mapping[str, str]] = {
         "wheel_radius": "m",

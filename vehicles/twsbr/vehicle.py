@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from vehicles.contract import Models, Prediction, Twin, VehicleKind
+from vehicles.twsbr.channels import CHANNELS
 from vehicles.twsbr.file import TwsbrFile
 from vehicles.twsbr.kind import Twsbr
 from vehicles.twsbr.views import VIEWS
 
 if TYPE_CHECKING:
     from diagnosis.prediction.closed_loop_error import Loop
-    from estimators.contract import Estimator
+    from estimators.identify.subject import OwnMethods
     from telemetry.recording import Recording
 
 
 def _models() -> Models:
-    from models import library
+    from vehicles.twsbr.model import TWSBR
 
-    return Models(library.get("twsbr"))
+    return Models(TWSBR)
 
 
-def _regressions(parameters: Mapping[str, float], deviations: Mapping[str, float], support: float) -> list[Estimator]:
-    """None: each of its equations holds several unknowns in products, which none can take apart."""
-    return []
+def _identification() -> OwnMethods:
+    """Nothing: each of its equations holds several unknowns in products, which no linear regression can take apart."""
+    from estimators.identify.subject import NOTHING_OWN
+
+    return NOTHING_OWN
 
 
 def _recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
@@ -47,10 +49,11 @@ def _twin() -> Twin:
 
 KIND = VehicleKind(
     file=TwsbrFile,
+    channels=CHANNELS,
     kind=Twsbr,
     views=VIEWS,
     models=_models,
-    regressions=_regressions,
+    identification=_identification,
     recorded_loop=_recorded_loop,
     prediction=_prediction,
     twin=_twin,

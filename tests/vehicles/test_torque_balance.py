@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from estimators.contract import Estimate, EstimationError, Status
 from estimators.data.state_variable_filter import StateVariableFilter
 from estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution, continue_autocovariance
-from estimators.recursive.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
-from telemetry.channels import MONOCAB
 from telemetry.samples import Frame
+from vehicles.monocab.channels import CHANNELS as MONOCAB
+from vehicles.monocab.identification.torque_balance import Method, TorqueBalance, TorqueBalanceConfig, make
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Getting up from a support, and down onto one again.
 
 Each is a small state object that is stepped once a control cycle and gives the precession rate setpoint; neither does
-I/O nor reads a clock. Signs: see `models.monocab`; the support on the right is at positive roll.
+I/O nor reads a clock. Signs: see `vehicles.monocab.control.linear_model`; the support on the right is at positive roll.
 
 What they cost in precession follows from the balance of angular momentum between two states at rest:
 
@@ -15,8 +15,8 @@ from __future__ import annotations
 from enum import Enum
 from math import copysign, cos, degrees, pi
 
-from models.monocab import MonocabParameters
-from vehicles.monocab.controller import RollController
+from vehicles.monocab.control.controller import RollController
+from vehicles.monocab.control.linear_model import MonocabParameters
 
 LIFT_OFF = 0.005
 """rad (0.3 deg) of roll away from rest that count as lifted off."""

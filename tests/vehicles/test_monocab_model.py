@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from models.monocab import (
-    GRAVITY,
+from models.gravity import GRAVITY
+from vehicles.monocab.control.linear_model import (
     MonocabParameters,
     ParameterError,
     apparent_inertia,

@@ -3,7 +3,7 @@
     angular_momentum * precession' + trim torque = inertia * roll'' - gravity_stiffness * roll - static_torque
 
 The left side is known: the angular momentum anchors the scale, and its uncertainty is added to the result. What a row
-of the regression is, and when the vehicle obeys it, is in estimators.data.balance_rows.
+of the regression is, and when the vehicle obeys it, is in vehicles.monocab.identification.balance_rows.
 
 Two forms. Plain least squares is biased where noise on roll'' is not small against roll'' (the paper's finding); the
 instrumental-variable form replaces the regressors by what follows from the injected excitation alone, so that neither
@@ -26,10 +26,11 @@ from enum import StrEnum
 import numpy as np
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
-from estimators.data.balance_rows import REGRESSORS, BalanceRows, FilterConfig
 from estimators.recursive.least_squares import Prior, RecursiveLeastSquares, Solution
-from telemetry.channels import MONOCAB, ChannelTable
+from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
+from vehicles.monocab.channels import CHANNELS as MONOCAB
+from vehicles.monocab.identification.balance_rows import REGRESSORS, BalanceRows, FilterConfig
 
 UNITS = dict(zip(REGRESSORS, ("kg m^2", "N m/rad", "N m", "s"), strict=True))
 TERMS = dict(

@@ -20,11 +20,11 @@ from twsbr_derivation import Derivation, derive
 from models.compiler.equations import compose
 from models.compiler.kernel import Kernel, compile_model
 from models.expressions import number
+from models.gravity import GRAVITY
 from models.library import get
-from models.library.twsbr import GRAVITY
 from models.model import Model
 from models.segment import Segment
-from telemetry.channels import TWSBR as CHANNELS
+from vehicles.twsbr.channels import CHANNELS
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from estimators.contract import EstimationError, ParameterEstimate, Status
-from models.monocab import apparent_inertia
+from vehicles.monocab.control.linear_model import apparent_inertia
 
 UNIT = "kg m^2"
 

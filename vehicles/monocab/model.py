@@ -19,10 +19,11 @@ from __future__ import annotations
 
 import math
 
+from models.gravity import GRAVITY
 from models.model import Model
 from models.parts import Actuator, Filter, Hold, Input, Joint, Output, Parameter, Sensor, State
+from vehicles.monocab.gimbals import SPEED_LOOPS
 
-GRAVITY = 9.81
 SUPPORT = math.radians(4.0)
 
 _PARAMETERS = (
@@ -252,3 +253,5 @@ MONOCAB_FULL = Model(
     actuators=(_gimbals("precession_rate_setpoint"),),
     sensors=(_IMU,),
 )
+
+MODELS = (MONOCAB_ROLL, MONOCAB_REDUCED, MONOCAB_FULL, *SPEED_LOOPS)

@@ -28,14 +28,15 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
+from estimators.data.instrument_bank import InstrumentBank
 from estimators.data.state_variable_filter import StateVariableFilter
-from telemetry.channels import MONOCAB, ChannelTable
+from models.gravity import GRAVITY
+from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
+from vehicles.monocab.channels import CHANNELS as MONOCAB
 
-GRAVITY = 9.81
 REGRESSORS = ("inertia", "gravity_stiffness", "static_torque.torque", "drive_time_offset")
 """The parameters of a row, in the order of its regressors."""
 
@@ -93,37 +94,6 @@ class BalanceRow:
     regressors: tuple[float, ...]
     instruments: tuple[float, ...]
     begins: bool
-
-
-class InstrumentBank:
-    """The excitation through first-order lags: instruments that carry nothing but what was injected.
-
-    Time constants from 1/32 s to 1 s span the vehicle's response. It is another one to what is injected into the closed
-    loop than to what alone drives the gimbals, as the step from rest does, so each has lags of its own.
-    """
-
-    RATES = 2.0 ** np.arange(6)
-    COUNT = 2 * (len(RATES) + 1)
-    ALONE = 1e-3
-    """rad/s between excitation and setpoint, at most, where the excitation is all of it."""
-
-    def __init__(self) -> None:
-        self._lags: NDArray[np.float64] = np.zeros((len(self.RATES), 2))
-        self._held = np.zeros(2)
-
-    def update(self, spacing: float, excitation: float, setpoint: float) -> None:
-        """The next value, which is held until the one after."""
-        self._lags += -np.expm1(-self.RATES * spacing)[:, None] * (self._held - self._lags)
-        alone = abs(setpoint - excitation) < self.ALONE
-        self._held = np.array((0.0, excitation) if alone else (excitation, 0.0))
-
-    @property
-    def outputs(self) -> NDArray[np.float64]:
-        return np.concatenate((self._lags.ravel(), self._held))
-
-    def reset(self) -> None:
-        self._lags[:] = 0.0
-        self._held[:] = 0.0
 
 
 class BalanceRows:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import small_vehicle
 
-from estimators.identify.prediction import free_motion, sensor_noise
 from estimators.identify.run import identify, with_values
+from estimators.identify.subject import Subject
+from models import library
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
+from vehicles.monocab.identification.own import OWN
+from vehicles.monocab.identification.roll_prediction import free_motion, sensor_noise
 from vehicles.registry import nominal_model
 
 SUPPORT = float(np.radians(4.0))
@@ -48,7 +52,7 @@ def test_free_motion_ends_at_the_support_at_gaps_and_at_unknown_values(sweep: Re
 
 
 def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
-    document = identify([sweep], CAD, SUPPORT, RECURSIVE, model=MODEL)
+    document = identify([sweep], CAD, SUPPORT, RECURSIVE, model=MODEL, own=OWN)
     json.dumps(document, allow_nan=False)
     assert tuple(document["methods"]) == RECURSIVE
     for method in document["methods"].values():
@@ -62,7 +66,7 @@ def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
 def test_a_missing_channel_is_named(sweep: Recording) -> None:
     names = [channel for channel in sweep.channels if channel.name != "drive_age"]
     fewer = Recording(ChannelTable(names), sweep.timestamp_ns, {c.name: sweep.values[c.name] for c in names})
-    entry = identify([fewer], CAD, SUPPORT, RECURSIVE, model=MODEL)["methods"][RECURSIVE[0]]
+    entry = identify([fewer], CAD, SUPPORT, RECURSIVE, model=MODEL, own=OWN)["methods"][RECURSIVE[0]]
     assert entry["status"] == "missing_channel"
     assert "drive_age" in entry["reason"]
 
@@ -71,7 +75,17 @@ def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
     step = small_vehicle.recording(*small_vehicle.run(1, 8.0, from_support=True), 0)
     method = RECURSIVE[0]
     alone, both = (
-        identify(given, CAD, SUPPORT, [method], model=MODEL)["methods"][method] for given in ([step], [step, sweep])
+        identify(given, CAD, SUPPORT, [method], model=MODEL, own=OWN)["methods"][method]
+        for given in ([step], [step, sweep])
     )
     name = "static_torque.torque"
     assert both["parameters"][name]["std"] < alone["parameters"][name]["std"]
+
+
+def test_the_measure_of_the_roll_is_for_models_of_the_roll_alone(sweep: Recording) -> None:
+    roll = library.get("monocab_roll")
+    measured = OWN.prediction(Subject(roll.add("static_torque"), CAD, {}, SUPPORT), [sweep])
+    assert measured is not None
+    assert measured.horizon == 0.5
+    for other in (roll.add("viscous_friction"), library.get("monocab_gimbals"), replace(roll, name="mine")):
+        assert OWN.prediction(Subject(other, CAD, {}, SUPPORT), [sweep]) is None

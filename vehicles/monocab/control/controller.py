@@ -19,7 +19,7 @@ constant static torque has no part in it. The vehicle ends up leaning against it
 `precession_return_time`; it must be slow against the inner loop, since a lean is reached by precessing the wrong way
 first.
 
-Signs: see `models.monocab`. Angles in rad, rates in rad/s.
+Signs: see `vehicles.monocab.control.linear_model`. Angles in rad, rates in rad/s.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import radians
 
-from models.control_design import LqiGains, LqiWeights, RollDesign, design_roll_controller
-from models.monocab import MonocabParameters
+from models.control_design import LqiGains, LqiWeights
+from vehicles.monocab.control.linear_model import MonocabParameters
+from vehicles.monocab.control.roll_design import RollDesign, design_roll_controller
 from vehicles.monocab.file import MonocabFile
 
 WINDUP_TIME = 0.1

@@ -21,14 +21,10 @@ from dataclasses import dataclass, fields
 from math import isfinite, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from models.control_design import StateSpace
+from models.gravity import GRAVITY
 from telemetry.errors import UprightError
-
-GRAVITY = 9.81
-"""Standard gravity, m/s^2."""
-
-Matrix = NDArray[np.float64]
 
 
 class ParameterError(UprightError):
@@ -75,18 +71,6 @@ class MonocabParameters:
     def unstable_pole(self) -> float:
         """The rate, 1/s, at which the vehicle falls over by itself."""
         return sqrt(self.gravity_stiffness / self.inertia)
-
-
-@dataclass(frozen=True, slots=True)
-class StateSpace:
-    """x' = A x + B u, y = C x, with the names of states, inputs and outputs."""
-
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
 
 
 def reduced_model(parameters: MonocabParameters) -> StateSpace:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from estimators.contract import EstimationError
-from estimators.data.balance_rows import GRAVITY, FilterConfig
+from models.gravity import GRAVITY
 from telemetry.recording import Recording
+from vehicles.monocab.identification.balance_rows import FilterConfig
 
 Array = NDArray[np.float64]
 

@@ -19,10 +19,10 @@ from __future__ import annotations
 
 import math
 
+from models.gravity import GRAVITY
 from models.model import Model
 from models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 
-GRAVITY = 9.81
 COUNT = 2.0 * math.pi / 700.0
 """rad of a wheel that its encoder counts as one."""
 PERIOD = 5e-3
@@ -305,6 +305,8 @@ TWSBR = Model(
     ),
     definitions=_DEFINITIONS,
 )
+
+MODELS = (TWSBR,)
 
 _GAIN = "(motor_constant * gear_ratio / armature_resistance)"
 
