@@ -13,9 +13,6 @@ from drivers.cia402.states import State
 from drivers.imu import Imu
 from telemetry.samples import CanFrame, ImuSample
 
-ACTUATORS = frozenset({"gimbal", "wheel"})
-"""Roles of the drives that carry out the controller's setpoint; those of other roles are held still."""
-
 
 class VehicleIo:
     """Dispatches the frames of the IMU and the drives, and builds the frames of a command."""
@@ -23,7 +20,7 @@ class VehicleIo:
     def __init__(self, imu: Imu, drives: Sequence[Drive]) -> None:
         self.imu = imu
         self.drives = tuple(drives)
-        self._acting = tuple((drive, drive.config.role in ACTUATORS) for drive in self.drives)
+        self._acting = tuple((drive, drive.config.acts) for drive in self.drives)
         self._handlers: dict[int, Callable[[CanFrame], object]] = {}
         for drive in self.drives:
             for can_id in drive.can_ids:

@@ -44,7 +44,7 @@ class DriveNode:
     """One drive on the bus. `rpdo` and `tpdo` are its power-on mapping, by object name (see `objects`)."""
 
     name: str
-    role: Literal["gimbal", "trim", "wheel"]
+    role: str
     """Of several with the same role the first one is the left."""
     node: int
     direction: int
@@ -59,7 +59,8 @@ class DriveNode:
     """N m at the motor."""
     eds: Path | str
     mode: int = 2
-    """CiA 402 mode of operation; -1 is the voltage mode of upright_motor.eds."""
+    """CiA 402 mode of operation; 10 is cyclic synchronous torque, -1 the voltage mode of
+    upright_motor.eds."""
     vendor_id: int = 0
     """Reported in 1018h:1; 0 leaves the EDS's value."""
     product_code: int = 0

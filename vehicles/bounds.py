@@ -17,7 +17,7 @@ class Reaction(Enum):
 
 
 class Code(StrEnum):
-    """Why, for programs. Some are of one kind of vehicle only."""
+    """Why, for programs, as far as it is the same for all; each kind of vehicle has codes of its own beside these."""
 
     OK = "ok"
     IMU_SILENT = "imu_silent"
@@ -25,25 +25,11 @@ class Code(StrEnum):
     IMU_OUT_OF_RANGE = "imu_out_of_range"
     IMU_FORMAT = "imu_format"
     NOT_FINITE = "not_finite"
-    ROLL = "roll"
-    ROLL_RATE = "roll_rate"
-    TILT = "tilt"
-    TILT_RATE = "tilt_rate"
-    FALLEN = "fallen"
     DRIVE_SILENT = "drive_silent"
     DRIVE_EMERGENCY = "drive_emergency"
     DRIVE_RESTARTED = "drive_restarted"
     DRIVE_NOT_ENABLED = "drive_not_enabled"
-    SETPOINT = "setpoint"
-    PRECESSION = "precession"
-    PRECESSION_RATE = "precession_rate"
-    GIMBAL_MISMATCH = "gimbal_mismatch"
-    TRIM_POSITION = "trim_position"
-    WHEEL_RATE = "wheel_rate"
-    TRAVEL = "travel"
     DEADLINE = "deadline"
-    PRECESSION_BUDGET = "precession_budget"
-    TRAVEL_BUDGET = "travel_budget"
     OBSERVER_GONE = "observer_gone"
 
 
@@ -51,7 +37,8 @@ class Code(StrEnum):
 class Verdict:
     """The answer for one cycle."""
 
-    code: Code
+    code: StrEnum
+    """A `Code`, or one of the vehicle's kind."""
     reaction: Reaction
     text: str
 
@@ -90,7 +77,7 @@ class Bound:
     vehicle is stopped.
     """
 
-    code: Code
+    code: StrEnum
     what: str
     of: str
     limit: float
@@ -113,5 +100,5 @@ class Bound:
         )
 
 
-def stop(code: Code, text: str) -> Verdict:
+def stop(code: StrEnum, text: str) -> Verdict:
     return Verdict(code, Reaction.STOP_NOW, text)

@@ -20,14 +20,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import accumulate
 from math import cos, expm1, log, pi, sin, sqrt
 
 import numpy as np
 
 from telemetry.errors import UprightError
-from vehicles.sections import ExperimentSection
+from vehicles.sections import ExperimentSection, is_reference
 
 LONGEST_RAMP = 1.0
 """s over which a signal is faded in and out, or a tenth of its duration where that is shorter."""
@@ -46,15 +45,6 @@ class ExcitationError(UprightError):
         self.key = key
 
 
-class InjectionPoint(StrEnum):
-    """Where an excitation enters."""
-
-    REST = "rest"
-    ROLL_REFERENCE = "roll_reference"
-    TILT_REFERENCE = "tilt_reference"
-    CONTROLLER_OUTPUT = "controller_output"
-
-
 @dataclass(frozen=True, slots=True)
 class Excitation:
     """A signal of `duration` seconds and at most +-`peak` at an injection point, faded in and out over `ramp` seconds.
@@ -63,7 +53,7 @@ class Excitation:
     size), so its value here is zero.
     """
 
-    at: InjectionPoint
+    at: str
     peak: float
     duration: float
     ramp: float
@@ -72,7 +62,7 @@ class Excitation:
     @property
     def on_reference(self) -> bool:
         """Whether it is added to the controller's reference, and not to its output."""
-        return self.at in (InjectionPoint.ROLL_REFERENCE, InjectionPoint.TILT_REFERENCE)
+        return is_reference(self.at)
 
     def value(self, t: float) -> float:
         """The value at `t` seconds; zero before the start and after the end."""
@@ -230,7 +220,7 @@ def make_excitation(section: ExperimentSection, rate: float) -> Excitation:
         waveform = SineStream(frequencies, tuple(accumulate(int(share * f + 1e-9) / f for f in frequencies)))
         duration = waveform.ends[-1]
     ramp = min(LONGEST_RAMP, duration / 10.0) if fade else 0.0
-    return Excitation(InjectionPoint(section.at), section.amplitude_si, duration, ramp, waveform)
+    return Excitation(section.at, section.amplitude_si, duration, ramp, waveform)
 
 
 def _require_frequencies(frequencies: tuple[float, ...], key: str, duration: float, rate: float) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import tomllib
+from collections.abc import Iterable
 from functools import reduce
 from importlib import resources
 from operator import or_
@@ -73,7 +74,13 @@ def schema() -> dict[str, Any]:
     """The JSON Schema of vehicle files, of every kind."""
     kinds = [registry.of(name).file for name in registry.names()]
     found: dict[str, Any] = TypeAdapter(reduce(or_, kinds)).json_schema()
-    found["$defs"]["VehicleSection"]["properties"]["kind"]["enum"] = list(registry.names())
+    places: dict[tuple[str, str], Iterable[str]] = {
+        ("VehicleSection", "kind"): registry.names(),
+        ("DriveSection", "role"): {role for kind in kinds for role in kind.ROLES},
+        ("ExperimentSection", "at"): {point for kind in kinds for point in kind.INJECTION_POINTS},
+    }
+    for (section, key), values in places.items():
+        found["$defs"][section]["properties"][key]["enum"] = sorted(values)
     return found
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -110,34 +111,56 @@ class ImuSection(Section):
         return slots
 
 
-LINEAR = ("trim",)
-"""Roles of the drives whose axis moves along a line."""
+@dataclass(frozen=True, slots=True)
+class Role:
+    """What the drives of one role are to a kind of vehicle.
+
+    It has `least` to `most` of them. The controller's setpoint is for those that `act`; the others are held still. The
+    axis of a `linear` one moves along a line.
+    """
+
+    least: int
+    most: int
+    acts: bool = True
+    linear: bool = False
+
+
+NO_ROLE = Role(0, 0)
+REST, CONTROLLER_OUTPUT = "rest", "controller_output"
+"""Where an excitation may enter, beside the reference angles of a kind of vehicle: a vehicle at rest, or what the
+controller puts out."""
+
+
+def is_reference(at: str) -> bool:
+    """Whether an excitation there is added to a reference angle of the controller."""
+    return at.endswith("_reference")
 
 
 class DriveSection(Section):
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-    role: Literal["gimbal", "trim", "wheel"]
-    """What it moves. Of two wheels the first one is the left."""
+    role: str
+    """What it moves, one of those that its kind of vehicle has. Of two wheels the first one is the left."""
     node: NodeId
     direction: Literal[1, -1]
     """+1 where a positive motor speed gives a positive roll torque, or drives the vehicle forward."""
     gear_ratio: Positive | None = None
-    """Motor turns a turn of the gimbal or wheel (rotary axes)."""
+    """Motor turns a turn of the axis (rotary axes)."""
     lead: Positive | None = None
     """m a motor turn (linear axes)."""
-    mode: Literal[2, 9, -1]
-    """CiA 402 mode: 2 velocity (6042h, rpm), 9 cyclic synchronous velocity (60FFh), -1 voltage (2400h, mV)."""
+    mode: Literal[2, 9, 10, -1]
+    """CiA 402 mode: 2 velocity (6042h, rpm), 9 cyclic synchronous velocity (60FFh), 10 cyclic synchronous torque
+    (6071h, per mille of the rated torque), -1 voltage (2400h, mV)."""
     increments_per_turn: Annotated[int, Field(gt=0)]
     """Of 6064h, a motor turn."""
     velocity_unit_rpm: Positive
     """rpm a unit of 606Ch and 60FFh."""
     rated_torque: Positive
-    """N m at the motor, the base of 6077h."""
+    """N m at the motor, the base of 6071h and 6077h."""
     eds: str = "upright_servo.eds"
     vendor_id: Annotated[int, Field(ge=0)] = 0
     product_code: Annotated[int, Field(ge=0)] = 0
     setpoint_resolution: Annotated[float, Field(ge=0.0)] = 0.0
-    """Of the setpoint (rad/s, m/s or V), where the drive's is coarser than its objects: a PWM bridge has steps."""
+    """Of the setpoint (rad/s, m/s, N m or V), where the drive's is coarser than its objects: a PWM bridge has steps."""
     stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
     target_velocity_fine_index: Annotated[int, Field(ge=0x2000, le=0x5FFF)] = 0x2F15
     """Vendor object of the fine part of the target velocity (1/8192 rpm), where `rpdo` maps it."""
@@ -146,16 +169,9 @@ class DriveSection(Section):
     tpdo: list[list[str]]
     """Objects in each TPDO, in order."""
 
-    @model_validator(mode="after")
-    def _one_transmission(self) -> Self:
-        wanted, other = ("lead", "gear_ratio") if self.role in LINEAR else ("gear_ratio", "lead")
-        if getattr(self, wanted) is None or getattr(self, other) is not None:
-            raise ValueError(f"a {self.role} drive has a {wanted}, and no {other}")
-        return self
-
     @property
     def axis_per_turn(self) -> float:
-        """rad (gimbal, wheel) or m (trim) of the axis a motor turn."""
+        """rad, or m of a linear axis, a motor turn."""
         if self.gear_ratio is not None:
             return 2.0 * math.pi / self.gear_ratio
         assert self.lead is not None
@@ -213,8 +229,9 @@ class ControllerSection(Section):
 class ExperimentSection(Section):
     title: str
     excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine"]
-    at: Literal["rest", "roll_reference", "tilt_reference", "controller_output"] = "roll_reference"
-    """Where the excitation is added; which places there are depends on the kind of vehicle."""
+    at: str = ""
+    """Where the excitation is added, one of the places that its kind of vehicle has; the first of them where nothing is
+    said."""
     duration: Positive
     amplitude: Positive | None = None
     amplitude_deg: Positive | None = None
@@ -242,11 +259,11 @@ class ExperimentSection(Section):
             raise ValueError(f"a {self.excitation} needs {', '.join(missing)}")
         if self.excitation == "none":
             return self
-        on_angle = self.at.endswith("_reference")
+        on_angle = is_reference(self.at)
         amplitude, other = ("amplitude_deg", "amplitude") if on_angle else ("amplitude", "amplitude_deg")
         if getattr(self, amplitude) is None or getattr(self, other) is not None:
             raise ValueError(f"a {self.excitation} at {self.at} has its size in {amplitude}, and no {other}")
-        if (self.excitation == "step") != (self.at == "rest"):
+        if (self.excitation == "step") != (self.at == REST):
             raise ValueError('the step, and only the step, starts at = "rest"')
         return self
 
@@ -280,10 +297,10 @@ class MqttSection(Section):
 class VehicleFile(Section):
     """One vehicle, checked. Each kind has a subclass with the sections of its own."""
 
-    ROLES: ClassVar[Mapping[str, tuple[int, int]]]
-    """The least and the most drives of each role that this kind of vehicle has."""
+    ROLES: ClassVar[Mapping[str, Role]]
+    """The drives that this kind of vehicle has."""
     INJECTION_POINTS: ClassVar[tuple[str, ...]]
-    """Where its experiments may enter."""
+    """Where its experiments may enter; the first is where one enters that says nothing."""
 
     vehicle: VehicleSection
     bus: BusSection
@@ -300,16 +317,30 @@ class VehicleFile(Section):
     configuration_hash: str = ""
     """SHA-256 of the file's bytes, first 16 hex digits."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _experiments_enter_somewhere(cls, table: Any) -> Any:
+        experiments = table.get("experiments") if isinstance(table, dict) else None
+        if not isinstance(experiments, dict):
+            return table
+        usual = {"at": cls.INJECTION_POINTS[0]}
+        placed = {name: usual | each if isinstance(each, dict) else each for name, each in experiments.items()}
+        return {**table, "experiments": placed}
+
     @model_validator(mode="after")
     def _drives_fit_the_kind(self) -> Self:
         roles: list[str] = [drive.role for drive in self.drive]
         for role in (*self.ROLES, *roles):
-            least, most = self.ROLES.get(role, (0, 0))
-            if not least <= roles.count(role) <= most:
-                count = f"{least}" if least == most else f"{least} to {most}"
+            known = self.ROLES.get(role, NO_ROLE)
+            if not known.least <= roles.count(role) <= known.most:
+                count = f"{known.least}" if known.least == known.most else f"{known.least} to {known.most}"
                 raise ValueError(
                     f"drive: {roles.count(role)} drives have the role {role}, and a {self.vehicle.kind} has {count}"
                 )
+        for drive in self.drive:
+            wanted, other = ("lead", "gear_ratio") if self.ROLES[drive.role].linear else ("gear_ratio", "lead")
+            if getattr(drive, wanted) is None or getattr(drive, other) is not None:
+                raise ValueError(f"drive {drive.name}: a {drive.role} drive has a {wanted}, and no {other}")
         return self
 
     @model_validator(mode="after")

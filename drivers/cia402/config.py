@@ -41,22 +41,24 @@ class DriveConfig:
     """
 
     name: str
-    role: Literal["gimbal", "trim", "wheel"]
+    role: str
     node: int
     direction: int
     """+1 or -1: sign of the axis for a positive motor speed."""
     axis_per_turn: float
     """rad or m of the axis a motor turn."""
     mode: int
-    """CiA 402 mode, one of `modes.MODES`: 2 or 9 (velocity), -1 (voltage)."""
+    """CiA 402 mode, one of `modes.MODES`: 2 or 9 (velocity), 10 (torque), -1 (voltage)."""
     increments_per_turn: int
     """Of 6064h, a motor turn."""
     velocity_unit_rpm: float
     """rpm a unit of 606Ch and 60FFh."""
     rated_torque: float
-    """N m at the motor: the base of 6077h (per mille)."""
+    """N m at the motor: the base of 6071h and 6077h (per mille)."""
     rpdo: tuple[tuple[str, ...], ...]
     tpdo: tuple[tuple[str, ...], ...]
+    acts: bool = True
+    """Whether it carries out the controller's setpoint; another is held still."""
     eds: str = "upright_servo.eds"
     """A shipped EDS by its name, or a path; see `find_eds`."""
     vendor_id: int = 0
@@ -64,7 +66,7 @@ class DriveConfig:
     product_code: int = 0
     """1018h:2; 0 is not checked."""
     setpoint_resolution: float = 0.0
-    """Axis unit/s or V that the drive can tell apart, where that is coarser than its objects; 0 for these."""
+    """Axis unit/s, N m or V that the drive can tell apart, where that is coarser than its objects; 0 for these."""
     stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
     """What the drive does when the master is gone (6007h)."""
     target_velocity_fine_index: int = 0x2F15
@@ -146,18 +148,23 @@ class DriveConfig:
         return self.direction * self.axis_per_turn * self.velocity_unit_rpm / 60.0
 
     @property
+    def torque_unit(self) -> float:
+        """N m at the motor of one unit of 6071h and 6077h, direction included."""
+        return self.direction * self.rated_torque / 1000.0
+
+    @property
     def operation(self) -> Mode:
         """What hangs on the mode."""
         return MODES[self.mode]
 
     def resolved(self, setpoint: float) -> float:
-        """What the drive makes of `setpoint`, axis unit/s or V: the nearest that it can tell apart."""
+        """What the drive makes of `setpoint`, axis unit/s, N m or V: the nearest that it can tell apart."""
         step = self.setpoint_resolution
         return step * round(setpoint / step) if step > 0.0 and math.isfinite(setpoint) else setpoint
 
     @property
     def setpoint_unit(self) -> float:
-        """axis unit/s, or V, of the smallest step of the setpoint, direction included."""
+        """axis unit/s, N m or V of the smallest step of the setpoint, direction included."""
         return self.operation.step(self)
 
     @property

@@ -23,7 +23,8 @@ NAN = float("nan")
 
 
 class Drive:
-    """A drive of CiA 402 in one of `modes.MODES`: its setpoint is a velocity (axis unit/s) or a voltage (V).
+    """A drive of CiA 402 in one of `modes.MODES`: its setpoint is a velocity (axis unit/s), a torque (N m) or a
+    voltage (V).
 
     It never enables by itself: a drive that leaves Operation enabled uncommanded, or has a fault under the target
     Operation enabled, is `tripped`. It is then held in quick stop until the fault is reset (`request_fault_reset`), the
@@ -68,7 +69,7 @@ class Drive:
         self._position_unit = config.direction * config.axis_per_turn / config.increments_per_turn
         self._velocity_unit = config.velocity_unit
         self._rpm_unit = config.direction * config.axis_per_turn / 60.0
-        self._torque_unit = config.direction * config.rated_torque / 1000.0
+        self._torque_unit = config.torque_unit
         self._setpoint_unit = config.setpoint_unit
         self._enable_bits = config.operation.enable_bits
         self._split = FINE_UNITS_PER_RPM if config.has_fine_part else 1
@@ -155,7 +156,7 @@ class Drive:
     # Frames out
 
     def command(self, target: State, setpoint: float) -> tuple[tuple[int, bytes], ...]:
-        """The RPDOs of one cycle as (COB-ID, data): one step towards `target`, with `setpoint` (axis unit/s, or V).
+        """The RPDOs of one cycle as (COB-ID, data): one step towards `target`, with `setpoint` (axis unit/s, N m or V).
 
         The setpoint is sent only to a drive that reports Operation enabled and is to stay there; else it is 0.
 
@@ -210,7 +211,7 @@ class Drive:
         self.trip_reason = reason
 
     def _quantise(self, setpoint: float) -> int:
-        """Axis unit/s or V to the smallest steps of the target's object, limited to what it can hold.
+        """Axis unit/s, N m or V to the smallest steps of the target's object, limited to what it can hold.
 
         What the drive cannot tell apart is not asked for: what is recorded is what it does.
         """

@@ -2,9 +2,11 @@
 
     2    velocity: 6042h in rpm, with the drive's ramp, where mapped with a fine part in 1/8192 rpm
     9    cyclic synchronous velocity: 60FFh in the drive's velocity unit
+    10   cyclic synchronous torque: 6071h in per mille of the motor's rated torque
     -1   voltage, of upright_motor.eds: the mean voltage at the motor; negative modes are each maker's own (CiA 402)
 
-A drive's setpoint is in axis unit/s (rad/s, m/s) in the velocity modes, and in V in the voltage mode.
+A drive's setpoint is in axis unit/s (rad/s, m/s) in the velocity modes, in N m at the motor in the torque mode,
+and in V in the voltage mode.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ class Scaling(Protocol):
     def axis_per_turn(self) -> float: ...
     @property
     def velocity_unit(self) -> float: ...
+    @property
+    def torque_unit(self) -> float: ...
     @property
     def has_fine_part(self) -> bool: ...
 
@@ -64,6 +68,7 @@ MODES = {
             2, ObjectEntry("target_velocity", 0x6042, 0, "h"), _rpm, fine="target_velocity_fine", enable_bits=RAMP_BITS
         ),
         Mode(9, ObjectEntry("target_velocity", 0x60FF, 0, "i"), lambda drive: drive.velocity_unit, cyclic=True),
+        Mode(10, ObjectEntry("target_torque", 0x6071, 0, "h"), lambda drive: drive.torque_unit, cyclic=True),
         Mode(-1, ObjectEntry("target_voltage", 0x2400, 0, "h"), lambda drive: drive.direction * VOLTAGE_UNIT),
     )
 }

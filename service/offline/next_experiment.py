@@ -21,8 +21,8 @@ from models.parts import ModelError
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles import registry
-from vehicles.excitation import ExcitationError, InjectionPoint
-from vehicles.sections import VehicleFile
+from vehicles.excitation import ExcitationError
+from vehicles.sections import REST, VehicleFile
 
 SMALL = 0.03
 """Share of its typical size at which an effect is looked at to find the size at which it just shows."""
@@ -41,7 +41,7 @@ def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, st
     for name, section in vehicle.experiments.items():
         if section.excitation == "none":
             left_out[name] = "moves nothing"
-        elif InjectionPoint(section.at) is InjectionPoint.REST:
+        elif section.at == REST:
             left_out[name] = "begins on a support, which the models do not know"
         else:
             try:

@@ -1,6 +1,7 @@
 """What runs on a virtual drive behind its object dictionary: power states, process data, reaction to faults.
 
-The mode of operation, and what it does to an axis, is up to the application: `servo_drive`, `voltage_drive`.
+The mode of operation, and what it does to an axis, is up to the application: `servo_drive`, `torque_drive`,
+`voltage_drive`.
 """
 
 from __future__ import annotations

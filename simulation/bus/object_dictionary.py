@@ -42,7 +42,7 @@ def load_dictionary(config: DriveNode) -> canopen.ObjectDictionary:
             problem = "describes no PDO: it is not one of a drive"
     raise SimulationError(
         f"the EDS {str(path)!r} of drive {config.name!r} {problem}.",
-        remedy="Name another in the vehicle file, or use a shipped one: upright_servo.eds, upright_motor.eds.",
+        remedy="Name another in the vehicle file, or use one that is shipped, such as upright_servo.eds.",
     )
 
 

@@ -19,6 +19,8 @@ MODE = 0x6060_00
 MODE_DISPLAY = 0x6061_00
 POSITION_ACTUAL = 0x6064_00
 VELOCITY_ACTUAL = 0x606C_00
+TARGET_TORQUE = 0x6071_00
+TORQUE_DEMAND = 0x6074_00
 TORQUE_ACTUAL = 0x6077_00
 TARGET_VELOCITY = 0x60FF_00
 ERROR_CODE = 0x603F_00
@@ -49,6 +51,8 @@ def keys_by_name(mode: int, fine_index: int) -> dict[str, int]:
         "target_velocity_fine": fine_index << 8,
         "velocity_actual": VELOCITY_ACTUAL,
         "velocity_actual_rpm": VL_ACTUAL_VELOCITY,
+        "target_torque": TARGET_TORQUE,
+        "torque_demand": TORQUE_DEMAND,
         "torque_actual": TORQUE_ACTUAL,
         "position_actual": POSITION_ACTUAL,
         "mode_display": MODE_DISPLAY,

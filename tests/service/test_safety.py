@@ -13,7 +13,7 @@ from service.control.safety import DriveObservation, Observation, Safety
 from vehicles.bounds import OK, Code, Reaction
 from vehicles.file import load
 from vehicles.monocab.axes import GimbalMeasurement
-from vehicles.monocab.kind import bounds
+from vehicles.monocab.kind import MonocabCode, bounds
 
 VEHICLE = load("monocab")
 SAFETY = Safety(bounds(VEHICLE), missed_cycles=VEHICLE.limits.missed_cycles, period=VEHICLE.period)
@@ -62,10 +62,10 @@ ALWAYS = [
     (field(imu_health=ImuHealth.STUCK, imu_text="IMU repeats itself"), Code.IMU_STUCK, ("IMU repeats itself",)),
     (field(imu_health=ImuHealth.OUT_OF_RANGE), Code.IMU_OUT_OF_RANGE, ("out of range",)),
     (field(imu_health=ImuHealth.WRONG_LENGTH), Code.IMU_FORMAT, ("another format",)),
-    (field(angle=0.1), Code.ROLL, ("5.73 deg", "5.00 deg")),
-    (field(angle=-0.1), Code.ROLL, ("-5.73 deg",)),
+    (field(angle=0.1), MonocabCode.ROLL, ("5.73 deg", "5.00 deg")),
+    (field(angle=-0.1), MonocabCode.ROLL, ("-5.73 deg",)),
     (field(angle=NAN), Code.NOT_FINITE, ("roll", "not a number")),
-    (field(rate=0.8), Code.ROLL_RATE, ("45.84 deg/s", "40.00 deg/s")),
+    (field(rate=0.8), MonocabCode.ROLL_RATE, ("45.84 deg/s", "40.00 deg/s")),
     (field(rate=math.inf), Code.NOT_FINITE, ("roll rate",)),
 ]
 ARMED = [
@@ -73,18 +73,18 @@ ARMED = [
     (drive(age=NAN), Code.DRIVE_SILENT, ("gimbal_right",)),
     (drive(emergency="8130h heartbeat lost"), Code.DRIVE_EMERGENCY, ("gimbal_right", "8130h")),
     (drive(restarted=True), Code.DRIVE_RESTARTED, ("gimbal_right",)),
-    (axes(precession=1.1), Code.PRECESSION, ("63.03 deg", "60.00 deg")),
+    (axes(precession=1.1), MonocabCode.PRECESSION, ("63.03 deg", "60.00 deg")),
     (axes(precession=NAN), Code.NOT_FINITE, ("precession",)),
-    (axes(precession_rate=-1.6), Code.PRECESSION_RATE, ("-91.67 deg/s",)),
-    (axes(gimbal_mismatch=0.1), Code.GIMBAL_MISMATCH, ("5.73 deg",)),
-    (axes(trim_position=-0.31), Code.TRIM_POSITION, ("-0.310 m", "0.300 m")),
+    (axes(precession_rate=-1.6), MonocabCode.PRECESSION_RATE, ("-91.67 deg/s",)),
+    (axes(gimbal_mismatch=0.1), MonocabCode.GIMBAL_MISMATCH, ("5.73 deg",)),
+    (axes(trim_position=-0.31), MonocabCode.TRIM_POSITION, ("-0.310 m", "0.300 m")),
     (axes(trim_position=NAN), Code.NOT_FINITE, ("trim",)),
     (field(late_cycles=3), Code.DEADLINE, ("3 control cycles", "4 ms")),
 ]
 SHOULD_RUN = [(drive(enabled=False, state="Quick stop active"), Code.DRIVE_NOT_ENABLED, ("Quick stop active",))]
 BALANCING = [
-    (axes(precession=0.8), Code.PRECESSION_BUDGET, ("45.8 of 45 deg",)),
-    (axes(precession=-0.8), Code.PRECESSION_BUDGET, ("-45.8",)),
+    (axes(precession=0.8), MonocabCode.PRECESSION_BUDGET, ("45.8 of 45 deg",)),
+    (axes(precession=-0.8), MonocabCode.PRECESSION_BUDGET, ("-45.8",)),
     (field(observer_alive=False), Code.OBSERVER_GONE, ("observer",)),
 ]
 

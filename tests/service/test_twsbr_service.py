@@ -49,7 +49,7 @@ from vehicles.twsbr.axes import WheelMeasurement
 from vehicles.twsbr.channels import CHANNELS as TWSBR
 from vehicles.twsbr.controller import TiltController, WheelReturn
 from vehicles.twsbr.handling import RISE_TIMEOUT
-from vehicles.twsbr.kind import bounds
+from vehicles.twsbr.kind import TwsbrCode, bounds
 from vehicles.twsbr.model import TWSBR as MODEL
 
 VEHICLE = load("twsbr")
@@ -190,16 +190,16 @@ def balancing(**axes: float) -> Observation:
     ("seen", "code", "reaction"),
     [
         (balancing(), Code.OK, Reaction.CONTINUE),
-        (balancing(left_rate=46.0), Code.WHEEL_RATE, Reaction.STOP_NOW),
-        (balancing(right_rate=-46.0), Code.WHEEL_RATE, Reaction.STOP_NOW),
+        (balancing(left_rate=46.0), TwsbrCode.WHEEL_RATE, Reaction.STOP_NOW),
+        (balancing(right_rate=-46.0), TwsbrCode.WHEEL_RATE, Reaction.STOP_NOW),
         (balancing(left_rate=math.nan), Code.NOT_FINITE, Reaction.STOP_NOW),
-        (balancing(travel=-2.1), Code.TRAVEL_BUDGET, Reaction.END_EXPERIMENT),
-        (balancing(travel=2.6), Code.TRAVEL, Reaction.STOP_NOW),
-        (replace(balancing(), angle=math.radians(8.1)), Code.FALLEN, Reaction.STOP_NOW),
+        (balancing(travel=-2.1), TwsbrCode.TRAVEL_BUDGET, Reaction.END_EXPERIMENT),
+        (balancing(travel=2.6), TwsbrCode.TRAVEL, Reaction.STOP_NOW),
+        (replace(balancing(), angle=math.radians(8.1)), TwsbrCode.FALLEN, Reaction.STOP_NOW),
         (replace(balancing(), angle=math.radians(12.1), upright=False), Code.OK, Reaction.CONTINUE),
-        (replace(balancing(), angle=math.radians(16.1), armed=False), Code.TILT, Reaction.STOP_NOW),
-        (replace(balancing(), rate=math.radians(301.0)), Code.TILT_RATE, Reaction.STOP_NOW),
-        (replace(balancing(), setpoint=12.01), Code.SETPOINT, Reaction.STOP_NOW),
+        (replace(balancing(), angle=math.radians(16.1), armed=False), TwsbrCode.TILT, Reaction.STOP_NOW),
+        (replace(balancing(), rate=math.radians(301.0)), TwsbrCode.TILT_RATE, Reaction.STOP_NOW),
+        (replace(balancing(), setpoint=12.01), TwsbrCode.SETPOINT, Reaction.STOP_NOW),
         (replace(balancing(), setpoint=math.nan), Code.NOT_FINITE, Reaction.STOP_NOW),
         (replace(balancing(), imu_age=0.018), Code.IMU_SILENT, Reaction.STOP_NOW),
     ],

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
-from vehicles.excitation import Excitation, InjectionPoint
+from vehicles.excitation import Excitation
 from vehicles.file import VehicleFile, load
 from vehicles.monocab.control.controller import RollController, design
 from vehicles.monocab.control.rise import Lowering, RiseFromRest, rise_rate
@@ -141,7 +141,7 @@ def balance(
     seconds: float,
     excitation: Excitation | None = None,
 ) -> None:
-    on_reference = excitation is not None and excitation.at is InjectionPoint.ROLL_REFERENCE
+    on_reference = excitation is not None and excitation.on_reference
     for cycle in range(round(seconds / vehicle.period)):
         roll, roll_rate, precession_rate, precession = plant.measure()
         value = excitation.value(cycle * vehicle.period) if excitation else 0.0

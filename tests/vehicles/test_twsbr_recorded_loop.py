@@ -146,7 +146,7 @@ class TestTheRecordedLoop:
 
     def test_what_is_not_there_or_not_known_is_said(self) -> None:
         recording = recorded("square")
-        assert "nothing excites the robot" in str(recorded_loop(VEHICLE, recorded("hold")))
+        assert "nothing excites the vehicle" in str(recorded_loop(VEHICLE, recorded("hold")))
         late = str(recorded_loop(VEHICLE, recording.between(8.0, float("inf"))))
         assert "begins later than the controller" in late
         channels = ChannelTable(each for each in recording.channels if each.name not in ("excitation", "phase"))

@@ -8,12 +8,15 @@ from typing import ClassVar, Self
 from pydantic import model_validator
 
 from vehicles.sections import (
+    CONTROLLER_OUTPUT,
+    REST,
     ControllerSection,
     LimitsSection,
     NotNegative,
     ParameterEntry,
     ParametersSection,
     Positive,
+    Role,
     VehicleFile,
 )
 
@@ -79,8 +82,8 @@ class MonocabController(ControllerSection):
 class MonocabFile(VehicleFile):
     """A monorail vehicle that two or more gimbals hold up, with or without a trim mass."""
 
-    ROLES: ClassVar[Mapping[str, tuple[int, int]]] = {"gimbal": (1, 16), "trim": (0, 1)}
-    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("rest", "roll_reference", "controller_output")
+    ROLES: ClassVar[Mapping[str, Role]] = {"gimbal": Role(1, 16), "trim": Role(0, 1, acts=False, linear=True)}
+    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("roll_reference", REST, CONTROLLER_OUTPUT)
 
     limits: MonocabLimits
     parameters: MonocabCad

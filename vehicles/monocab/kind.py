@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from math import degrees, radians
 from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from telemetry.channels import ChannelTable
-from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
-from vehicles.excitation import Excitation, InjectionPoint
+from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
 from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.monocab.control.controller import RollController, design
@@ -19,7 +20,22 @@ from vehicles.monocab.control.rise import RiseFromRest, rise_rate
 from vehicles.monocab.control.roll_design import RollDesign
 from vehicles.monocab.file import MonocabFile
 from vehicles.monocab.handling import GimbalHandling
+from vehicles.sections import REST
 
+
+class MonocabCode(StrEnum):
+    """What of a MONOCAB is beyond its bound, for programs."""
+
+    ROLL = "roll"
+    ROLL_RATE = "roll_rate"
+    PRECESSION = "precession"
+    PRECESSION_RATE = "precession_rate"
+    GIMBAL_MISMATCH = "gimbal_mismatch"
+    TRIM_POSITION = "trim_position"
+    PRECESSION_BUDGET = "precession_budget"
+
+
+METRES = Unit("m", digits=3)
 RATE_MARGIN = 1.5
 """How far the measured precession rate may exceed the setpoint's limit: the speed loop overshoots a little."""
 
@@ -29,28 +45,32 @@ def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
     limits = vehicle.limits
     precession, budget = radians(limits.precession_deg), radians(limits.precession_budget_deg)
     return (
-        Bound(Code.ROLL, "roll", "angle", radians(limits.roll_deg), DEGREES, When.ALWAYS),
-        Bound(Code.ROLL_RATE, "roll rate", "rate", radians(limits.roll_rate_deg), DEGREES_A_SECOND, When.ALWAYS),
-        Bound(Code.PRECESSION, "precession angle", "axes.precession", precession, DEGREES),
+        Bound(MonocabCode.ROLL, "roll", "angle", radians(limits.roll_deg), DEGREES, When.ALWAYS),
+        Bound(MonocabCode.ROLL_RATE, "roll rate", "rate", radians(limits.roll_rate_deg), DEGREES_A_SECOND, When.ALWAYS),
+        Bound(MonocabCode.PRECESSION, "precession angle", "axes.precession", precession, DEGREES),
         Bound(
-            Code.PRECESSION_RATE,
+            MonocabCode.PRECESSION_RATE,
             "precession rate",
             "axes.precession_rate",
             RATE_MARGIN * limits.precession_rate,
             DEGREES_A_SECOND,
         ),
         Bound(
-            Code.GIMBAL_MISMATCH,
+            MonocabCode.GIMBAL_MISMATCH,
             "difference between the gimbals",
             "axes.gimbal_mismatch",
             radians(limits.gimbal_mismatch_deg),
             DEGREES,
         ),
         Bound(
-            Code.TRIM_POSITION, "trim mass position", "axes.trim_position", limits.trim_position, Unit("m", digits=3)
+            MonocabCode.TRIM_POSITION,
+            "trim mass position",
+            "axes.trim_position",
+            limits.trim_position,
+            Unit("m", digits=3),
         ),
         Bound(
-            Code.PRECESSION_BUDGET,
+            MonocabCode.PRECESSION_BUDGET,
             "precession budget",
             "axes.precession",
             budget,
@@ -71,7 +91,7 @@ class GimbalPilot:
     def handling(self, excitation: Excitation) -> GimbalHandling:
         """The step sets its own rate of rising; the other experiments take a sure one."""
         vehicle, parameters = self.vehicle, self.design.parameters
-        by_step = excitation.at is InjectionPoint.REST and excitation.peak > 0.0
+        by_step = excitation.at == REST and excitation.peak > 0.0
         rate = excitation.peak if by_step else rise_rate(parameters, vehicle.support)
         return GimbalHandling(
             RollController.from_design(self.design, vehicle),

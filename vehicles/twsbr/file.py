@@ -8,12 +8,14 @@ from typing import ClassVar, Self
 from pydantic import model_validator
 
 from vehicles.sections import (
+    CONTROLLER_OUTPUT,
     ControllerSection,
     LimitsSection,
     NotNegative,
     ParameterEntry,
     ParametersSection,
     Positive,
+    Role,
     VehicleFile,
 )
 
@@ -99,8 +101,8 @@ class TwsbrController(ControllerSection):
 class TwsbrFile(VehicleFile):
     """A body on two wheels, each with a motor of its own."""
 
-    ROLES: ClassVar[Mapping[str, tuple[int, int]]] = {"wheel": (2, 2)}
-    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("tilt_reference", "controller_output")
+    ROLES: ClassVar[Mapping[str, Role]] = {"wheel": Role(2, 2)}
+    INJECTION_POINTS: ClassVar[tuple[str, ...]] = ("tilt_reference", CONTROLLER_OUTPUT)
 
     limits: TwsbrLimits
     parameters: TwsbrCad

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from math import radians
 from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from telemetry.channels import ChannelTable
-from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Code, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.twsbr.axes import WheelMeasurement, Wheels
@@ -17,6 +18,19 @@ from vehicles.twsbr.channels import CHANNELS as TWSBR
 from vehicles.twsbr.controller import TiltController
 from vehicles.twsbr.file import TwsbrFile
 from vehicles.twsbr.handling import WheelHandling
+
+
+class TwsbrCode(StrEnum):
+    """What of a balancing robot is beyond its bound, for programs."""
+
+    TILT = "tilt"
+    TILT_RATE = "tilt_rate"
+    SETPOINT = "setpoint"
+    WHEEL_RATE = "wheel_rate"
+    FALLEN = "fallen"
+    TRAVEL = "travel"
+    TRAVEL_BUDGET = "travel_budget"
+
 
 VOLTS, METRES, RADIANS_A_SECOND = Unit("V"), Unit("m", digits=3), Unit("rad/s", digits=1)
 
@@ -27,15 +41,15 @@ def bounds(vehicle: TwsbrFile) -> tuple[Bound, ...]:
     tilt, rate, upright = (radians(each) for each in (limits.tilt_deg, limits.tilt_rate_deg, limits.upright_deg))
     spin = limits.wheel_rate
     return (
-        Bound(Code.TILT, "tilt", "angle", tilt, DEGREES, When.ALWAYS),
-        Bound(Code.TILT_RATE, "tilt rate", "rate", rate, DEGREES_A_SECOND, When.ALWAYS),
-        Bound(Code.SETPOINT, "voltage", "setpoint", limits.voltage, VOLTS),
-        Bound(Code.WHEEL_RATE, "rate of the left wheel", "axes.left_rate", spin, RADIANS_A_SECOND),
-        Bound(Code.WHEEL_RATE, "rate of the right wheel", "axes.right_rate", spin, RADIANS_A_SECOND),
-        Bound(Code.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
-        Bound(Code.TRAVEL, "travel", "axes.travel", limits.travel, METRES, When.BALANCING),
+        Bound(TwsbrCode.TILT, "tilt", "angle", tilt, DEGREES, When.ALWAYS),
+        Bound(TwsbrCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_A_SECOND, When.ALWAYS),
+        Bound(TwsbrCode.SETPOINT, "voltage", "setpoint", limits.voltage, VOLTS),
+        Bound(TwsbrCode.WHEEL_RATE, "rate of the left wheel", "axes.left_rate", spin, RADIANS_A_SECOND),
+        Bound(TwsbrCode.WHEEL_RATE, "rate of the right wheel", "axes.right_rate", spin, RADIANS_A_SECOND),
+        Bound(TwsbrCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
+        Bound(TwsbrCode.TRAVEL, "travel", "axes.travel", limits.travel, METRES, When.BALANCING),
         Bound(
-            Code.TRAVEL_BUDGET,
+            TwsbrCode.TRAVEL_BUDGET,
             "travel budget",
             "axes.travel",
             limits.travel_budget,

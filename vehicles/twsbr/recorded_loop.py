@@ -1,9 +1,7 @@
 """What closed the loop while the balancing robot was recorded: its controller, the excitation, and its drives' age.
 
-The controller is run over the recorded measurements first, from the row on in which the robot began to get up, once
-with the excitation on the tilt reference and once on the voltage: where one of them gives the recorded voltages, this
-is the controller that was there, and it is known as it was at any row. So the recording needs no metadata; one of
-another robot or of other software is found out.
+The controller is run over the recorded measurements first (vehicles.recorded), from the row on in which the robot began
+to get up, once with the excitation on the voltage and once on the tilt reference.
 
 A model shows its wheels at the instant of the row, and the controller saw them older by `drive_age`: they are read back
 that far. That an encoder of few counts tells a rate late, by as much as its last two edges are apart, is no part of it:
@@ -14,7 +12,6 @@ a run may be as long as the record; with that switched off (`wheel_return_time` 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from math import degrees, radians
 
@@ -24,63 +21,25 @@ from diagnosis.prediction.closed_loop import Controller, Limit
 from diagnosis.prediction.closed_loop_error import Loop
 from telemetry.recording import Recording
 from vehicles.drives import drive_config
-from vehicles.excitation import InjectionPoint
 from vehicles.phases import Phase
+from vehicles.recorded import Recorded, entered_at, recorded
+from vehicles.sections import CONTROLLER_OUTPUT, is_reference
 from vehicles.twsbr.controller import TiltController
 from vehicles.twsbr.file import TwsbrFile
 
 TILT = ("tilt", "tilt_rate")
 WHEELS = ("left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate")
 VOLTAGES = ("left_voltage", "right_voltage")
-CHANNELS = (*TILT, *WHEELS, *VOLTAGES, "drive_age", "excitation", "phase")
-"""Without which the loop is not known."""
 COMPARED = ("tilt", "left_wheel_angle", "right_wheel_angle")
-SAME = 0.01
-"""Share of the voltages' RMS by which the controller may differ from the recorded ones: some rows may be lost."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Recorded:
-    """A recording as lists, for loops: the controller ran from the row after `rise` on, excited from `first` on."""
-
-    values: Mapping[str, list[float]]
-    time: list[float]
-    period: float
-    rise: int
-    first: int
-    last: int
-
-    def elapsed(self, row: int) -> float:
-        """s since the row before, as the control loop counts them: a gap does not throw its controller."""
-        return min(max(self.time[row] - self.time[row - 1], 0.5 * self.period), 4.0 * self.period)
 
 
 def recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
     """The loop of `recording` from the first row of its excitation on, or why it is not known, in words."""
-    lacking = [name for name in CHANNELS if name not in recording.values]
-    if lacking:
-        return f"the recording has no channel {', '.join(lacking)}: what drove the controller is not known"
-    phase, excitation = recording["phase"], recording["excitation"]
-    if not np.isfinite(excitation).any() or not np.isfinite(phase).any():
-        return "the recording does not hold the excitation, as one from a raw CAN log: take the .arrow beside it"
-    held = np.flatnonzero((phase >= Phase.RISE) & (phase <= Phase.FADE))
-    excited = np.flatnonzero((phase >= Phase.EXCITE) & (phase <= Phase.FADE) & np.isfinite(excitation))
-    if not len(excited) or not np.any(excitation[excited]):
-        return "nothing excites the robot while its controller holds it up"
-    if held[0] == 0 or phase[held[0]] != Phase.RISE:
-        return "the recording begins later than the controller: its state is not known"
-    if not all(np.isfinite(recording[name][held]).all() for name in CHANNELS):
-        return "the recording has unknown values while the controller holds the robot up"
-    time = recording.time
-    told = _Recorded(
-        values={name: recording[name].tolist() for name in CHANNELS},
-        time=time.tolist(),
-        period=vehicle.period,
-        rise=int(held[0]),
-        first=int(excited[0]),
-        last=int(excited[-1]),
-    )
-    at = _injection(vehicle, told)
+    told = recorded(recording, (*TILT, *WHEELS, *VOLTAGES), since=Phase.RISE, period=vehicle.period)
+    if isinstance(told, str):
+        return told
+    points = (CONTROLLER_OUTPUT, "tilt_reference")
+    at = entered_at(points, lambda at: [_replayed(vehicle, told, at, told.last)[1]], told, VOLTAGES)
     if at is None:
         return f"the controller of {vehicle.vehicle.id}'s vehicle file does not give the recorded voltages"
     return Loop(
@@ -96,24 +55,11 @@ def recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
     )
 
 
-def _injection(vehicle: TwsbrFile, told: _Recorded) -> InjectionPoint | None:
-    """Where the excitation enters, so that the controller gives the recorded voltages; None where it does not."""
-    sent = np.array([told.values[name] for name in VOLTAGES])
-    for at in (InjectionPoint.CONTROLLER_OUTPUT, InjectionPoint.TILT_REFERENCE):
-        given = np.array(_replayed(vehicle, told, at, told.last)[1])
-        errors = given - sent[:, told.rise + 1 : told.last]
-        if np.sqrt(np.mean(errors**2)) < SAME * np.sqrt(np.mean(sent[:, told.rise : told.last] ** 2)):
-            return at
-    return None
-
-
-def _replayed(
-    vehicle: TwsbrFile, told: _Recorded, at: InjectionPoint, until: int
-) -> tuple[TiltController, list[float]]:
+def _replayed(vehicle: TwsbrFile, told: Recorded, at: str, until: int) -> tuple[TiltController, list[float]]:
     """The controller before row `until`, run over the recorded measurements, and the voltages it gave."""
     controller = TiltController.of(vehicle)
     measured = [told.values[name] for name in (*TILT, *WHEELS)]
-    rows = range(told.rise + 1, until)
+    rows = range(told.held + 1, until)
     sent = drive_config(vehicle, vehicle.drive[0]).resolved
     return controller, [
         sent(_step(vehicle, controller, told, at, row, *(each[row] for each in measured))) for row in rows
@@ -123,8 +69,8 @@ def _replayed(
 def _step(
     vehicle: TwsbrFile,
     controller: TiltController,
-    told: _Recorded,
-    at: InjectionPoint,
+    told: Recorded,
+    at: str,
     row: int,
     tilt: float,
     tilt_rate: float,
@@ -134,9 +80,9 @@ def _step(
     right_rate: float,
 ) -> float:
     value = told.values["excitation"][row]
-    on_reference = at is InjectionPoint.TILT_REFERENCE
+    on_reference = is_reference(at)
     radius = vehicle.parameters.wheel_radius.value
-    origin = told.values["left_wheel_angle"][told.rise] + told.values["right_wheel_angle"][told.rise]
+    origin = told.values["left_wheel_angle"][told.held] + told.values["right_wheel_angle"][told.held]
     return controller.step(
         tilt,
         tilt_rate,
@@ -148,7 +94,7 @@ def _step(
     )
 
 
-def _loop(vehicle: TwsbrFile, told: _Recorded, at: InjectionPoint) -> Controller:
+def _loop(vehicle: TwsbrFile, told: Recorded, at: str) -> Controller:
     """The controller as it was at the first excited row."""
     controller, _ = _replayed(vehicle, told, at, told.first)
     # The wheels at the instants of the rows: as recorded, until the model shows them.

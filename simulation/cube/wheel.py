@@ -1,0 +1,56 @@
+"""The cube's reaction wheel: a motor with its current loop, and an encoder; what its drive moves and measures."""
+
+from __future__ import annotations
+
+import math
+
+from simulation.cube.truth import CubeTruth
+from simulation.input_effects import InputEffect
+
+
+class Wheel:
+    """Call `drive` before a step, and `follow` after it. Angles and rates are those of the wheel against the body."""
+
+    def __init__(self, truth: CubeTruth, step: float, effects: tuple[InputEffect, ...]) -> None:
+        self.powered = False
+        self.target = 0.0
+        """N m."""
+        self.limited = False
+        self.demand = 0.0
+        self.torque = 0.0
+        self._limit = truth.torque_limit
+        self._effects = effects
+        self._follows = -math.expm1(-step / truth.torque_lag)
+        self._pitch = 2.0 * math.pi / truth.encoder_increments_per_turn
+        self._smooths = -math.expm1(-step / truth.rate_filter)
+        self._step = step
+        self._count = 0
+        self._rate = 0.0
+
+    @property
+    def measured_position(self) -> float:
+        """rad, in whole increments."""
+        return self._count * self._pitch
+
+    @property
+    def measured_rate(self) -> float:
+        """rad/s."""
+        return self._rate
+
+    def drive(self) -> float:
+        """The motor's torque over the next step, N m."""
+        target = self.target if self.powered else 0.0
+        self.limited = abs(target) > self._limit
+        self.demand = min(self._limit, max(-self._limit, target))
+        acts = self.demand
+        for effect in self._effects:
+            acts = effect(acts)
+        self.torque = self.torque + self._follows * (acts - self.torque) if self.powered else 0.0
+        return self.torque
+
+    def follow(self, angle: float) -> None:
+        """Take the wheel's angle at the end of a step, rad."""
+        count = math.floor(angle / self._pitch)
+        moved = (count - self._count) * self._pitch
+        self._count = count
+        self._rate += self._smooths * (moved / self._step - self._rate)
