@@ -10,11 +10,13 @@ by the discrete algebraic Riccati equation. Weights are those of the states and 
 same at every sampling rate.
 
 Robustness is judged on the loop broken at the plant's input: gain margins, phase and delay margin, and the closed-loop
-poles, also with one more period of delay.
+poles at every corner of the uncertain parameters, each also with one more period of delay.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +64,36 @@ class Margins:
     phase: float
     delay: float
     crossover: float
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """The closed loop at one corner of the uncertain parameters.
+
+    `factors` holds (parameter, factor on its nominal value); `delay` s in all; `damping` is the worst damping ratio,
+    `slowest` (1/s) the decay rate of the slowest pole, negative where the loop is unstable.
+    """
+
+    factors: tuple[tuple[str, float], ...]
+    delay: float
+    damping: float
+    slowest: float
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{name} x {factor:g}" for name, factor in self.factors)
+        return (
+            f"{values}, delay {self.delay * 1e3:g} ms: damping {self.damping:.2f}, slowest pole {self.slowest:.2f} 1/s"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedDesign:
+    """A controller with what is known about it. `poles` (1/s) are those of the nominal closed loop."""
+
+    gains: LqiGains
+    poles: tuple[complex, ...]
+    margins: Margins
+    worst: Corner
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +179,40 @@ def margins(model: StateSpace, gains: LqiGains) -> Margins:
     return Margins(decrease, increase, phase, delay, float(omega[unity[worst]]))
 
 
+ModelAt = Callable[[Mapping[str, float]], StateSpace]
+"""The model with its uncertain parameters at these factors of their nominal values, by name."""
+
+
+def corners(model_at: ModelAt, uncertain: Sequence[str], gains: LqiGains, spread: float) -> Iterator[Corner]:
+    """The closed loop `spread` (0.2: 20 %) to either side of every `uncertain` parameter, one and two periods late."""
+    for chosen in itertools.product((1.0 - spread, 1.0 + spread), repeat=len(uncertain)):
+        factors = tuple(zip(uncertain, chosen, strict=True))
+        model = model_at(dict(factors))
+        for delay_periods in (1, 2):
+            poles = continuous_poles(closed_loop(model, gains, delay_periods), gains.period)
+            damping, slowest = _damping(poles)
+            yield Corner(factors, delay_periods * gains.period, damping, slowest)
+
+
+def checked_design(
+    model_at: ModelAt, uncertain: Sequence[str], weights: LqiWeights, period: float, *, spread: float = 0.2
+) -> CheckedDesign:
+    """The LQI of the nominal model, checked over the uncertainty of its parameters.
+
+    Raises ControlDesignError where no controller is found or where it is unstable at a corner; the message names it.
+    """
+    model = model_at({})
+    gains = design_lqi(model.A, model.B, model.C, weights, period)
+    worst = min(corners(model_at, uncertain, gains, spread), key=lambda corner: (corner.slowest > 0.0, corner.damping))
+    if worst.slowest <= 0.0:
+        raise ControlDesignError(
+            f"the controller falls over where the vehicle differs from its CAD values ({worst}).",
+            remedy="raise effort_weight (less bandwidth) or the control rate, or narrow the CAD values' uncertainty.",
+        )
+    poles = continuous_poles(closed_loop(model, gains), period)
+    return CheckedDesign(gains, tuple(complex(pole) for pole in poles), margins(model, gains), worst)
+
+
 def continuous_poles(transition: Matrix, period: float) -> list[complex]:
     """The poles in 1/s, slowest first, of a transition matrix over `period`; those of pure delays are left out."""
     eigenvalues = np.linalg.eigvals(transition)
@@ -154,7 +220,7 @@ def continuous_poles(transition: Matrix, period: float) -> list[complex]:
     return sorted((complex(pole) for pole in poles), key=lambda pole: (-pole.real, pole.imag))
 
 
-def damping_and_decay(poles: list[complex]) -> tuple[float, float]:
+def _damping(poles: list[complex]) -> tuple[float, float]:
     """(worst damping ratio, decay rate of the slowest pole) of poles in 1/s."""
     return min(-pole.real / abs(pole) if pole else 0.0 for pole in poles), min(-pole.real for pole in poles)
 

@@ -45,8 +45,8 @@ class Story:
     """The demo of one kind of vehicle.
 
     `experiments` are run where none are named; the last one is diagnosed. `begin`, s: what is before it, while the
-    vehicle gets up and its filter settles, tells nothing of the vehicle. `settling`: parameters and units that are
-    estimated while it runs; where none are, the last recording is identified afterwards.
+    vehicle gets up and its filter settles, tells nothing of the vehicle. `settling`: parameters and units that the
+    kind's first regression estimates while it runs; where none are, the last recording is identified afterwards.
     """
 
     experiments: tuple[str, ...]

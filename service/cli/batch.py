@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.arguments import VehicleOption
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
 from service.cli.inputs import fitting, identified_model, load_recording, working
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     pass
 
 Recordings = Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")]
-VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.arguments import VehicleOption
 from service.output import check_folder, page, people, print_json
 
 if TYPE_CHECKING:
@@ -19,9 +20,7 @@ CAD = "CAD"
 
 def compare(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
-    vehicle: Annotated[
-        str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")
-    ] = "monocab",
+    vehicle: VehicleOption = "monocab",
     model: Annotated[
         list[str] | None,
         typer.Option(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.arguments import VehicleArgument
 from service.output import people
 
 
@@ -16,9 +17,7 @@ def register(app: typer.Typer) -> None:
 
 
 def dashboard(
-    vehicle: Annotated[
-        str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")
-    ] = "monocab",
+    vehicle: VehicleArgument = "monocab",
     websocket: Annotated[
         str, typer.Option("--websocket", help="The broker's websocket listener, as a browser reaches it.")
     ] = "ws://localhost:9001",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.arguments import VehicleOption
 from service.output import page, people, print_json
 
 if TYPE_CHECKING:
@@ -36,9 +37,7 @@ DRAWING = 0.1
 
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings: .arrow, .parquet, .csv, or a raw CAN .log.")],
-    vehicle: Annotated[
-        str, typer.Option("--vehicle", "-v", help="A shipped vehicle or a path to a vehicle file.")
-    ] = "monocab",
+    vehicle: VehicleOption = "monocab",
     model: Annotated[
         str | None,
         typer.Option(

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.arguments import VehicleArgument, VehicleOption
 from service.output import page, people
 
 if TYPE_CHECKING:
     from simulation.disturbance import Disturbance
     from vehicles.file import VehicleFile
 
-VehicleArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
 BusOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -45,11 +45,11 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    vehicle: Annotated[str, typer.Option("--vehicle", "-v", help="The vehicle.")] = "monocab",
+    vehicle: VehicleOption = "monocab",
     hide: HideOption = None,
     experiment: Annotated[
         list[str] | None,
-        typer.Option("--experiment", help="Experiments to run.", show_default="step sweep; of twsbr: doublet square"),
+        typer.Option("--experiment", help="Experiments to run.", show_default="those of the vehicle's story"),
     ] = None,
     data: DataOption = None,
     seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise and of the disturbance.")] = 1,

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
+from service.cli.arguments import VehicleArgument
 from service.output import page, print_json
 
 config = typer.Typer(help="Vehicle files: check them, show them, list every key.", no_args_is_help=True)
 
-FileArgument = Annotated[str, typer.Argument(help="A shipped vehicle (monocab, twsbr) or a path to a vehicle file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
 
 
 @config.command(epilog="Example: `upright config check my_vehicle.toml`")
-def check(file: FileArgument, json: JsonOption = False) -> None:
+def check(file: VehicleArgument, json: JsonOption = False) -> None:
     """Check a vehicle file: keys, units, node ids, bus load, and a controller that bears the CAD uncertainty.
 
     Exit code 1 names the first key that is wrong and the remedy.
@@ -57,7 +57,7 @@ def check(file: FileArgument, json: JsonOption = False) -> None:
 
 
 @config.command(epilog="Example: `upright config show monocab --json`")
-def show(file: FileArgument, json: JsonOption = False) -> None:
+def show(file: VehicleArgument, json: JsonOption = False) -> None:
     """Show a vehicle file as it was understood, defaults filled in."""
     from vehicles.file import load
 

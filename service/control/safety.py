@@ -16,7 +16,7 @@ quick stop leaves a fall of a few degrees at most. The worst is judged first: a 
     upright          not fallen
 
 IMU and drives are the same for every vehicle. What else is watched is data: `Bound`s, which each kind of vehicle makes
-of its limits (`vehicles.monocab.kind`, `vehicles.twsbr.kind`). Every comparison is written so that a NaN fails it.
+of its limits (the module `kind` of its folder). Every comparison is written so that a NaN fails it.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ from service.control import assembly
 from telemetry.recording import Recording
 from vehicles import registry
 from vehicles.file import VehicleFile
-from vehicles.monocab.identification import torque_balance
 from vehicles.phases import Phase
 from vehicles.views import DARK, LIGHT, Panel, Story
 
@@ -72,9 +71,9 @@ def _phases(places: list[Axes], recording: Recording) -> None:
 
 
 def _parameters(places: list[Axes], story: Story, recording: Recording, vehicle: VehicleFile) -> None:
-    estimator = torque_balance.make(
-        vehicle.parameters.values, vehicle.support, deviations=vehicle.parameters.deviations
-    )
+    kind, known = registry.of(vehicle.vehicle.kind), vehicle.parameters
+    regression = next(iter(kind.identification().regressions.values()))
+    estimator = regression.make(known.values, known.deviations, vehicle.support, kind.channels)
     seen: dict[str, list[tuple[float, float, float]]] = {name: [] for name, _ in story.settling}
     start_ns, due_ns = int(recording.timestamp_ns[0]), 0
     for frame in recording.frames(assembly.channels(vehicle)):

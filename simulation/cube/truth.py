@@ -31,8 +31,8 @@ class CubeTruth:
     """N m s/rad of the wheel's bearings and air (C_w)."""
     gravity: float = 9.81
     """m/s^2."""
-    torque_lag: float = 0.5e-3
-    """s, of the current loop."""
+    torque_lag: float = 0.15e-3
+    """s, of the current loop: a bandwidth of 1 kHz."""
     torque_limit: float = 0.16
     """N m: what the drive's current limit gives."""
     encoder_increments_per_turn: int = 8192

@@ -29,6 +29,11 @@ def _sections(model: type[BaseModel]) -> Iterator[tuple[str, str]]:
             yield model.__name__, name
 
 
+def _pages(*names: str) -> str:
+    """The text of these pages: what all vehicles have in common, and the page of one."""
+    return "\n".join((DOCS / name).read_text() for name in names)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_every_link_leads_somewhere(page: Path) -> None:
     targets = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text())]
@@ -38,7 +43,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 @pytest.mark.parametrize("kind", registry.names())
 def test_every_key_of_a_vehicle_file_is_explained(kind: str) -> None:
-    page = (DOCS / "reference" / "vehicle-file.md").read_text()
+    page = _pages("reference/vehicle-file.md", f"vehicles/{kind}.md")
     internal = {"path", "configuration_hash"}
     # A parameter's value, std and unit are explained together, in one line.
     keys = {key for section, key in _sections(registry.of(kind).file) if section != "ParameterEntry"} - internal
@@ -75,7 +80,7 @@ def test_every_command_and_option_is_explained() -> None:
 
 @pytest.mark.parametrize("kind", registry.names())
 def test_every_channel_is_explained_with_its_unit(kind: str) -> None:
-    page = (DOCS / "reference" / "recording.md").read_text()
+    page = _pages("reference/recording.md", f"vehicles/{kind}.md")
     missing = [
         channel for channel in registry.channels_of(kind) if f"| `{channel.name}` | {channel.unit} |" not in page
     ]

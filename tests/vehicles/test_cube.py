@@ -1,0 +1,235 @@
+"""The reaction-wheel cube, the vehicle that was added by its folders alone: held up, recorded, identified, compared."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diagnosis.prediction.closed_loop_error import Loop
+from diagnosis.prediction.compare import compare
+from drivers.cia402.drive import Drive
+from drivers.cia402.states import State
+from models.compiler.kernel import compile_model
+from models.segment import Segment
+from service.cli import app
+from service.control.loop import Mode
+from service.observer.online_estimators import online_estimators
+from service.offline.next_experiment import experiments_of
+from service.virtual.run import ClosedLoop, VirtualRunError, record
+from simulation.config import SimulationConfig
+from simulation.cube.plant import CubePlant
+from simulation.cube.truth import CubeTruth
+from telemetry.recording import Recording
+from telemetry.samples import CanFrame
+from telemetry.storage import save
+from vehicles.cube.channels import CHANNELS
+from vehicles.cube.model import CUBE
+from vehicles.drives import drive_config
+from vehicles.file import VehicleFileError, load
+from vehicles.phases import Phase
+from vehicles.registry import recorded_loop
+
+VEHICLE = load("cube")
+FILE = Path(VEHICLE.path).read_text()
+DT = VEHICLE.period
+UP = (Phase.SETTLE, Phase.EXCITE, Phase.FADE)
+RIGHT = CUBE.change(CubeTruth().parameters)
+SECONDS = 10.0
+
+
+@cache
+def recorded(experiment: str, *hide: str, seed: int = 31) -> Recording:
+    return record("cube", experiment, hide=hide, seed=seed, duration=SECONDS)
+
+
+# --- vehicle file and drive
+
+
+def test_the_cad_values_are_those_of_the_models_table() -> None:
+    table = {each.name: each for each in CUBE.base_parameters}
+    for name, value in VEHICLE.parameters.values.items():
+        assert (value, VEHICLE.parameters.deviations[name]) == (table[name].value, table[name].std)
+        assert VEHICLE.parameters.UNITS[name] == table[name].unit
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('role = "wheel"', 'role = "gimbal"', "a cube has 1"),
+        ('at = "controller_output"', 'at = "tilt_reference"', "nothing that a cube has"),
+        ("upright_deg = 6.0 ", "upright_deg = 9.0 ", "must be below support_deg"),
+        ("wheel_rate_budget = 250.0", "wheel_rate_budget = 400.0", "must be below wheel_rate"),
+        ("gear_ratio = 1.0", "lead = 1.0", "has a gear_ratio, and no lead"),
+        ("mode = 10 ", "mode = 8 ", "mode"),
+    ],
+)
+def test_what_is_wrong_in_its_vehicle_file_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in FILE
+    path = tmp_path / "mine.toml"
+    path.write_text(FILE.replace(old, new, 1))
+    with pytest.raises(VehicleFileError, match=said):
+        load(str(path))
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_torque_is_sent_in_thousandths_of_the_rated_one_and_read_back(direction: int) -> None:
+    config = replace(drive_config(VEHICLE, VEHICLE.drive[0]), direction=direction)
+    drive, reader = Drive(config), Drive(config)
+    drive.handle(CanFrame(1, 0x181, (0x0237).to_bytes(2, "little") + bytes(4)))
+    ((cob_id, data),) = drive.command(State.OPERATION_ENABLED, 0.05)
+    assert cob_id == 0x201
+    assert int.from_bytes(data[2:], "little", signed=True) == direction * round(0.05 / 0.083 * 1000.0)
+    reader.handle(CanFrame(2, cob_id, data))
+    assert reader.setpoint == drive.setpoint == pytest.approx(0.05, abs=0.5e-3 * 0.083)
+    drive.handle(CanFrame(3, 0x281, bytes(4) + (-direction * 100).to_bytes(2, "little", signed=True)))
+    assert drive.torque == pytest.approx(-0.1 * 0.083)
+
+
+def test_config_check_tells_of_controller_and_experiments() -> None:
+    answer = CliRunner().invoke(app, ["config", "check", "cube", "--json"])
+    assert answer.exit_code == 0, answer.output
+    told = json.loads(answer.stdout)
+    assert told["controller"]["delay_margin"] > 4.0 * DT
+    assert set(told["experiments"]) == set(VEHICLE.experiments)
+
+
+# --- model
+
+
+def test_the_model_moves_as_the_plant_does() -> None:
+    """The plant with nothing hidden and the model with its numbers go alike for 0.1 s from the same state, but for the
+    plant's own integration: three steps for one of the model's."""
+    config = SimulationConfig(plant=replace(CubeTruth(), support_angle=100.0, torque_lag=1e-9))
+    kernel = compile_model(RIGHT)
+    time = 1e-3 * np.arange(101)
+    random = np.random.default_rng(5)
+    for tilt, tilt_rate, angle, rate, torque in random.uniform(-1.0, 1.0, (10, 5)) * (0.1, 1.0, 3.0, 40.0, 0.1):
+        plant = CubePlant(config)
+        plant.wheel.powered, plant.wheel.target = True, torque
+        plant.place(tilt)
+        plant.tilt_rate, plant.wheel_angle, plant.wheel_rate = tilt_rate, angle, rate
+        plant._balance()
+        plant.advance(round(0.1 / plant.step_size))
+        held = np.tile([torque, 1e-3], (len(time), 1))
+        given = Segment(time, np.repeat(time[:, None], 2, axis=1), held, np.full((len(time), 4), np.nan))
+        *_, last = kernel.run(given, kernel.vector(), np.array([tilt, tilt_rate, angle, rate, 0.0, 0.0])).predicted
+        assert last[1:] == pytest.approx([plant.tilt_rate, plant.wheel_angle, plant.wheel_rate], rel=1e-3, abs=1e-3)
+
+
+# --- runs
+
+
+@pytest.mark.parametrize("name", list(VEHICLE.experiments))
+def test_it_balances_through_every_experiment_from_its_support_and_back(name: str) -> None:
+    """Within 3 deg, the truth at every cycle from upright to the order to get down; then it lies, its wheel at rest."""
+    closed, worst = ClosedLoop(VEHICLE, hide=["disturbance"]), 0.0
+    plant = closed.plant_side.plant
+    assert isinstance(plant, CubePlant)
+    closed.loop.start_experiment(name)
+    while closed.loop.mode is Mode.RUNNING:
+        closed.advance(DT)
+        if closed.loop.run is not None and closed.loop.run.phase in UP:
+            worst = max(worst, abs(plant.tilt))
+    assert (closed.loop.mode, closed.loop.reason) == (Mode.DISARMED, "")
+    assert 0.0 < worst < math.radians(3.0)
+    closed.advance(1.0)
+    assert closed.loop.io.state is State.SWITCH_ON_DISABLED
+    assert abs(plant.tilt) == pytest.approx(VEHICLE.support, abs=math.radians(0.3))
+    assert abs(plant.wheel_rate) < 2.0
+
+
+def test_a_load_on_one_side_is_leant_against_and_the_wheel_comes_to_rest() -> None:
+    recording = record("cube", "hold", hide=["static_torque"])
+    last = np.flatnonzero(recording["phase"] == Phase.EXCITE)[-1000:]
+    assert recording["tilt"][last].mean() == pytest.approx(-4e-3 / CubeTruth().gravity_stiffness, rel=0.05)
+    assert np.abs(recording["wheel_rate"][last].mean()) < 0.2
+    assert recording.channels == CHANNELS
+
+
+def test_a_cube_that_cannot_get_up_says_so_and_stays_down() -> None:
+    with pytest.raises(VirtualRunError, match="was not upright within 0.8 s"):
+        record("cube", "hold", hide=["static_torque=30"])
+
+
+def test_a_fault_ends_in_a_stop_with_its_reason_and_the_cube_lies() -> None:
+    closed = ClosedLoop(VEHICLE)
+    closed.loop.start_experiment("hold")
+    closed.advance(8.0)
+    closed.loop.stop_now("somebody pressed the button")
+    closed.advance(2.0)
+    assert closed.loop.mode is Mode.FAULT
+    plant = closed.plant_side.plant
+    assert isinstance(plant, CubePlant)
+    assert abs(plant.tilt) == pytest.approx(VEHICLE.support, abs=math.radians(0.3))
+
+
+# --- what needs a model
+
+
+def test_identified_the_right_numbers_come_out() -> None:
+    from estimators.methods.prediction_error import prediction_error
+
+    found = prediction_error(CUBE, [recorded("multisine")], support=VEHICLE.support)
+    for name, true in CubeTruth().parameters.items():
+        assert found.values[name] == pytest.approx(true, rel=0.01), name
+
+
+@pytest.mark.parametrize("experiment", ["doublet", "multisine"])
+def test_a_right_model_goes_with_the_record_in_the_loop(experiment: str) -> None:
+    recording = recorded(experiment)
+    loop = recorded_loop(VEHICLE, recording)
+    assert isinstance(loop, Loop)
+    assert loop.begins == pytest.approx(recording.time[recording["phase"] == Phase.EXCITE][0])
+    found = compare(
+        {"right": RIGHT, "file": CUBE.change(VEHICLE.parameters.values)},
+        [recording],
+        support=VEHICLE.support,
+        loops=[loop],
+    )
+    right, file = (each.closed_loop for each in found)
+    assert right.reason == file.reason == ""
+    assert right.over_floor("tilt") < 2.0
+    assert file.over_floor("tilt") > 2.0 * right.over_floor("tilt")
+
+
+def test_the_torques_of_another_controller_are_found_out() -> None:
+    section = VEHICLE.controller.model_copy(update={"effort_weight": 100.0})
+    other = VEHICLE.model_copy(update={"controller": section})
+    assert "does not give the recorded torques" in str(recorded_loop(other, recorded("doublet")))
+
+
+def test_its_experiments_can_be_predicted() -> None:
+    found, left_out = experiments_of(VEHICLE)
+    assert {each.name for each in found} == set(VEHICLE.experiments) - {"hold"}
+    assert left_out == {"hold": "moves nothing"}
+
+
+def test_its_live_estimator_is_the_recursion_and_a_diagnosis_looks_over_it() -> None:
+    bank = online_estimators("cube", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
+    bank.join()
+    bank.update(recorded("multisine").frames(CHANNELS))
+    found = bank.results()["recursive_prediction_error"]["parameters"]
+    for name, true in CubeTruth().parameters.items():
+        assert found[name]["value"] == pytest.approx(true, rel=0.05), name
+    told = bank.diagnosis()
+    assert told is not None
+    assert told["findings"] == []
+
+
+def test_every_command_takes_it(tmp_path: Path) -> None:
+    path = tmp_path / "doublet.arrow"
+    save(recorded("doublet"), path)
+    for words in (
+        ["identify", str(path), "--vehicle", "cube", "--json"],
+        ["compare", str(path), "--vehicle", "cube", "--json"],
+        ["model", "show", "cube", "--effect", "coulomb_friction@wheel"],
+    ):
+        answer = CliRunner().invoke(app, words)
+        assert answer.exit_code == 0, answer.output

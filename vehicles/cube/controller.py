@@ -1,0 +1,91 @@
+"""The controller of the reaction-wheel cube: an LQI that holds it up and brings its wheel back to where it stood.
+
+One step a control cycle (gains from `models.control_design`):
+
+    torque = -(k_tilt tilt + k_rate tilt' + k_wheel wheel' + k_previous torque before + k_angle q) + excitation
+
+q is the integral of the wheel's rate. A static torque, or an IMU that is mounted at a slant, would make the wheel of a
+controller without it faster and faster, or keep it turning; with it the cube comes to lean where it is in balance, and
+the wheel to rest. (The paper estimates that angle by a filter instead: section V.) The integral waits while the limit
+of the torque holds (conditional integration; Astroem and Haegglund, Advanced PID Control, section 3.5).
+
+Signs: see `channels`. rad, rad/s, N m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from models.control_design import CheckedDesign, LqiGains, LqiWeights, StateSpace, checked_design
+from vehicles.cube.file import CubeFile
+
+UNCERTAIN = ("inertia", "gravity_stiffness", "wheel_inertia")
+"""Parameters that the design must bear to be off by a fifth."""
+
+
+def linear_model(values: Mapping[str, float]) -> StateSpace:
+    """The cube about upright, by the parameters of a vehicle file: equations (1) and (2) of the paper, linear."""
+    inertia, gravity, wheel = values["inertia"], values["gravity_stiffness"], values["wheel_inertia"]
+    edge, bearing = values["edge_friction"], values["wheel_friction"]
+    apart = 1.0 / wheel + 1.0 / inertia
+    return StateSpace(
+        A=np.array(
+            [
+                [0.0, 1.0, 0.0],
+                [gravity / inertia, -edge / inertia, bearing / inertia],
+                [-gravity / inertia, edge / inertia, -bearing * apart],
+            ]
+        ),
+        B=np.array([[0.0], [-1.0 / inertia], [apart]]),
+        C=np.array([[0.0, 0.0, 1.0]]),
+        states=("tilt", "tilt_rate", "wheel_rate"),
+        inputs=("torque",),
+        outputs=("wheel_rate",),
+    )
+
+
+def design(vehicle: CubeFile) -> CheckedDesign:
+    """The controller of a vehicle file, designed from its CAD values. Raises ControlDesignError."""
+    section, known = vehicle.controller, vehicle.parameters.values
+    states = (section.tilt_weight, section.tilt_rate_weight, section.wheel_rate_weight)
+
+    def at(factors: Mapping[str, float]) -> StateSpace:
+        return linear_model({**known, **{name: factor * known[name] for name, factor in factors.items()}})
+
+    weights = LqiWeights(states, section.integral_weight, section.effort_weight)
+    return checked_design(at, UNCERTAIN, weights, vehicle.period)
+
+
+class WheelController:
+    """Holds the cube up: tilt, its rate and the wheel's rate in, the wheel's torque out.
+
+    `torque` is what the last step gave; `limited` whether the limit held it back.
+    """
+
+    __slots__ = ("_angle", "_angle_gain", "_gains", "_limit", "_previous_gain", "limited", "torque")
+
+    def __init__(self, gains: LqiGains, limit: float) -> None:
+        """`limit` of the torque in N m."""
+        self._gains = gains.states
+        self._previous_gain = gains.previous
+        self._angle_gain = gains.integral
+        self._limit = limit
+        self._angle = 0.0
+        self.torque = 0.0
+        self.limited = False
+
+    def step(self, tilt: float, tilt_rate: float, wheel_rate: float, dt: float, excitation: float = 0.0) -> float:
+        """One cycle: the torque, N m. `excitation` (N m) is added before the limit; `dt` s since the last cycle."""
+        of_tilt, of_rate, of_wheel = self._gains
+        angle = self._angle + wheel_rate * dt
+        held = of_tilt * tilt + of_rate * tilt_rate + of_wheel * wheel_rate + self._previous_gain * self.torque
+        wanted = excitation - (held + self._angle_gain * angle)
+        limit = self._limit
+        torque = limit if wanted > limit else -limit if wanted < -limit else wanted
+        self.limited = torque != wanted
+        if not self.limited:
+            self._angle = angle
+        self.torque = torque
+        return torque

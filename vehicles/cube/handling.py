@@ -1,0 +1,99 @@
+"""How the cube gets up, balances and gets down.
+
+From its support the controller brings it up by itself: gravity there is less than half of what the drive gives. To get
+down it is let fall no faster than LOWERING_RATE; the wheel takes what that needs, and is braked on the support, so
+gently that the cube stays there.
+"""
+
+from __future__ import annotations
+
+from math import copysign, degrees, sin
+
+from drivers.cia402.states import State
+from vehicles.contract import HOLD, Command, Lean
+from vehicles.cube.axes import WheelMeasurement
+from vehicles.cube.controller import WheelController
+
+UPRIGHT = 0.035
+"""rad (2 deg) of tilt, either way, within which the cube counts as up."""
+UPRIGHT_RATE = 0.3
+"""rad/s of tilt, likewise."""
+UPRIGHT_TIME = 0.2
+"""s that it has to stay so."""
+RISE_TIMEOUT = 0.8
+"""s; getting up takes a fifth of a second, and with all of its torque the wheel is at its budget in 0.9 s."""
+LOWERING_RATE = 0.3
+"""rad/s of tilt: half a second to the support."""
+LOWERING_DAMPING = 20.0
+"""1/s with which the rate of lowering is held."""
+LYING_SHARE = 0.8
+"""Share of the supports' angle from which on it is let lie down."""
+LYING_RATE = 0.02
+"""rad/s of tilt that count as standing still."""
+LYING_TIME = 0.2
+"""s of standing still that count as lying: a support throws it back a little."""
+BRAKING_SHARE = 0.3
+"""Of the torque of gravity on the support: what brakes the wheel must not lift the cube off it."""
+WHEEL_AT_REST = 1.0
+"""rad/s."""
+
+
+class CubeHandling:
+    """Setpoints are torques on the wheel, N m.
+
+    `support` (rad) is the tilt on a support, `inertia` (kg m^2) and `gravity_stiffness` (N m/rad) those of the body.
+    """
+
+    def __init__(
+        self, controller: WheelController, *, support: float, inertia: float, gravity_stiffness: float
+    ) -> None:
+        self.risen = False
+        self.failure = ""
+        self.lowered = False
+        self._controller = controller
+        self._support = support
+        self._inertia = inertia
+        self._gravity_stiffness = gravity_stiffness
+        self._side = 0.0
+        self._elapsed = 0.0
+        self._upright = 0.0
+        self._lying = 0.0
+
+    def centre(self, drives: WheelMeasurement) -> Command | None:
+        """Bring the wheel to rest; it has no middle."""
+        if abs(drives.rate) < WHEEL_AT_REST:
+            return None
+        most = BRAKING_SHARE * self._gravity_stiffness * sin(self._support)
+        return Command(State.OPERATION_ENABLED, -copysign(most, drives.rate))
+
+    def rise(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
+        """Balance, from the support; up when it has stayed upright for a moment."""
+        if self._side == 0.0:
+            self._side = copysign(1.0, lean.angle)
+        self._elapsed += dt
+        upright = abs(lean.angle) < UPRIGHT and abs(lean.rate) < UPRIGHT_RATE
+        self._upright = self._upright + dt if upright else 0.0
+        self.risen = self._upright >= UPRIGHT_TIME
+        if not self.risen and self._elapsed > RISE_TIMEOUT:
+            self.failure = (
+                f"the cube was not upright within {RISE_TIMEOUT:g} s (tilt {degrees(lean.angle):.1f} deg): its drive "
+                "is weak, its wheel drags, or something holds it"
+            )
+            return HOLD
+        return self.balance(dt, lean, drives, 0.0)
+
+    def balance(self, dt: float, lean: Lean, drives: WheelMeasurement, excitation: float) -> Command:
+        """The LQI, with the excitation on the torque."""
+        torque = self._controller.step(lean.angle, lean.rate, drives.rate, dt, excitation)
+        return Command(State.OPERATION_ENABLED, torque, excitation=excitation)
+
+    def lower(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
+        """Let it down to the side that it got up from, and lie."""
+        lying = abs(lean.angle) > LYING_SHARE * self._support
+        self._lying = self._lying + dt if lying and abs(lean.rate) < LYING_RATE else 0.0
+        self.lowered = self._lying >= LYING_TIME
+        if lying:
+            return HOLD
+        too_fast = lean.rate - self._side * LOWERING_RATE
+        torque = self._gravity_stiffness * sin(lean.angle) + self._inertia * LOWERING_DAMPING * too_fast
+        return Command(State.OPERATION_ENABLED, torque)

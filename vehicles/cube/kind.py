@@ -1,0 +1,129 @@
+"""The reaction-wheel cube as the shared code sees it: what is measured, recorded and watched, and how it is held up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import degrees, radians
+from typing import Any
+
+from drivers.vehicle_io import VehicleIo
+from estimators.roll_filter import RollState
+from models.control_design import CheckedDesign
+from telemetry.channels import ChannelTable
+from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
+from vehicles.contract import Command, Lean
+from vehicles.cube.axes import Wheel, WheelMeasurement
+from vehicles.cube.channels import CHANNELS
+from vehicles.cube.controller import WheelController, design
+from vehicles.cube.file import CubeFile
+from vehicles.cube.handling import CubeHandling
+from vehicles.excitation import Excitation
+
+NEWTON_METRES, RADIANS_A_SECOND = Unit("N m", digits=3), Unit("rad/s", digits=0)
+
+
+class CubeCode(StrEnum):
+    """What of a cube is beyond its bound, for programs."""
+
+    TILT = "tilt"
+    TILT_RATE = "tilt_rate"
+    SETPOINT = "setpoint"
+    WHEEL_RATE = "wheel_rate"
+    FALLEN = "fallen"
+    WHEEL_RATE_BUDGET = "wheel_rate_budget"
+
+
+def bounds(vehicle: CubeFile) -> tuple[Bound, ...]:
+    """What is watched of tilt, wheel and torque."""
+    limits = vehicle.limits
+    tilt, rate, upright = (radians(each) for each in (limits.tilt_deg, limits.tilt_rate_deg, limits.upright_deg))
+    return (
+        Bound(CubeCode.TILT, "tilt", "angle", tilt, DEGREES, When.ALWAYS),
+        Bound(CubeCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_A_SECOND, When.ALWAYS),
+        Bound(CubeCode.SETPOINT, "torque", "setpoint", limits.torque, NEWTON_METRES),
+        Bound(CubeCode.WHEEL_RATE, "rate of the wheel", "axes.rate", limits.wheel_rate, RADIANS_A_SECOND),
+        Bound(CubeCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
+        Bound(
+            CubeCode.WHEEL_RATE_BUDGET,
+            "wheel rate budget",
+            "axes.rate",
+            limits.wheel_rate_budget,
+            RADIANS_A_SECOND,
+            When.BALANCING,
+            advice="a static torque spins up the wheel: balance the body, or make the excitation smaller or faster",
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CubePilot:
+    """The LQI of a vehicle file, as designed."""
+
+    vehicle: CubeFile
+    design: CheckedDesign
+
+    def handling(self, excitation: Excitation) -> CubeHandling:
+        vehicle = self.vehicle
+        return CubeHandling(
+            WheelController(self.design.gains, vehicle.limits.torque),
+            support=vehicle.support,
+            inertia=vehicle.parameters.inertia.value,
+            gravity_stiffness=vehicle.parameters.gravity_stiffness.value,
+        )
+
+    def findings(self) -> dict[str, Any]:
+        margins, worst = self.design.margins, self.design.worst
+        return {
+            "gain_margin": [margins.gain_decrease, margins.gain_increase],
+            "phase_margin": margins.phase,
+            "delay_margin": margins.delay,
+            "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
+        }
+
+    def words(self) -> list[str]:
+        margins = self.design.margins
+        return [
+            f"controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
+            f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms",
+            f"worst within 20 % of the CAD values: {self.design.worst}",
+        ]
+
+
+class Cube:
+    """One reaction-wheel cube: its vehicle file and its drivers."""
+
+    channels: ChannelTable = CHANNELS
+    angle = "tilt"
+
+    def __init__(self, vehicle: CubeFile, io: VehicleIo) -> None:
+        self.bounds = bounds(vehicle)
+        self._vehicle = vehicle
+        self._setpoint_age = -vehicle.imu.latency
+        self._wheel = Wheel(io)
+        self.measure = self._wheel.measure
+
+    def lean(self, attitude: RollState) -> Lean:
+        return Lean(attitude.pitch, attitude.pitch_rate)
+
+    def values(
+        self, attitude: RollState, drives: WheelMeasurement, command: Command, phase: float
+    ) -> tuple[float, ...]:
+        return (
+            attitude.pitch,
+            attitude.pitch_rate,
+            attitude.pitch_std,
+            drives.angle,
+            drives.rate,
+            self._wheel.torque,
+            self._setpoint_age,
+            (attitude.timestamp_ns - drives.timestamp_ns) * 1e-9,
+            command.excitation,
+            phase,
+        )
+
+    def interlocks(self, drives: WheelMeasurement) -> list[str]:
+        return []
+
+    def pilot(self) -> CubePilot:
+        return CubePilot(self._vehicle, design(self._vehicle))

@@ -1,0 +1,79 @@
+"""The cube's experiments as the diagnosis predicts them: its controller, excitation and limits around a model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from math import degrees, radians
+
+from diagnosis.prediction.closed_loop import Controller, Experiment, Limit
+from estimators.data.segments import SUPPORT_MARGIN
+from models.control_design import LqiGains
+from models.model import Model
+from vehicles.cube.controller import WheelController, design
+from vehicles.cube.file import CubeFile
+from vehicles.excitation import Excitation, ExcitationError, make_excitation
+from vehicles.phases import DURATIONS, Phase
+from vehicles.sections import ExperimentSection
+
+NEEDS = frozenset({"tilt", "tilt_rate", "wheel_rate"})
+"""Outputs of a model that the controller needs."""
+GIVES = frozenset({"torque"})
+"""Inputs of a model that the loop gives."""
+UNTOLD = ("coulomb_friction@wheel", "viscous_friction@wheel")
+"""What a record that is too poor for a diagnosis tells apart the least: friction of the bearings."""
+
+
+def assumed(model: Model) -> Model:
+    """`model` with its torque as late as it says that it may be, where nothing has told how late it is."""
+    late = {name for each in model.inputs if each.name in GIVES for name in each.delays}
+    return model.change({name: model.parameter(name).std for name in late if model.parameter(name).value == 0.0})
+
+
+def predictor(vehicle: CubeFile) -> Callable[[str], Experiment]:
+    """Makes the experiment of this name, as predicted. It raises ExcitationError where that cannot be played."""
+    gains = design(vehicle).gains
+    return lambda name: _experiment(name, vehicle.experiments[name], vehicle, gains)
+
+
+def _experiment(name: str, section: ExperimentSection, vehicle: CubeFile, gains: LqiGains) -> Experiment:
+    excitation = make_excitation(section, float(vehicle.control.rate))
+    limits = vehicle.limits
+    turn = degrees(1.0)
+    upright, floor = radians(limits.upright_deg), vehicle.support - SUPPORT_MARGIN
+    leaning = "of limits.upright_deg" if upright < floor else "at which the supports carry"
+
+    def shorter(duration: float) -> Experiment | None:
+        if duration >= section.duration:
+            return None
+        try:
+            return _experiment(name, section.model_copy(update={"duration": duration}), vehicle, gains)
+        except ExcitationError:
+            return None
+
+    return Experiment(
+        name=name,
+        parameters=section.model_dump(exclude_none=True, exclude={"title"}),
+        duration=excitation.duration,
+        period=vehicle.period,
+        controller=partial(_loop, vehicle, gains, excitation),
+        limits=(
+            Limit("tilt", min(upright, floor), "deg", leaning, turn),
+            Limit("tilt_rate", radians(limits.tilt_rate_deg), "deg/s", "of limits.tilt_rate_deg", turn),
+            Limit("wheel_rate", limits.wheel_rate_budget, "rad/s", "of limits.wheel_rate_budget"),
+            Limit("torque", limits.torque, "N m", "of limits.torque"),
+        ),
+        settling=DURATIONS[Phase.SETTLE],
+        shorter=shorter,
+    )
+
+
+def _loop(vehicle: CubeFile, gains: LqiGains, excitation: Excitation) -> Controller:
+    """The cube's controller with the excitation in it."""
+    controller, period = WheelController(gains, vehicle.limits.torque), vehicle.period
+
+    def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
+        held = seen["tilt"], seen["tilt_rate"], seen["wheel_rate"]
+        return {"torque": controller.step(*held, period, excitation.value(time))}
+
+    return step

@@ -1,0 +1,61 @@
+"""The reaction-wheel cube, as the registry has it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from vehicles.contract import Models, Prediction, Twin, VehicleKind
+from vehicles.cube.channels import CHANNELS
+from vehicles.cube.file import CubeFile
+from vehicles.cube.kind import Cube
+from vehicles.cube.views import VIEWS
+
+if TYPE_CHECKING:
+    from diagnosis.prediction.closed_loop_error import Loop
+    from estimators.identify.subject import OwnMethods
+    from telemetry.recording import Recording
+
+
+def _models() -> Models:
+    from vehicles.cube.model import CUBE
+
+    return Models(CUBE)
+
+
+def _identification() -> OwnMethods:
+    """Nothing: what works for every model works for it."""
+    from estimators.identify.subject import NOTHING_OWN
+
+    return NOTHING_OWN
+
+
+def _recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
+    from vehicles.cube.recorded_loop import recorded_loop
+
+    return recorded_loop(vehicle, recording)
+
+
+def _prediction() -> Prediction:
+    from vehicles.cube import predicted
+
+    return Prediction(predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.UNTOLD, predicted.assumed)
+
+
+def _twin() -> Twin:
+    from simulation.cube.truth import CubeTruth
+
+    return Twin(CubeTruth(), "upright_torque.eds")
+
+
+KIND = VehicleKind(
+    file=CubeFile,
+    channels=CHANNELS,
+    kind=Cube,
+    views=VIEWS,
+    models=_models,
+    identification=_identification,
+    recorded_loop=_recorded_loop,
+    prediction=_prediction,
+    twin=_twin,
+    shaken=(1.0e-4, 1.0e-3),
+)
