@@ -31,7 +31,7 @@ from diagnosis.prepare.ready import ready, unready
 from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Screen
-from diagnosis.step import find, look, retold, reworded, surprising, unseen_at_zero
+from diagnosis.step import find, look, retold, reworded, still, surprising, unseen_at_zero
 from diagnosis.trial import FAILURES, tried
 from estimators.budget import Budget, OutOfTime
 from estimators.contract import ParameterEstimate, Status
@@ -318,8 +318,7 @@ def _search(
         seen = surprising(screens[-1])
         found = None
         # In a fit of the model alone a disturbance may have grown to what is missing, beside which nothing shows.
-        shaken = any(each.shown for each in disturbances(whole.fit))
-        if seen or (not findings and (masked or shaken)):
+        if seen or (not findings and (masked or still(whole, workspace) is not None)):
             # Beside an effect that does not quite fit, a lag bends what is left: there the screen has to see it.
             more = unseen_at_zero(workspace) if seen and not findings else []
             searched = partial(find, whole, screens[-1], workspace, {*masked, *more}, part)

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.evidence import LEVEL, SURE
+from diagnosis.evidence import LEVEL, SURE, beyond_chance
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.fits.finer import finest
@@ -65,6 +65,8 @@ CONTENDING = 0.5
 """Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
 QUICKLY = 0.5
 """Share of the time that is left which all quick fits of a step together may take."""
+IN_PLACE = "effects in place of the disturbance"
+"""What is left untried where no time is left for them."""
 LATE = 0.7
 """Share of the time that is then left which fits of what the screen does not see may take."""
 
@@ -282,14 +284,18 @@ def _contenders(
 ) -> list[FullFit]:
     """`hidden`, and full fits with the effects that explain most.
 
-    Most of what the model of `base` leaves, and most of what it would leave were nothing of it a disturbance: in its
-    fit the disturbance has grown to what the effect does.
+    Most of what the model of `base` would leave were nothing of it a disturbance, for in its fit the disturbance may
+    have grown to what the effect does; and most of what it leaves, as far as that may come to as much.
     """
-    quicks = [_quick_fits(base, screened, workspace, partial(_share, tell, 0.0))]
-    if any(each.shown for each in disturbances(base.fit)):
-        quicks.append(tried(partial(_undisturbed, base, workspace, partial(_share, tell, 0.3))) or [])
-    far = any(score.inflation > FAR for score in screened.scores if score.p_single < WORTH_A_FIT)
-    return [*hidden, *_full_fits(base, quicks, workspace, {each.name for each in hidden}, far, tell)]
+    known, fits = {each.name for each in hidden}, list(hidden)
+    if (without := still(base, workspace)) is not None:
+        quicks = tried(partial(_undisturbed, without, base, workspace, partial(_share, tell, 0.0))) or []
+        fits += _full_fits(base, quicks, workspace, known, _most, partial(_share, tell, 0.3))
+    most = max((each.log_likelihood - base.log_likelihood for each in fits), default=0.0)
+    near = replace(screened, scores=tuple(each for each in screened.scores if each.gain >= CONTENDING * most))
+    far = any(score.inflation > FAR for score in near.scores if score.p_single < WORTH_A_FIT)
+    quicks = _quick_fits(base, near, workspace, partial(_share, tell, 0.6))
+    return fits + _full_fits(base, quicks, workspace, known, partial(_with_alike, far), partial(_share, tell, 0.8))
 
 
 def _at_one_noise(fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> list[FullFit]:
@@ -331,19 +337,36 @@ def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
 
 
 def _share(tell: Tell, begin: float, text: str, share: float) -> None:
-    """`share` of one of the two rounds of quick fits, which make three tenths of a step each."""
-    tell(text, begin + 0.3 * share)
+    """`share` of one of the rounds of quick and full fits, which make up to two tenths of a step each."""
+    tell(text, min(0.95, begin + 0.2 * share))
 
 
-def _undisturbed(base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
-    """Quick fits of the model of `base` without a disturbance; each is to go on with little of one, and all other noise
-    as stated. None where that model has no fit, or no time for it is left."""
+def still(base: FullFit, workspace: Workspace) -> FullFit | None:
+    """The fit of the model of `base` without its disturbances; None where these explain no more than chance does, or
+    where there is no such fit.
+
+    How well their size is known says nothing of that: in a model whose motor is known to four tenths all torques are.
+    """
+    number = len(disturbances(base.fit))
+    if number == 0:
+        return None
+    try:
+        found = tried(partial(full, undriven(base.model), workspace.for_one))
+    except OutOfTime:
+        workspace.leave(IN_PLACE)
+        return None
+    there = found is not None and beyond_chance(base.log_likelihood - found.log_likelihood, 2 * number)
+    return found if there else None
+
+
+def _undisturbed(without: FullFit, base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
+    """Quick fits of the model of `base` from its fit `without` a disturbance; each is to go on with little of one, and
+    all other noise as stated. None where no time for it is left."""
     noise = noise_of(base.fit.problem, shaken=-MUCH)
     try:
-        still = full(undriven(base.model), workspace.for_one)
-        found = _quick_fits(still, look(still, workspace), workspace, tell)
+        found = _quick_fits(without, look(without, workspace), workspace, tell)
     except OutOfTime:
-        workspace.leave("effects in place of the disturbance")
+        workspace.leave(IN_PLACE)
         return []
     return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
@@ -397,41 +420,39 @@ def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
 
 def _full_fits(
     base: FullFit,
-    quicks: Sequence[Sequence[QuickFit]],
+    quicks: Sequence[QuickFit],
     workspace: Workspace,
     hidden: Collection[str],
-    far: bool,
+    most: Callable[[Sequence[QuickFit]], list[QuickFit]],
     tell: Tell,
 ) -> list[FullFit]:
-    """Of those that explain most in one of the lists of `quicks`, but for `hidden`, which have theirs. One that
-    explains by what no predictor knows is no measure of what is most.
+    """Of those that explain the `most` of `quicks`, but for `hidden`, which have theirs. One that explains by what no
+    predictor knows is no measure of what is most.
 
-    Each begins where its quick fits ended; the likeliest end stays. A fit that ends less likely than the model alone
+    Each begins where its quick fit ended. A fit that ends less likely than the model alone
     began with a noise that this had, and the effect takes away: it is begun again with the noise that is stated. Where
     friction was missing the gyro had had e^-6 of its noise, and the fit with the friction ended 100,000 too low.
     """
-    left = [sorted(each, key=lambda one: -one.gain) for each in quicks]
+    left = sorted(quicks, key=lambda each: -each.gain)
 
-    def fitted(ends: Sequence[QuickFit]) -> FullFit | None:
-        found = [_fitted(base, each, each.end, workspace) for each in ends]
-        if not any(each is not None and each.log_likelihood > base.log_likelihood - CREEPING for each in found):
-            found.append(_fitted(base, ends[0], replace(ends[0].end, noise=stated), workspace))
-        return max((each for each in found if each is not None), key=lambda each: each.log_likelihood, default=None)
+    def fitted(ended: QuickFit) -> FullFit | None:
+        found = _fitted(base, ended, ended.end, workspace)
+        if found is not None and found.log_likelihood > base.log_likelihood - CREEPING:
+            return found
+        again = _fitted(base, ended, replace(ended.end, noise=stated), workspace)
+        return max((each for each in (found, again) if each), key=lambda each: each.log_likelihood, default=None)
 
     stated, found = np.zeros(len(base.fit.end.noise)), dict[str, FullFit | None]()
     while True:
-        chosen: dict[str, list[QuickFit]] = {}
-        for each in (*_with_alike(left[0], far), *(each for one in left[1:] for each in _most(one))):
-            if each.candidate.name not in {*hidden, *found}:
-                chosen.setdefault(each.candidate.name, []).append(each)
+        chosen = [each for each in most(left) if each.candidate.name not in {*hidden, *found}]
         if not chosen:
             return [each for each in found.values() if each is not None]
-        for number, (name, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen.values()), strict=True), start=1):
-            tell(f"fitted {chosen[name][0].candidate.effect.title}", 0.6 + 0.3 * number / len(chosen))
+        for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
+            tell(f"fitted {each.candidate.effect.title}", number / len(chosen))
             if fit is not None and tried(partial(foresees, fit.fit, base.fit)):
-                left = [[each for each in one if each.candidate.name != name] for one in left]
+                left = [one for one in left if one is not each]
             else:
-                found[name] = fit
+                found[each.candidate.name] = fit
 
 
 def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) -> FullFit | None:
@@ -451,7 +472,7 @@ def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:
     return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * fits[0].gain]
 
 
-def _with_alike(fits: Sequence[QuickFit], far: bool) -> list[QuickFit]:
+def _with_alike(far: bool, fits: Sequence[QuickFit]) -> list[QuickFit]:
     """Those that explain most, and what does the same as one of these: at the noise of the model alone, in which the
     disturbance stands in for the effect, it may gain a fifth, as a sensor that is mounted askew of what a constant
     torque does."""

@@ -327,6 +327,17 @@ class VehicleFile(Section):
         placed = {name: usual | each if isinstance(each, dict) else each for name, each in experiments.items()}
         return {**table, "experiments": placed}
 
+    @field_validator("drive")
+    @classmethod
+    def _one_transmission_each(cls, drives: list[DriveSection]) -> list[DriveSection]:
+        for drive in drives:
+            wanted, other = ("gear_ratio", "lead")
+            if cls.ROLES.get(drive.role, NO_ROLE).linear:
+                wanted, other = other, wanted
+            if getattr(drive, wanted) is None or getattr(drive, other) is not None:
+                raise ValueError(f"{drive.name}: a {drive.role} drive has a {wanted}, and no {other}")
+        return drives
+
     @model_validator(mode="after")
     def _drives_fit_the_kind(self) -> Self:
         roles: list[str] = [drive.role for drive in self.drive]
@@ -337,10 +348,6 @@ class VehicleFile(Section):
                 raise ValueError(
                     f"drive: {roles.count(role)} drives have the role {role}, and a {self.vehicle.kind} has {count}"
                 )
-        for drive in self.drive:
-            wanted, other = ("lead", "gear_ratio") if self.ROLES[drive.role].linear else ("gear_ratio", "lead")
-            if getattr(drive, wanted) is None or getattr(drive, other) is not None:
-                raise ValueError(f"drive {drive.name}: a {drive.role} drive has a {wanted}, and no {other}")
         return self
 
     @model_validator(mode="after")

@@ -612,7 +612,7 @@ def test_nmt_frames() -> None:
     [
         ({"node": 0}, "node", "node id"),
         ({"direction": 0}, "direction", "sign"),
-        ({"mode": 3}, "mode", "Use 2, 9 or -1"),
+        ({"mode": 3}, "mode", "Use 2, 9, 10 or -1"),
         ({"rated_torque": math.nan}, "rated_torque", "positive"),
         ({"axis_per_turn": 0.0}, "axis_per_turn", "positive"),
         ({"setpoint_resolution": -0.1}, "setpoint_resolution", "not a resolution"),

@@ -45,7 +45,7 @@ def test_a_path_of_ones_own_loads_and_changes_the_hash(tmp_path: Path) -> None:
         ("node = 2", "node = 1", "", "two drives have the same node id"),
         ("node = 2", "node = 127", "", "also the node id of a drive"),
         ("base_id = 0x18A", "base_id = 0x182", "", "is also a drive's node id"),
-        ('role = "trim"', 'role = "gimbal"', "drive.2", "has a gear_ratio"),
+        ('role = "trim"', 'role = "gimbal"', "drive", "trim: a gimbal drive has a gear_ratio"),
         ("gear_ratio = 100.0 ", "gear_ratio = -1.0 ", "drive.0.gear_ratio", "greater than 0"),
         ("mode = 2   ", "mode = 3   ", "drive.0.mode", "found 3"),
         ('unit = "kg m^2"', 'unit = "g m^2"', "parameters", "give it in 'kg m^2'"),
