@@ -99,8 +99,8 @@ def hidden(name: str, level: float) -> list[str]:
     return [each for each in (name, f"disturbance={level:g}" if level else "") if each]
 
 
-def tried(case: Case, seed: int, level: float, candidates: list[str], named: bool) -> list[str]:
-    """What came out, in lines; only of the diagnosis where it is asked what is `named`."""
+def tried(case: Case, seed: int, level: float, candidates: list[str], named: bool, budget: float | None) -> list[str]:
+    """What came out, in lines; only of the diagnosis where it is asked what is `named`. `budget` as for it, s."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = vehicle(folder, case.softer)
@@ -112,6 +112,8 @@ def tried(case: Case, seed: int, level: float, candidates: list[str], named: boo
 
         square = recorded("square")
         looked_for = [word for each in candidates for word in ("--effect", each)]
+        if budget is not None:
+            looked_for += ["--budget", f"{budget:g}"]
         found = upright("diagnose", square, "--vehicle", file, *looked_for)
         lines = [diagnosed(case, found)]
         if case.names and not named:
@@ -204,6 +206,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1, help="of each case, with one seed after the other")
     parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
     parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
+    parser.add_argument("--budget", type=float, metavar="SECONDS", help="of a diagnosis; else its own")
     parser.add_argument("--named", action="store_true", help="only diagnose, and add nothing")
     parser.add_argument("--disturbance", type=float, default=1.0, metavar="LEVEL", help="of the draught; 0 for none")
     parser.add_argument("--live", action="store_true", help="what is named while it runs, of all that can be hidden")
@@ -219,8 +222,8 @@ def main() -> None:
         return
     asked = [(name, seed) for name in arguments.case or CASES for seed in seeds]
     with ThreadPoolExecutor(arguments.processes) as pool:
-        level, effects, named = arguments.disturbance, arguments.effect, arguments.named
-        results = pool.map(lambda each: tried(CASES[each[0]], each[1], level, effects, named), asked)
+        asks = (arguments.disturbance, arguments.effect, arguments.named, arguments.budget)
+        results = pool.map(lambda each: tried(CASES[each[0]], each[1], *asks), asked)
         for (name, seed), lines in zip(asked, results, strict=True):
             print(f"{name}, seed {seed}", *lines, sep="\n", flush=True)
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+STEEPEST = 1.6
+"""rad (92 deg): `most` of an angle that a vehicle leans by."""
+
 
 @dataclass(frozen=True, slots=True)
 class Channel:
@@ -37,12 +40,14 @@ class ChannelTable(tuple[Channel, ...]):
         raise KeyError(f"no channel {name!r}; there are {', '.join(self.names)}")
 
     @property
+    def lean(self) -> str:
+        """The angle that the vehicle falls by, the first that is bound by STEEPEST; "" where there is none."""
+        return next((channel.name for channel in self if channel.most == STEEPEST), "")
+
+    @property
     def names(self) -> tuple[str, ...]:
         return tuple(channel.name for channel in self)
 
-
-STEEPEST = 1.6
-"""rad (92 deg): `most` of an angle that a vehicle leans by."""
 
 NOTHING_RUNS = 0
 """Value of the channel `phase` while no experiment runs: nothing holds the vehicle then."""

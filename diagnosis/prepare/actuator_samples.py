@@ -94,9 +94,10 @@ def _setpoints_later(recording: Recording) -> Recording:
 def away_from_support(recording: Recording, model: Model, support: float | None) -> Recording:
     """`recording` with the model's outputs known only where the vehicle has been free for AWAY."""
     support = support if support is not None else recorded_support(recording)
-    if support is None or "roll" not in recording.values:
+    lean = recording.channels.lean
+    if support is None or not lean:
         return recording
-    carried = ~(np.abs(recording["roll"]) < support - SUPPORT_MARGIN)
+    carried = ~(np.abs(recording[lean]) < support - SUPPORT_MARGIN)
     time = recording.time
     last = np.maximum.accumulate(np.where(carried, time, -np.inf))
     away = time - last > AWAY * (natural_time(model) or USUAL)

@@ -43,7 +43,7 @@ class CubePlant(Machine):
         super().__init__(config.step)
         check_onsets(config.onsets, truth.registry)
         sizes = config.sizes
-        self.wheel = Wheel(truth, self.step_size, input_effects(sizes, self.step_size))
+        self.wheel = Wheel(truth, self.step_size, input_effects(sizes, self.step_size), config.seed)
         self.supports = Supports(truth.support_angle, truth.support_stiffness, truth.support_damping)
         self.tilt = self.supports.resting_roll(truth.gravity_stiffness)
         self.tilt_rate = 0.0
@@ -62,6 +62,7 @@ class CubePlant(Machine):
         return TorqueDrive(node, self.wheel)
 
     def restart_disturbance(self) -> None:
+        self.wheel.restart()
         for torque in self._random_torques:
             torque.restart()
 

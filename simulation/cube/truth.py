@@ -33,6 +33,8 @@ class CubeTruth:
     """m/s^2."""
     torque_lag: float = 0.15e-3
     """s, of the current loop: a bandwidth of 1 kHz."""
+    torque_noise: float = 5.0e-5
+    """N m RMS a step: a current sensor of 12 bits over six times the rated torque, averaged over the step."""
     torque_limit: float = 0.16
     """N m: what the drive's current limit gives."""
     encoder_increments_per_turn: int = 8192

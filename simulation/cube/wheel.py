@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 from simulation.cube.truth import CubeTruth
 from simulation.input_effects import InputEffect
@@ -11,7 +12,7 @@ from simulation.input_effects import InputEffect
 class Wheel:
     """Call `drive` before a step, and `follow` after it. Angles and rates are those of the wheel against the body."""
 
-    def __init__(self, truth: CubeTruth, step: float, effects: tuple[InputEffect, ...]) -> None:
+    def __init__(self, truth: CubeTruth, step: float, effects: tuple[InputEffect, ...], seed: int) -> None:
         self.powered = False
         self.target = 0.0
         """N m."""
@@ -24,8 +25,15 @@ class Wheel:
         self._pitch = 2.0 * math.pi / truth.encoder_increments_per_turn
         self._smooths = -math.expm1(-step / truth.rate_filter)
         self._step = step
+        self._noise = truth.torque_noise
+        self._seed = seed
         self._count = 0
         self._rate = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin the noise of the current loop again."""
+        self._random = random.Random(self._seed)
 
     @property
     def measured_position(self) -> float:
@@ -45,6 +53,7 @@ class Wheel:
         acts = self.demand
         for effect in self._effects:
             acts = effect(acts)
+        acts += self._noise * self._random.gauss(0.0, 1.0)
         self.torque = self.torque + self._follows * (acts - self.torque) if self.powered else 0.0
         return self.torque
 

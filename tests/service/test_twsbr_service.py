@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import re
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -476,12 +475,3 @@ async def _until_ready(daemon: Daemon, serving: asyncio.Task[None]) -> None:
             return
         await asyncio.sleep(0.05)
     raise AssertionError(daemon.loop.interlocks())
-
-
-@pytest.mark.parametrize("package", ["drivers", "service", "simulation", "telemetry"])
-def test_no_code_asks_which_vehicle_it_is(package: str) -> None:
-    """What differs is data or an object that the vehicle file selects: no comparison with the name of a kind."""
-    asked = re.compile(r"""(==|!=|\bin\b \(?|case )\s*["'](monocab|twsbr)["']""")
-    root = Path(__file__).resolve().parents[2] / package
-    found = [path.name for path in root.rglob("*.py") if asked.search(path.read_text())]
-    assert not found

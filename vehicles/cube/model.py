@@ -34,6 +34,15 @@ _PARAMETERS = (
     Parameter("edge_friction", "N m s/rad", 1.02e-3, std=0.5e-3, lower=0.0, meaning="viscous, edge on table, C_b"),
     Parameter("wheel_friction", "N m s/rad", 0.05e-3, std=0.03e-3, lower=0.0, meaning="viscous, bearings, C_w"),
     Parameter(
+        "rate_lag",
+        "s",
+        0.002,
+        std=0.001,
+        lower=2e-4,
+        upper=0.02,
+        meaning="of the wheel's rate as its drive tells it, a filtered difference of the counts",
+    ),
+    Parameter(
         "torque_offset",
         "s",
         0.0,
@@ -82,6 +91,14 @@ CUBE = Model(
         ),
         State("wheel_rate", "rad/s", _WHEEL, initial="wheel_rate", initial_std=2.0, process_noise=0.1),
         State(
+            "told_rate",
+            "rad/s",
+            "(wheel_rate - told_rate) / rate_lag",
+            initial="wheel_rate",
+            initial_std=0.3,
+            meaning="the wheel's rate as its drive tells it",
+        ),
+        State(
             "tilt_error",
             "rad",
             "rate_error - filter_proportional * tilt_error",
@@ -112,8 +129,8 @@ CUBE = Model(
         Output("tilt", "rad", f"tilt + tilt_error + {PERIOD**2 / 12.0} * {_TILT}", noise=1e-5, noise_known=True),
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
         Output("wheel_angle", "rad", "wheel_angle", noise=COUNT / 12**0.5, counted=True, age="drive_age"),
-        # A filtered difference of the counts: it lags, and tells nothing that the angle does not.
-        Output("wheel_rate", "rad/s", "wheel_rate", noise=1.0, noise_known=True, counted=True, age="drive_age"),
+        # Of the same counts: what its noise, the difference of theirs, tells is no more than that of the angle.
+        Output("wheel_rate", "rad/s", "told_rate", noise=1.0, noise_known=True, counted=True, age="drive_age"),
     ),
     base_parameters=_PARAMETERS,
     joints=(
