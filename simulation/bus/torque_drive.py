@@ -88,7 +88,7 @@ class TorqueDrive(DriveApplication):
         image[STATUSWORD] = word
         image[MODE_DISPLAY] = image[MODE]
         image[TORQUE_DEMAND] = permille(axis.demand * self._permille)
-        image[POSITION_ACTUAL] = wrapped(math.floor(axis.measured_position / self._increment))
+        image[POSITION_ACTUAL] = wrapped(round(axis.measured_position / self._increment))
         image[VELOCITY_ACTUAL] = round(axis.measured_rate / self._rate_unit)
         image[TORQUE_ACTUAL] = permille(axis.torque * self._permille)
 

@@ -40,6 +40,7 @@ _PARAMETERS = (
         std=0.001,
         lower=2e-4,
         upper=0.02,
+        estimated=False,
         meaning="of the wheel's rate as its drive tells it, a filtered difference of the counts",
     ),
     Parameter(
@@ -125,12 +126,20 @@ CUBE = Model(
         Input("tilt_std", "rad", usual=1.3e-3, meaning="of the tilt, as the tilt filter sees it"),
     ),
     outputs=(
-        # The tilt filter integrates the gyro by trapezoids, which the torque's jumps make more of than its noise.
-        Output("tilt", "rad", f"tilt + tilt_error + {PERIOD**2 / 12.0} * {_TILT}", noise=1e-5, noise_known=True),
+        # The tilt filter integrates the gyro by trapezoids: where the torque jumps by itself within a row, at the share s
+        # of it, these make s (1 - s) / 2 of its square times the jump of the acceleration too much.
+        Output(
+            "tilt",
+            "rad",
+            f"tilt + tilt_error + 0.5 * torque_offset * ({PERIOD} - torque_offset) * {_TILT}",
+            noise=1e-5,
+            noise_known=True,
+        ),
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
-        Output("wheel_angle", "rad", "wheel_angle", noise=COUNT / 12**0.5, counted=True, age="drive_age"),
+        # It moves on by many counts a row: what is left of one is as good as white.
+        Output("wheel_angle", "rad", "wheel_angle", noise=COUNT / 12**0.5, noise_known=True, age="drive_age"),
         # Of the same counts: what its noise, the difference of theirs, tells is no more than that of the angle.
-        Output("wheel_rate", "rad/s", "told_rate", noise=1.0, noise_known=True, counted=True, age="drive_age"),
+        Output("wheel_rate", "rad/s", "told_rate", noise=0.3, noise_known=True, age="drive_age"),
     ),
     base_parameters=_PARAMETERS,
     joints=(
