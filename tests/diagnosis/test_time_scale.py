@@ -16,7 +16,6 @@ from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
 from diagnosis.prepare.usable import check, needed
 from estimators.data.segments import DataError, segments
 from estimators.data.time_scale import motion_time, time_scale
-from models import library
 from models.attach import starts
 from models.effects.catalogue import CATALOGUE
 from models.file.model_file import load_model
@@ -25,6 +24,8 @@ from models.natural_time import natural_time
 from models.parts import ModelError
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
+from vehicles.monocab.model import MODELS as MONOCABS
+from vehicles.twsbr.model import MODELS as ROBOTS
 
 PACES = (0.01, 1.0, 100.0)
 """Seconds of the plant that take place while one of it passes at pace 1."""
@@ -208,9 +209,9 @@ def test_a_record_bounds_sizes_that_are_far_off(tmp_path: Path) -> None:
     assert time_scale(model(tmp_path, 0.01), few) == pytest.approx(10.0)  # ten of its rows, 1 s apart
 
 
-@pytest.mark.parametrize("name", [*library.MODELS])
-def test_the_shipped_vehicles_have_one_time_scale(name: str) -> None:
-    assert natural_time(library.get(name)) == (1.0 if name == "axis" else 0.4)
+@pytest.mark.parametrize("model", [*MONOCABS, *ROBOTS], ids=lambda model: str(model.name))
+def test_the_vehicles_that_seconds_were_once_written_for_have_one_time_scale(model: Model) -> None:
+    assert natural_time(model) == 0.4
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

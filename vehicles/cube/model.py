@@ -126,8 +126,8 @@ CUBE = Model(
         Input("tilt_std", "rad", usual=1.3e-3, meaning="of the tilt, as the tilt filter sees it"),
     ),
     outputs=(
-        # The tilt filter integrates the gyro by trapezoids: where the torque jumps by itself within a row, at the share s
-        # of it, these make s (1 - s) / 2 of its square times the jump of the acceleration too much.
+        # The tilt filter integrates the gyro by trapezoids: where the torque jumps within a row, at the share s of it,
+        # these make s (1 - s) / 2 of its square times the jump of the acceleration too much.
         Output(
             "tilt",
             "rad",
