@@ -119,9 +119,7 @@ def test_the_model_moves_as_the_plant_does() -> None:
         plant.advance(round(0.1 / plant.step_size))
         held = np.tile([torque, 1e-3], (len(time), 1))
         given = Segment(time, np.repeat(time[:, None], 2, axis=1), held, np.full((len(time), 4), np.nan))
-        *_, last = kernel.run(
-            given, kernel.vector(), np.array([tilt, tilt_rate, angle, rate, rate, 0.0, 0.0])
-        ).predicted
+        *_, last = kernel.run(given, kernel.vector(), np.array([tilt, tilt_rate, angle, rate, 0.0, 0.0])).predicted
         assert last[1:3] == pytest.approx([plant.tilt_rate, plant.wheel_angle], rel=1e-3, abs=1e-3)
 
 

@@ -92,14 +92,6 @@ CUBE = Model(
         ),
         State("wheel_rate", "rad/s", _WHEEL, initial="wheel_rate", initial_std=2.0, process_noise=0.1),
         State(
-            "told_rate",
-            "rad/s",
-            "(wheel_rate - told_rate) / rate_lag",
-            initial="wheel_rate",
-            initial_std=0.3,
-            meaning="the wheel's rate as its drive tells it",
-        ),
-        State(
             "tilt_error",
             "rad",
             "rate_error - filter_proportional * tilt_error",
@@ -138,8 +130,15 @@ CUBE = Model(
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
         # It moves on by many counts a row: what is left of one is as good as white.
         Output("wheel_angle", "rad", "wheel_angle", noise=COUNT / 12**0.5, noise_known=True, age="drive_age"),
-        # Of the same counts: what its noise, the difference of theirs, tells is no more than that of the angle.
-        Output("wheel_rate", "rad/s", "told_rate", noise=0.3, noise_known=True, age="drive_age"),
+        # A filtered difference of the same counts: it lags, and its noise tells no more than that of the angle.
+        Output(
+            "wheel_rate",
+            "rad/s",
+            f"wheel_rate - rate_lag * ({_WHEEL})",
+            noise=1.0,
+            noise_known=True,
+            age="drive_age",
+        ),
     ),
     base_parameters=_PARAMETERS,
     joints=(
