@@ -28,7 +28,7 @@ PERIOD = 4e-3
 _PARAMETERS = (
     Parameter("inertia", "kg m^2", 4.81e-3, std=0.5e-3, lower=0.0, meaning="of the body about its edge, I_b + m_w l^2"),
     Parameter(
-        "gravity_stiffness", "N m/rad", 0.478, std=0.006, lower=0.0, meaning="weights x heights, (m_b l_b + m_w l) g"
+        "gravity_stiffness", "N m/rad", 0.478, std=0.012, lower=0.0, meaning="weights x heights, (m_b l_b + m_w l) g"
     ),
     Parameter("wheel_inertia", "kg m^2", 0.57e-3, std=0.05e-3, lower=0.0, meaning="about its axle, I_w"),
     Parameter("edge_friction", "N m s/rad", 1.02e-3, std=0.5e-3, lower=0.0, meaning="viscous, edge on table, C_b"),
