@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
+from diagnosis.contenders import look, still
 from diagnosis.evidence import beyond_chance
 from diagnosis.exchange import asked, exchange, made_of, one_by_one, put_together, taken_apart, two_at_once
 from diagnosis.explain import explained_by_none, together
@@ -31,7 +32,7 @@ from diagnosis.prepare.ready import ready, unready
 from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Screen
-from diagnosis.step import find, look, retold, reworded, still, surprising, unseen_at_zero
+from diagnosis.step import find, retold, reworded, surprising, unseen_at_zero
 from diagnosis.trial import FAILURES, tried
 from estimators.budget import Budget, OutOfTime
 from estimators.contract import ParameterEstimate, Status

@@ -20,6 +20,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+from diagnosis.contenders import Tell, look
 from diagnosis.evidence import LEVEL, beyond_chance, likelier
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.fits.finer import is_finer
@@ -28,7 +29,7 @@ from diagnosis.gates import NEIGHBOUR, alike
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Screen
-from diagnosis.step import Named, Tell, find, look, named_alone, sizes, surprising, unseen_at_zero
+from diagnosis.step import Named, find, named_alone, sizes, surprising, unseen_at_zero
 from diagnosis.trial import FAILURES
 
 FURTHER = 0.02

@@ -18,6 +18,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import degrees
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,12 +90,33 @@ class Corner:
 
 @dataclass(frozen=True, slots=True)
 class CheckedDesign:
-    """A controller with what is known about it. `poles` (1/s) are those of the nominal closed loop."""
+    """A controller with what is known about it. `poles` (1/s) are those of the nominal closed loop; `worst` is
+    the worst corner `spread` (0.2: 20 %) to either side of the uncertain parameters."""
 
     gains: LqiGains
     poles: tuple[complex, ...]
     margins: Margins
     worst: Corner
+    spread: float
+
+    def findings(self) -> dict[str, Any]:
+        """Margins (phase in rad, delay in s) and the worst corner, JSON-ready."""
+        margins, worst = self.margins, self.worst
+        return {
+            "gain_margin": [margins.gain_decrease, margins.gain_increase],
+            "phase_margin": margins.phase,
+            "delay_margin": margins.delay,
+            "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
+        }
+
+    def words(self) -> list[str]:
+        """The same for people, a line each."""
+        margins = self.margins
+        return [
+            f"controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
+            f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms",
+            f"worst within {100.0 * self.spread:g} % of the CAD values: {self.worst}",
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +233,7 @@ def checked_design(
             remedy="raise effort_weight (less bandwidth) or the control rate, or narrow the CAD values' uncertainty.",
         )
     poles = continuous_poles(closed_loop(model, gains), period)
-    return CheckedDesign(gains, tuple(complex(pole) for pole in poles), margins(model, gains), worst)
+    return CheckedDesign(gains, tuple(complex(pole) for pole in poles), margins(model, gains), worst, spread)
 
 
 def continuous_poles(transition: Matrix, period: float) -> list[complex]:

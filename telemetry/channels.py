@@ -6,25 +6,22 @@ folder (`vehicles.monocab.channels`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 STEEPEST = 1.6
-"""rad (92 deg): `most` of an angle that a vehicle leans by."""
+"""rad (92 deg): no vehicle leans further."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it.
-
-    `most` is the largest magnitude that it can have: what is beyond was recorded in another unit.
-    """
+    """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it. `leans`: an angle
+    that the vehicle leans by, which is beyond STEEPEST only where it was recorded in another unit."""
 
     name: str
     unit: str
     meaning: str
     newer: bool = False
-    most: float = math.inf
+    leans: bool = False
 
 
 class ChannelTable(tuple[Channel, ...]):
@@ -41,8 +38,8 @@ class ChannelTable(tuple[Channel, ...]):
 
     @property
     def lean(self) -> str:
-        """The angle that the vehicle falls by, the first that is bound by STEEPEST; "" where there is none."""
-        return next((channel.name for channel in self if channel.most == STEEPEST), "")
+        """The angle that the vehicle falls by: the first that it leans by; "" where there is none."""
+        return next((channel.name for channel in self if channel.leans), "")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telemetry.channels import Channel, ChannelTable
+from telemetry.channels import STEEPEST, Channel, ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.samples import Frame
 from telemetry.vehicle_modules import each_with
@@ -55,10 +55,10 @@ class Recording:
                 remedy="Sort the rows by time and leave out repeated ones.",
             )
         for channel in self.channels:
-            if not math.isfinite(channel.most):
+            if not channel.leans:
                 continue
             largest = float(np.nanmax(np.abs(self.values[channel.name]), initial=0.0))
-            if largest > channel.most:
+            if largest > STEEPEST:
                 raise RecordingError(
                     self.source,
                     channel.name,

@@ -128,7 +128,6 @@ class Pilot(Protocol[M_in]):
 class Kind(Protocol[M]):
     """One kind of vehicle, made of a vehicle file and its drivers."""
 
-    channels: ChannelTable
     angle: str
     """What the angle that it falls by is called."""
     bounds: tuple[Bound, ...]
@@ -143,7 +142,7 @@ class Kind(Protocol[M]):
         ...
 
     def values(self, attitude: RollState, drives: M, command: Command, phase: float) -> tuple[float, ...]:
-        """A row of the recording, in the order of `channels`, once the command has been sent."""
+        """A row of the recording, in the order of the kind's channels, once the command has been sent."""
         ...
 
     def interlocks(self, drives: M) -> list[str]:

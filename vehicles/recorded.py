@@ -70,9 +70,11 @@ def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, per
 def entered_at(
     points: Sequence[str], given: Callable[[str], ArrayLike], told: Recorded, sent: Sequence[str]
 ) -> str | None:
-    """The one of `points` at which the excitation entered; None where the controller gives what was `sent` with none.
+    """The one of `points` at which the excitation entered; None where the controller reproduces the `sent` channels
+    with none of them.
 
-    `given` is what the controller gives with the excitation there, from the row after `held` on; `sent` are channels.
+    `given(at)`, shape (channels, rows), is what the controller sends with the excitation entering at `at`, from the row
+    after `held` up to `last`.
     """
     columns = np.array([told.values[name][told.held : told.last] for name in sent])
     for at in points:

@@ -47,7 +47,7 @@ from vehicles.registry import recorded_loop
 from vehicles.twsbr.axes import WheelMeasurement
 from vehicles.twsbr.channels import CHANNELS as TWSBR
 from vehicles.twsbr.controller import TiltController, WheelReturn
-from vehicles.twsbr.handling import RISE_TIMEOUT
+from vehicles.twsbr.handling import UPRIGHT
 from vehicles.twsbr.kind import TwsbrCode, bounds
 from vehicles.twsbr.model import TWSBR as MODEL
 
@@ -382,7 +382,7 @@ def test_nobody_listening_means_that_the_drives_stop_by_themselves() -> None:
 
 def test_a_robot_that_cannot_get_up_says_so_and_stays_down() -> None:
     """A twentieth of the voltage arrives: not enough to lift the body off its bumper."""
-    with pytest.raises(VirtualRunError, match=f"not upright within {RISE_TIMEOUT:g} s") as caught:
+    with pytest.raises(VirtualRunError, match=f"not upright within {UPRIGHT.timeout:g} s") as caught:
         record("twsbr", "hold", hide=["input_gain=11.9"])
     assert caught.value.recording is not None
     assert not np.isin(UP, caught.value.recording["phase"]).any()

@@ -158,13 +158,26 @@ def test_a_cube_that_cannot_get_up_says_so_and_stays_down() -> None:
         record("cube", "hold", hide=["static_torque=30"])
 
 
-def test_a_fault_ends_in_a_stop_with_its_reason_and_the_cube_lies() -> None:
+def test_an_immediate_stop_leaves_the_cube_lying() -> None:
     closed = ClosedLoop(VEHICLE)
     closed.loop.start_experiment("hold")
     closed.advance(8.0)
     closed.loop.stop_now("somebody pressed the button")
     closed.advance(2.0)
     assert closed.loop.mode is Mode.FAULT
+    plant = closed.plant_side.plant
+    assert isinstance(plant, CubePlant)
+    assert abs(plant.tilt) == pytest.approx(VEHICLE.support, abs=math.radians(0.3))
+
+
+@pytest.mark.parametrize(("fault", "code"), [("imu_gap@9", "imu_silent"), ("drive_silent:wheel@9", "drive_silent")])
+def test_a_fault_ends_in_a_stop_with_its_reason_and_the_cube_lies(fault: str, code: str) -> None:
+    closed = ClosedLoop(VEHICLE, faults=[fault])
+    closed.loop.start_experiment("hold")
+    closed.until(lambda: closed.loop.mode is Mode.FAULT, 15.0)
+    assert closed.loop.code == code
+    assert closed.loop.reason
+    closed.advance(3.0)
     plant = closed.plant_side.plant
     assert isinstance(plant, CubePlant)
     assert abs(plant.tilt) == pytest.approx(VEHICLE.support, abs=math.radians(0.3))

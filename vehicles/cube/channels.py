@@ -6,11 +6,11 @@ body, positive the same way; a positive torque turns the wheel forward, and so t
 
 from __future__ import annotations
 
-from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, STEEPEST, Channel, ChannelTable
+from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
 
 CHANNELS = ChannelTable(
     (
-        Channel("tilt", "rad", "tilt of the body from the tilt filter, 0 upright, positive forward", most=STEEPEST),
+        Channel("tilt", "rad", "tilt of the body from the tilt filter, 0 upright, positive forward", leans=True),
         Channel("tilt_rate", "rad/s", "tilt rate: gyro about y less its estimated bias"),
         Channel("tilt_std", "rad", "standard deviation of tilt as the tilt filter sees it"),
         Channel(

@@ -1,27 +1,23 @@
 """How the cube gets up, balances and gets down.
 
-From its support the controller brings it up by itself: gravity there is less than half of what the drive gives. To get
-down it is let fall no faster than LOWERING_RATE; the wheel takes what that needs, and is braked on the support, so
-gently that the cube stays there.
+From its support the controller brings it up by itself: the torque of gravity there is less than half of the drive's. To
+get down it tips at LOWERING_RATE; the wheel takes up the momentum, and is then braked on the support with less torque
+than would lift the cube off it.
 """
 
 from __future__ import annotations
 
-from math import copysign, degrees, sin
+from math import copysign, sin
 
 from drivers.cia402.states import State
 from vehicles.contract import HOLD, Command, Lean
 from vehicles.cube.axes import WheelMeasurement
 from vehicles.cube.controller import WheelController
+from vehicles.rising import Rising, Upright
 
-UPRIGHT = 0.035
-"""rad (2 deg) of tilt, either way, within which the cube counts as up."""
-UPRIGHT_RATE = 0.3
-"""rad/s of tilt, likewise."""
-UPRIGHT_TIME = 0.2
-"""s that it has to stay so."""
-RISE_TIMEOUT = 0.8
-"""s; getting up takes a fifth of a second, and with all of its torque the wheel is at its budget in 0.9 s."""
+UPRIGHT = Upright(angle=0.035, rate=0.3, time=0.2, timeout=0.8)
+"""2 deg of tilt, either way. Getting up takes a fifth of a second; with all of its torque the wheel is at its budget in
+0.9 s."""
 LOWERING_RATE = 0.3
 """rad/s of tilt: half a second to the support."""
 LOWERING_DAMPING = 20.0
@@ -47,16 +43,12 @@ class CubeHandling:
     def __init__(
         self, controller: WheelController, *, support: float, inertia: float, gravity_stiffness: float
     ) -> None:
-        self.risen = False
-        self.failure = ""
         self.lowered = False
         self._controller = controller
         self._support = support
         self._inertia = inertia
         self._gravity_stiffness = gravity_stiffness
-        self._side = 0.0
-        self._elapsed = 0.0
-        self._upright = 0.0
+        self._rising = Rising(UPRIGHT, "cube", "its drive is weak, its wheel drags, or something holds it")
         self._lying = 0.0
 
     def centre(self, drives: WheelMeasurement) -> Command | None:
@@ -66,21 +58,18 @@ class CubeHandling:
         most = BRAKING_SHARE * self._gravity_stiffness * sin(self._support)
         return Command(State.OPERATION_ENABLED, -copysign(most, drives.rate))
 
+    @property
+    def risen(self) -> bool:
+        return self._rising.risen
+
+    @property
+    def failure(self) -> str:
+        return self._rising.failure
+
     def rise(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
         """Balance, from the support; up when it has stayed upright for a moment."""
-        if self._side == 0.0:
-            self._side = copysign(1.0, lean.angle)
-        self._elapsed += dt
-        upright = abs(lean.angle) < UPRIGHT and abs(lean.rate) < UPRIGHT_RATE
-        self._upright = self._upright + dt if upright else 0.0
-        self.risen = self._upright >= UPRIGHT_TIME
-        if not self.risen and self._elapsed > RISE_TIMEOUT:
-            self.failure = (
-                f"the cube was not upright within {RISE_TIMEOUT:g} s (tilt {degrees(lean.angle):.1f} deg): its drive "
-                "is weak, its wheel drags, or something holds it"
-            )
-            return HOLD
-        return self.balance(dt, lean, drives, 0.0)
+        self._rising.step(dt, lean)
+        return HOLD if self.failure else self.balance(dt, lean, drives, 0.0)
 
     def balance(self, dt: float, lean: Lean, drives: WheelMeasurement, excitation: float) -> Command:
         """The LQI, with the excitation on the torque."""
@@ -94,6 +83,6 @@ class CubeHandling:
         self.lowered = self._lying >= LYING_TIME
         if lying:
             return HOLD
-        too_fast = lean.rate - self._side * LOWERING_RATE
+        too_fast = lean.rate - self._rising.side * LOWERING_RATE
         torque = self._gravity_stiffness * sin(lean.angle) + self._inertia * LOWERING_DAMPING * too_fast
         return Command(State.OPERATION_ENABLED, torque)

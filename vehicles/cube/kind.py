@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import degrees, radians
+from math import radians
 from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_design import CheckedDesign
-from telemetry.channels import ChannelTable
 from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.cube.axes import Wheel, WheelMeasurement
-from vehicles.cube.channels import CHANNELS
 from vehicles.cube.controller import WheelController, design
 from vehicles.cube.file import CubeFile
 from vehicles.cube.handling import CubeHandling
@@ -73,27 +71,15 @@ class CubePilot:
         )
 
     def findings(self) -> dict[str, Any]:
-        margins, worst = self.design.margins, self.design.worst
-        return {
-            "gain_margin": [margins.gain_decrease, margins.gain_increase],
-            "phase_margin": margins.phase,
-            "delay_margin": margins.delay,
-            "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
-        }
+        return self.design.findings()
 
     def words(self) -> list[str]:
-        margins = self.design.margins
-        return [
-            f"controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
-            f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms",
-            f"worst within 20 % of the CAD values: {self.design.worst}",
-        ]
+        return self.design.words()
 
 
 class Cube:
     """One reaction-wheel cube: its vehicle file and its drivers."""
 
-    channels: ChannelTable = CHANNELS
     angle = "tilt"
 
     def __init__(self, vehicle: CubeFile, io: VehicleIo) -> None:

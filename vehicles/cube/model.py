@@ -4,7 +4,7 @@
     wheel_inertia (tilt'' + wheel'') = motor,        motor = torque - wheel_friction wheel'
 
 `inertia` is that of the body about the edge with the wheel's mass at its axle, I_b + m_w l^2, and `gravity_stiffness`
-(m_b l_b + m_w l) g, in the symbols of table I of the paper: nothing else of its lengths and masses shows in a record.
+(m_b l_b + m_w l) g, in the symbols of table I of the paper: its lengths and masses are not identifiable one by one.
 The torque is known by its command, which anchors the scale of all of them.
 
 Effects act at two joints: `tilt` (the body on its edge) and `wheel` (between wheel and body). A joint's inertia is what
@@ -41,7 +41,7 @@ _PARAMETERS = (
         lower=2e-4,
         upper=0.02,
         estimated=False,
-        meaning="of the wheel's rate as its drive tells it, a filtered difference of the counts",
+        meaning="of the wheel's rate as its drive reports it, a filtered difference of the counts",
     ),
     Parameter(
         "torque_offset",
@@ -64,7 +64,7 @@ _DEFINITIONS = {
     "wheel_mobility": "1 / wheel_inertia + 1 / inertia",
     "wheel_acceleration": "motor / wheel_inertia - tilt_load / inertia",
     "wheel_load": "wheel_acceleration / wheel_mobility",
-    # The filter's gains, by how well it knows the tilt: what the bias is followed with is told by Riccati's equation.
+    # The filter's gains, by how well it knows the tilt; the integral one follows from the Riccati equation.
     "filter_proportional": f"tilt_std ** 2 / {_ACCELEROMETER}",
     "filter_integral": f"max(0, 0.5 * (filter_proportional ** 2 - {_GYRO / _ACCELEROMETER})"
     f" + tilt_std * tilt_std_slope / {_ACCELEROMETER})",
@@ -130,7 +130,8 @@ CUBE = Model(
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
         # It moves on by many counts a row: what is left of one is as good as white.
         Output("wheel_angle", "rad", "wheel_angle", noise=COUNT / 12**0.5, noise_known=True, age="drive_age"),
-        # A filtered difference of the same counts: it lags, and its noise tells no more than that of the angle.
+        # A filtered difference of the same counts: it lags, and holds no information beyond the angle's, so that
+        # its noise is stated far too large.
         Output(
             "wheel_rate",
             "rad/s",

@@ -7,7 +7,7 @@ from math import degrees
 from vehicles.views import DARK, TURN, Chart, Curve, Panel, Story, Views
 
 CHARTS = (
-    Chart("tilt", "Tilt", "deg", TURN, (Curve("tilt", "measured"), Curve("tilt", "model, 0.5 s ahead", "predicted"))),
+    Chart("tilt", "Tilt", "deg", TURN, (Curve("tilt", "measured"),)),
     Chart("tilt_rate", "Tilt rate", "deg/s", TURN, (Curve("tilt_rate", "measured"),)),
     Chart("wheel_rate", "Wheel rate", "rad/s", 1.0, (Curve("wheel_rate", "measured"),)),
     Chart("torque", "Torque", "mN m", 1e3, (Curve("torque", "sent", "setpoint"),)),

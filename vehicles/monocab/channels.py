@@ -8,7 +8,7 @@ a positive roll torque, so the torque balance reads
 
 from __future__ import annotations
 
-from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, STEEPEST, Channel, ChannelTable
+from telemetry.channels import DRIVE_AGE, EXCITATION, PHASE, SETPOINT_AGE, Channel, ChannelTable
 
 CHANNELS = ChannelTable(
     (
@@ -16,7 +16,7 @@ CHANNELS = ChannelTable(
             "roll",
             "rad",
             "roll angle of the cabin from the roll filter, 0 upright, positive right side down",
-            most=STEEPEST,
+            leans=True,
         ),
         Channel("roll_rate", "rad/s", "roll rate: gyro about x less its estimated bias"),
         Channel("roll_std", "rad", "standard deviation of roll as the roll filter sees it"),
@@ -26,7 +26,7 @@ CHANNELS = ChannelTable(
             "standard deviation of the gyro's bias about x as the roll filter sees it",
             newer=True,
         ),
-        Channel("pitch", "rad", "pitch angle from the roll filter, positive nose down", most=STEEPEST),
+        Channel("pitch", "rad", "pitch angle from the roll filter, positive nose down", leans=True),
         Channel("precession", "rad", "mean angle of the gimbals, 0 in the middle"),
         Channel("precession_rate", "rad/s", "mean rate of the gimbals as the drives measure it"),
         Channel(

@@ -9,12 +9,10 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from telemetry.channels import ChannelTable
 from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
-from vehicles.monocab.channels import CHANNELS as MONOCAB
 from vehicles.monocab.control.controller import RollController, design
 from vehicles.monocab.control.rise import RiseFromRest, rise_rate
 from vehicles.monocab.control.roll_design import RollDesign
@@ -103,27 +101,15 @@ class GimbalPilot:
         )
 
     def findings(self) -> dict[str, Any]:
-        margins, worst = self.design.margins, self.design.worst
-        return {
-            "gain_margin": [margins.gain_decrease, margins.gain_increase],
-            "phase_margin": margins.phase,
-            "delay_margin": margins.delay,
-            "worst_corner": {"factors": dict(worst.factors), "delay": worst.delay, "damping": worst.damping},
-        }
+        return self.design.findings()
 
     def words(self) -> list[str]:
-        margins = self.design.margins
-        return [
-            f"controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
-            f"{degrees(margins.phase):.0f} deg, delay margin {margins.delay * 1e3:.0f} ms",
-            f"worst within 20 % of the CAD values: {self.design.worst}",
-        ]
+        return self.design.words()
 
 
 class Monocab:
     """One MONOCAB: its vehicle file and its drivers."""
 
-    channels: ChannelTable = MONOCAB
     angle = "roll"
 
     def __init__(self, vehicle: MonocabFile, io: VehicleIo) -> None:

@@ -7,21 +7,14 @@ so that it tips towards the bumper that it got up from, and then the motors get 
 
 from __future__ import annotations
 
-from math import copysign, degrees
-
 from drivers.cia402.states import State
 from vehicles.contract import HOLD, Command, Lean
+from vehicles.rising import Rising, Upright
 from vehicles.twsbr.axes import WheelMeasurement, Wheels
 from vehicles.twsbr.controller import TiltController
 
-UPRIGHT = 0.035
-"""rad (2 deg) of tilt, either way, within which the robot counts as up."""
-UPRIGHT_RATE = 0.5
-"""rad/s of tilt, likewise."""
-UPRIGHT_TIME = 0.2
-"""s that it has to stay so."""
-RISE_TIMEOUT = 4.0
-"""s; getting up takes half a second, and coming to rest some more where the gears have play."""
+UPRIGHT = Upright(angle=0.035, rate=0.5, time=0.2, timeout=4.0)
+"""2 deg of tilt, either way; getting up takes half a second, and coming to rest some more where the gears have play."""
 TIP_VOLTAGE = 3.0
 """V that drive the wheels out from under the body."""
 TIPPED = 0.07
@@ -43,17 +36,13 @@ class WheelHandling:
     def __init__(
         self, controller: TiltController, wheels: Wheels, *, support: float, radius: float, on_reference: bool
     ) -> None:
-        self.risen = False
-        self.failure = ""
         self.lowered = False
         self._controller = controller
         self._wheels = wheels
         self._support = support
         self._radius = radius
         self._on_reference = on_reference
-        self._side = 0.0
-        self._elapsed = 0.0
-        self._upright = 0.0
+        self._rising = Rising(UPRIGHT, "robot", "the wheels slip, the supply is weak, or something holds it")
         self._lying = 0.0
 
     def centre(self, drives: WheelMeasurement) -> Command | None:
@@ -61,21 +50,18 @@ class WheelHandling:
         self._wheels.start_here()
         return None
 
+    @property
+    def risen(self) -> bool:
+        return self._rising.risen
+
+    @property
+    def failure(self) -> str:
+        return self._rising.failure
+
     def rise(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
         """Balance, from the bumper; up when it has stayed upright for a moment."""
-        if self._side == 0.0:
-            self._side = copysign(1.0, lean.angle)
-        self._elapsed += dt
-        upright = abs(lean.angle) < UPRIGHT and abs(lean.rate) < UPRIGHT_RATE
-        self._upright = self._upright + dt if upright else 0.0
-        self.risen = self._upright >= UPRIGHT_TIME
-        if not self.risen and self._elapsed > RISE_TIMEOUT:
-            self.failure = (
-                f"the robot was not upright within {RISE_TIMEOUT:g} s (tilt {degrees(lean.angle):.1f} deg): the wheels "
-                "slip, the supply is weak, or something holds it"
-            )
-            return HOLD
-        return self.balance(dt, lean, drives, 0.0)
+        self._rising.step(dt, lean)
+        return HOLD if self.failure else self.balance(dt, lean, drives, 0.0)
 
     def balance(self, dt: float, lean: Lean, drives: WheelMeasurement, excitation: float) -> Command:
         """The PID, with the excitation on the tilt reference or on the voltage."""
@@ -96,5 +82,5 @@ class WheelHandling:
         self._lying = self._lying + dt if still else 0.0
         self.lowered = self._lying >= LYING_TIME
         if abs(lean.angle) < TIPPED:
-            return Command(State.OPERATION_ENABLED, -self._side * TIP_VOLTAGE)
+            return Command(State.OPERATION_ENABLED, -self._rising.side * TIP_VOLTAGE)
         return HOLD

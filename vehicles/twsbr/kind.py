@@ -9,12 +9,10 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from telemetry.channels import ChannelTable
 from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.twsbr.axes import WheelMeasurement, Wheels
-from vehicles.twsbr.channels import CHANNELS as TWSBR
 from vehicles.twsbr.controller import TiltController
 from vehicles.twsbr.file import TwsbrFile
 from vehicles.twsbr.handling import WheelHandling
@@ -91,7 +89,6 @@ class WheelPilot:
 class Twsbr:
     """One two-wheeled balancing robot: its vehicle file and its drivers."""
 
-    channels: ChannelTable = TWSBR
     angle = "tilt"
 
     def __init__(self, vehicle: TwsbrFile, io: VehicleIo) -> None:

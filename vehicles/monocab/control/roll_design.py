@@ -35,4 +35,4 @@ def design_roll_controller(
         return reduced_model(replace(parameters, **values))
 
     found = checked_design(at, UNCERTAIN, weights, period, spread=spread)
-    return RollDesign(found.gains, found.poles, found.margins, found.worst, parameters)
+    return RollDesign(found.gains, found.poles, found.margins, found.worst, found.spread, parameters)

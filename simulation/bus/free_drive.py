@@ -1,0 +1,123 @@
+"""A drive without a holding brake, whose master sets what acts on its motor: CiA 402 states, encoder, torque.
+
+Without power the motor turns freely. Statusword bit 11 says that more was asked for than the drive can give.
+axis position = direction * axis_per_turn * increments / increments_per_turn; 6077h is per mille of the rated torque at
+the motor. What the setpoint is, and how the motor is braked, is up to `torque_drive` and `voltage_drive`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import ClassVar, Protocol
+
+from simulation.bus.drive_application import HALT, DriveApplication, permille, wrapped
+from simulation.bus.objects import (
+    CONTROLWORD,
+    MODE,
+    MODE_DISPLAY,
+    POSITION_ACTUAL,
+    STATUSWORD,
+    TORQUE_ACTUAL,
+    VELOCITY_ACTUAL,
+)
+from simulation.bus.power_state import PowerState
+from simulation.config import DriveNode
+
+STANDSTILL_RATE = 0.5
+"""rad/s of the axis below which it counts as standing (assumed)."""
+
+
+class FreeMotor(Protocol):
+    """A motor and its encoder; positive where the axis is. Its setpoint is in V or N m at the axis."""
+
+    powered: bool
+    """False: no current flows."""
+    target: float
+
+    @property
+    def demand(self) -> float:
+        """What the drive makes of the target within its limits."""
+        ...
+
+    @property
+    def limited(self) -> bool:
+        """The target is beyond these."""
+        ...
+
+    @property
+    def torque(self) -> float:
+        """N m at the axis."""
+        ...
+
+    @property
+    def measured_position(self) -> float:
+        """rad, in whole increments."""
+        ...
+
+    @property
+    def measured_rate(self) -> float:
+        """rad/s."""
+        ...
+
+
+class FreeDrive(DriveApplication):
+    """A drive that passes a target on to `axis`, in the one mode of `modes`."""
+
+    TARGET: ClassVar[int]
+    """Key of the object of the target, and"""
+    DEMAND: ClassVar[int]
+    """of what the drive makes of it."""
+    MODE_BIT: ClassVar[int] = 0
+    """Bit of the statusword that says in this mode that the drive follows its target; 0 for none."""
+
+    def __init__(self, config: DriveNode, axis: FreeMotor) -> None:
+        self.axis = axis
+        self._unit = self._unit_of(config)
+        self._rate_unit = config.direction * config.axis_per_turn / 60.0 * config.velocity_unit_rpm
+        self._increment = config.direction * config.axis_per_turn / config.increments_per_turn
+        self._permille = config.direction * config.axis_per_turn / (2.0 * math.pi) * 1000.0 / config.rated_torque
+        super().__init__(config, (self.TARGET,))
+
+    @staticmethod
+    @abstractmethod
+    def _unit_of(config: DriveNode) -> float:
+        """V, or N m at the axis, of one unit of target and demand, direction included."""
+
+    def sample(self) -> None:
+        image, axis = self.image, self.axis
+        word = self._statusword()
+        if self.power.state is PowerState.OPERATION_ENABLED:
+            word |= (0x800 if axis.limited else 0) | (self.MODE_BIT if self._follows else 0)
+        image[STATUSWORD] = word
+        image[MODE_DISPLAY] = image[MODE]
+        image[self.DEMAND] = permille(axis.demand / self._unit)
+        image[POSITION_ACTUAL] = wrapped(round(axis.measured_position / self._increment))
+        image[VELOCITY_ACTUAL] = round(axis.measured_rate / self._rate_unit)
+        image[TORQUE_ACTUAL] = permille(axis.torque * self._permille)
+
+    @property
+    def _follows(self) -> bool:
+        return self.image[MODE] in self.modes and not self.image[CONTROLWORD] & HALT
+
+    def _release(self) -> None:
+        self._unpower(0.0)
+
+    def _standstill(self) -> bool:
+        return not self.axis.powered or abs(self.axis.measured_rate) < STANDSTILL_RATE
+
+    def _brake(self) -> None:
+        self.axis.powered = True
+        self.axis.target = self._braking()
+
+    @abstractmethod
+    def _braking(self) -> float:
+        """The target that brings the axis to a standstill."""
+
+    def _drive(self) -> None:
+        self.axis.powered = True
+        self.axis.target = self.image[self.TARGET] * self._unit if self._follows else 0.0
+
+    def _unpower(self, now: float) -> None:
+        self.axis.powered = False
+        self.axis.target = 0.0
