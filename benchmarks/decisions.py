@@ -11,7 +11,8 @@ there. All follows from its name, and no case knows a clock: each is diagnosed f
 one line of JSON a case, compressed where its name ends in .xz: the verdict, the names, and of every effect that got a
 fit the numbers that decided about it (diagnosis.gates.Tried) with the reason for which it was refused.
 
-`record` goes on where it was when it was ended. `--only WORDS` takes the cases whose name has one of these.
+`record` goes on where it was when it was ended. `--only WORDS` takes the cases whose name has one of these, `--every N`
+each N-th of them.
 """
 
 from __future__ import annotations
@@ -376,11 +377,12 @@ def _names(line: Line) -> str:
     return "; ".join(" = ".join(each) for each in line["named"])
 
 
-def recorded(path: Path, words: Sequence[str], processes: int) -> None:
-    """Writes the table of all cases whose name has one of `words`, going on where `path`.part was."""
+def recorded(path: Path, words: Sequence[str], every: int, processes: int) -> None:
+    """Writes the table of those cases whose name has one of `words`, the first and each so-many-th after it, going on
+    where `path`.part was."""
     part = path.with_name(f"{path.name}.part")
     done = read_table(part) if part.exists() else {}
-    names = [each.name for each in cases() if not words or any(word in each.name for word in words)]
+    names = [each.name for each in cases() if not words or any(word in each.name for word in words)][::every]
     left = [name for name in names if name not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(processes, max_tasks_per_child=20) as pool, part.open("a", encoding="utf-8") as file:
@@ -407,13 +409,14 @@ def main() -> None:
         one.add_argument("table", type=Path)
         if verb == "record":
             one.add_argument("--only", nargs="*", default=[], metavar="WORD", help="of the names of cases")
+            one.add_argument("--every", type=int, default=1, metavar="N", help="the first and each N-th after it")
             one.add_argument("--processes", type=int, default=2)
     two = verbs.add_parser("diff")
     two.add_argument("old", type=Path)
     two.add_argument("new", type=Path)
     given = parser.parse_args()
     if given.verb == "record":
-        recorded(given.table, given.only, given.processes)
+        recorded(given.table, given.only, given.every, given.processes)
     elif given.verb == "replay":
         table = read_table(given.table)
         others = [each for line in table.values() for each in decided_again(line)]

@@ -21,7 +21,7 @@ from diagnosis.fits.masked import LAG
 from diagnosis.fits.speed_loop_choice import FORMULA, over_noise, small, speed_loop
 from diagnosis.prediction.closed_loop_error import Loop
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
-from diagnosis.step import retold, reworded
+from diagnosis.search.one_more import retold, reworded
 from diagnosis.trial import FAILURES
 from estimators.data.segments import DataError
 from estimators.stopwatch import stopwatch

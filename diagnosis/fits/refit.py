@@ -8,7 +8,7 @@ effect in the model less noise is needed, which is what makes the difference bet
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -24,7 +24,7 @@ from estimators.fit.gauss_newton import Block, Minimum, eliminate, minimise
 from estimators.fit.maximum_likelihood import Begin, Fit, fit
 from estimators.fit.result import inverse
 from models.model import Model
-from models.parts import Place
+from models.parts import Parameter, Place
 from models.random.sensor_error import random_count
 from models.sensing import delayed
 
@@ -197,6 +197,26 @@ def full(
     return _full(model, fitted, workspace, candidate)
 
 
+def remembered(
+    model: Model, workspace: Workspace, candidate: Candidate | None = None, begin: Begin | None = None
+) -> FullFit:
+    """The likeliest fit of the hypothesis `model` that was made so far, wherever it began; a new one where there is
+    none, with arguments as of `full`."""
+    found: FullFit | None = workspace.memory.get(_hypothesis(model))
+    return full(model, workspace, candidate, begin) if found is None else replace(found, candidate=candidate)
+
+
+def _hypothesis(model: Model) -> Hashable:
+    """What two variants of one model have in common of which fits estimate the same: their own parts, their effects,
+    and what of these is held at which value."""
+    effects = ((each.name, each.effect, tuple(map(_held_at, each.parameters))) for each in model.effects)
+    return model.base_states, model.inputs, model.outputs, model.base_parameters, frozenset(effects)
+
+
+def _held_at(parameter: Parameter) -> float | None:
+    return None if parameter.estimated else parameter.value
+
+
 def settled(model: Model, workspace: Workspace) -> FullFit:
     """The fit of `model` alone, which all others are held against: it is begun again where it ended until that changes
     nothing. In a narrow valley steps grow short, and from there on with fresh ones it has gone on by 1,200 nats."""
@@ -216,7 +236,12 @@ def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate 
     own = {p.name for each in model.effects for p in each.parameters}
     count = sum(p.estimated for p in model.parameters if p.name in own) + random_count(model)
     rows = sum(int(np.isfinite(segment.measured).all(axis=1).sum()) for segment in workspace.segments)
-    return FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
+    found = FullFit(candidate, model, fitted, log_likelihood(fitted) - off_prior(fitted), count, rows)
+    if fitted.minimum.converged:
+        before: FullFit | None = workspace.memory.get(hypothesis := _hypothesis(model))
+        if before is None or before.log_likelihood < found.log_likelihood:
+            workspace.memory[hypothesis] = found
+    return found
 
 
 def _creeps(fitted: Fit) -> bool:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.exchange import FURTHER_ALIKE
 from diagnosis.gates import SIMPLER, alike
 from diagnosis.live.odds import Weighed, weigh
 from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.live.products import Products
 from diagnosis.prepare.candidates import Candidate
+from diagnosis.search.further import FURTHER_ALIKE
 from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.fit.problem import Problem
 from estimators.numbers import significant

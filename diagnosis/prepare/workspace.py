@@ -6,15 +6,17 @@ Rows are chosen with every candidate attached, so that each model is judged on t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from diagnosis.gates import Round
 from diagnosis.prepare.actuator_samples import of_actuators
 from diagnosis.prepare.candidates import Candidate, candidates_for
-from estimators.budget import UNLIMITED, Budget
+from diagnosis.trial import tried
+from estimators.budget import UNLIMITED, Budget, OutOfTime
 from estimators.data.resting import without_rests
 from estimators.data.segments import segments
 from estimators.data.time_scale import time_scale
@@ -24,6 +26,8 @@ from models.effect import Effect
 from models.model import Model
 from models.segment import Segment
 from telemetry.recording import Recording
+
+Answer = TypeVar("Answer")
 
 SETTLING = 0.5
 """Time scales (estimators.data.time_scale; 0.2 s of the MONOCAB) after which an actuator has forgotten what it was told
@@ -37,7 +41,7 @@ from being tried."""
 class Workspace:
     """`left_out`: effects that are no candidate, and why; `failed`: candidates that no fit of ended, and why. All that
     is fitted is within the `budget`; `untried` gathers in words what was left for want of time, `rounds` what was
-    decided about each effect."""
+    decided about each effect; `memory` has what was worked out of these samples once."""
 
     recordings: tuple[Recording, ...]
     support: float | None
@@ -48,6 +52,7 @@ class Workspace:
     budget: Budget = UNLIMITED
     untried: list[str] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
+    memory: dict[Hashable, Any] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -79,6 +84,15 @@ class Workspace:
     def for_one(self) -> Workspace:
         """The same for one fit of many."""
         return self.within(EACH)
+
+    def in_time(self, work: Callable[[], Answer | None], what: str, failed: bool = False) -> Answer | None:
+        """What `work` gives; None where it fails, or the time is over, and then `what` is left untried. Whether it has
+        `failed` is noted, too, where it is the fit of a candidate."""
+        try:
+            return tried(work, what, self.failed if failed else None)
+        except OutOfTime:
+            self.leave(what)
+            return None
 
     def leave(self, what: str) -> None:
         """Note what is left untried."""

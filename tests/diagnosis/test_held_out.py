@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.fits.held_out import TAILS, WIDER, loss, unsure
 from diagnosis.gates import HeldOut
 from diagnosis.parts import diagnose_actuators
 from diagnosis.prepare.ready import ready
+from diagnosis.search.held_out import TAILS, WIDER, loss, unsure
 from estimators.data.segments import after_settling
 from estimators.fit.likelihood import FLOOR
 from estimators.fit.maximum_likelihood import fit

@@ -11,9 +11,10 @@ from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
 from diagnosis.evidence import SURE, beyond_chance
-from diagnosis.exchange import exchange, put_together, taken_apart
 from diagnosis.fits.refit import full, gained, surety, with_effect
 from diagnosis.prepare.workspace import Workspace
+from diagnosis.search.explanation import Explanation, Search
+from diagnosis.search.neighbours import merge, split, swap
 from estimators.fit.result import inverse
 from estimators.identify.run import with_values
 from service.virtual.run import record
@@ -91,9 +92,10 @@ def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> No
     assert [each.effect for each in one.findings] == ["asymmetric_friction"]
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, candidates)
     told: list[str] = []
-    found, _ = taken_apart(one.findings, one.steps[-1], workspace, (), lambda text, share: told.append(text))
+    how = Search(workspace, tell=lambda text, share: told.append(text))
+    found = split(Explanation(one.findings, one.steps[-1]), how)
     assert "taking asymmetric_friction apart" in told
-    _are_dry_friction_and_a_creeping_torque(found)
+    _are_dry_friction_and_a_creeping_torque(found.findings)
     # Looked for among all of them, the two are found without that.
     _are_dry_friction_and_a_creeping_torque(
         diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates).findings
@@ -126,13 +128,14 @@ def test_two_are_put_together_where_one_that_is_made_of_them_does_as_well(
     assert {each.effect for each in two.findings} == set(PARTS)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
     told: list[str] = []
-    found, whole = put_together(two.findings, two.steps[-1], workspace, lambda text, share: told.append(text))
+    before = Explanation(two.findings, two.steps[-1])
+    found = merge(before, Search(workspace, tell=lambda text, share: told.append(text)))
     assert len(told) == 1
     if not together:
-        assert (found, whole) == (list(two.findings), two.steps[-1])
+        assert found is before
         return
-    (asymmetric,) = found
-    assert [each.name for each in whole.model.effects] == [asymmetric.effect] == ["asymmetric_friction"]
+    (asymmetric,) = found.findings
+    assert [each.name for each in found.fit.model.effects] == [asymmetric.effect] == ["asymmetric_friction"]
     sizes = [asymmetric.parameters[f"asymmetric_friction.torque_{way}"].value for way in ("forward", "backward")]
     assert sizes[0] is not None
     assert sizes[1] is not None
@@ -147,13 +150,13 @@ def test_what_explains_nearly_as_much_as_two_is_tied_with_the_one_that_is_like_i
     recording = record("monocab", "multisine", hide=("asymmetric_friction=0.1",), seed=31, duration=30.0)
     two = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=PARTS)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
-    monkeypatch.setattr("diagnosis.exchange.worth_two", lambda *_: True)
-    found, whole = put_together(two.findings, two.steps[-1], workspace, lambda text, share: None)
-    assert {each.effect: each.tied_with for each in found} == {
+    monkeypatch.setattr("diagnosis.search.neighbours.worth_two", lambda *_: True)
+    found = merge(Explanation(two.findings, two.steps[-1]), Search(workspace))
+    assert {each.effect: each.tied_with for each in found.findings} == {
         each.effect: ("asymmetric_friction",) if each.effect == "coulomb_friction" else each.tied_with
         for each in two.findings
     }
-    assert whole is two.steps[-1]
+    assert found.fit is two.steps[-1]
 
 
 def test_looking_again_does_not_end_with_less_than_there_was(
@@ -166,12 +169,11 @@ def test_looking_again_does_not_end_with_less_than_there_was(
         "monocab", "multisine", hide=("coulomb_friction=0.04", "quadratic_drag=0.1"), seed=31, duration=20.0
     )
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, DRAGS)
-    monkeypatch.setattr("diagnosis.exchange.full", lambda *_: lost)
-    monkeypatch.setattr("diagnosis.exchange.beyond_chance", lambda *_: False)
-    monkeypatch.setattr("diagnosis.exchange._again", lambda *_: None)
-    found, whole = exchange(two_drags.findings, last, workspace, (), lambda text, share: None)
-    assert found == list(two_drags.findings)
-    assert whole is last
+    monkeypatch.setattr("diagnosis.search.neighbours.remembered", lambda *_: lost)
+    monkeypatch.setattr("diagnosis.search.neighbours.beyond_chance", lambda *_: False)
+    monkeypatch.setattr("diagnosis.search.neighbours._again", lambda *_: None)
+    before = Explanation(two_drags.findings, last)
+    assert swap(before, Search(workspace)) is before
 
 
 def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:

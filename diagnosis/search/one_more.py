@@ -13,12 +13,10 @@ from functools import partial
 import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.contenders import WORTH_A_FIT, Tell, at_one_noise, contenders
 from diagnosis.evidence import SURE
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
 from diagnosis.fits.finer import finest
-from diagnosis.fits.held_out import HeldOutCheck
 from diagnosis.fits.masked import fits as fits_of_masked
 from diagnosis.fits.masked import surprise
 from diagnosis.fits.refit import (
@@ -34,6 +32,9 @@ from diagnosis.gates import Round, Tried, alike, decide, gated, tie
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Screen
+from diagnosis.search.contenders import WORTH_A_FIT, at_one_noise, contenders
+from diagnosis.search.explanation import Search
+from diagnosis.search.held_out import held_out
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
 from estimators.contract import ParameterEstimate, Status
@@ -56,43 +57,35 @@ class Named:
     fit: FullFit
 
 
-def surprising(screened: Screen) -> bool:
+def surprising(scored: Screen) -> bool:
     """Whether any effect may explain more than chance does.
 
     It need not do so with all of them looked at: in the model without it the disturbance has grown to what it does,
     beside which it shows less than by the likelihood ratio of its fit, which decides.
     """
-    return any(score.p_single < WORTH_A_FIT for score in screened.scores)
+    return any(score.p_single < WORTH_A_FIT for score in scored.scores)
 
 
-def find(
-    base: FullFit,
-    screened: Screen,
-    workspace: Workspace,
-    unseen: Collection[str],
-    tell: Tell,
-    before: Named | None = None,
-) -> Named | None:
-    """The effect that explains most, in the model; None where none stands up to a full fit and to unseen data.
+def find(base: FullFit, scored: Screen, how: Search, before: Named | None = None) -> Named | None:
+    """The effect that explains most, in the model; None where none stands up to a full fit and to held-out data.
 
-    `unseen`: effects that get a full fit whatever the screen says. `before`: an effect whose fit is known, and that
-    stood up to unseen data.
+    `before`: an effect whose fit is known, and that stood up to held-out data.
     """
+    workspace, tell = how.workspace, how.tell
     known = [before.fit] if before else []
-    fitted_first = contenders(base, screened, workspace, known, tell)
-    # What the screen does not see takes longest, so that it comes last.
-    hidden = fits_of_masked(base.model, workspace.within(LATE), unseen, [each.name for each in known])
+    fitted_first = contenders(base, scored, workspace, known, tell)
+    # What the score test does not see takes longest, so that it comes last.
+    hidden = fits_of_masked(base.model, workspace.within(LATE), how.masked, [each.name for each in known])
     fits = at_one_noise([*fitted_first, *hidden], base, workspace)
-    fitted, asked = _asked(base, fits, screened, {each.name for each in hidden}, workspace)
-    check = HeldOutCheck(base, workspace)
+    fitted, asked = _asked(base, fits, scored, {each.name for each in hidden}, workspace)
 
     def on_held_out(best: Tried) -> Tried:
         tell(f"checking {best.name} on data that the fit has not seen", 0.95)
         fit = fitted[best.name]
-        held_out = before.finding.held_out if before and fit is before.fit else check.of(fit)
-        if held_out is None and not workspace.budget.left:
+        said = before.finding.held_out if before and fit is before.fit else held_out(fit, base, workspace)
+        if said is None and not workspace.budget.left:
             workspace.leave(f"the held-out check of {best.name}")
-        return replace(best, held_out=held_out)
+        return replace(best, held_out=said)
 
     def in_usual_shape(other: Tried) -> float | None:
         held = tried(partial(_in_usual_shape, fitted[other.name], base, workspace))
@@ -103,15 +96,15 @@ def find(
     if decided.finding is None:
         return None
     best = fitted[decided.named]
-    return Named(_finding(best, decided, screened), _from_elsewhere(best, workspace))
+    return Named(_finding(best, decided, scored), _from_elsewhere(best, workspace))
 
 
 def _asked(
-    base: FullFit, fits: Sequence[FullFit], screened: Screen, unscreened: Collection[str], workspace: Workspace
+    base: FullFit, fits: Sequence[FullFit], scored: Screen, unscreened: Collection[str], workspace: Workspace
 ) -> tuple[dict[str, FullFit], Round]:
     """All of `fits` in the numbers that decide about them, by the finer formula where that is likelier, and the fits
     that passed the gates, by name. `unscreened`: effects that the screen does not see."""
-    tries = max(1, len(screened.scores))
+    tries = max(1, len(scored.scores))
     rows = {each.name: row for each in fits if (row := _gated(each, base, tries, workspace))}
     likely = sorted((each for each in fits if each.name in rows and not rows[each.name].refused), key=_by_evidence)
     best = {each.name: each for each in finest(likely, workspace)}
@@ -122,7 +115,7 @@ def _asked(
         row = _in_numbers(fit, base)
         if fit is not each:
             row = replace(row, usual=gained(each, base))
-        rows[each.name] = replace(row, p_value=_p_value(fit, base, screened, each.name in unscreened, tries))
+        rows[each.name] = replace(row, p_value=_p_value(fit, base, scored, each.name in unscreened, tries))
     there = tuple(each.name for each in base.model.effects)
     ordered = [*(rows[name] for name in names), *(row for name, row in rows.items() if name not in best)]
     p_value = min((row.p_value for row in ordered if not row.refused), default=1.0)
@@ -161,7 +154,7 @@ def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
     )
 
 
-def _p_value(fitted: FullFit, base: FullFit, screened: Screen, unscreened: bool, tries: int) -> float:
+def _p_value(fitted: FullFit, base: FullFit, scored: Screen, unscreened: bool, tries: int) -> float:
     """How likely chance makes one of so many `tries` explain as much as `fitted`, which the screen may not see.
 
     What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere.
@@ -170,10 +163,10 @@ def _p_value(fitted: FullFit, base: FullFit, screened: Screen, unscreened: bool,
     effect = fitted.candidate.effect
     found = [
         score.p_value
-        for score in screened.scores
+        for score in scored.scores
         if score.candidate.name == fitted.name or alike(score.candidate.effect, effect)
     ]
-    found.append(tries * _by_likelihood(fitted, base, screened))
+    found.append(tries * _by_likelihood(fitted, base, scored))
     if unscreened:
         found.append(tries * surprise(base, fitted))
     return min(1.0, *found)
@@ -209,26 +202,26 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
     return again if again.log_likelihood > fitted.log_likelihood + CREEPING else fitted
 
 
-def _by_likelihood(fitted: FullFit, base: FullFit, screened: Screen) -> float:
+def _by_likelihood(fitted: FullFit, base: FullFit, scored: Screen) -> float:
     """p-value of the likelihood ratio of `fitted` to `base`; 1 where shapes that mean nothing without the effect, or
     innovations that scatter more than chance has it, make it no chi squared."""
     assert fitted.candidate is not None
     if fitted.candidate.shapes:
         return 1.0
-    score = next((each for each in screened.scores if each.candidate.name == fitted.name), None)
+    score = next((each for each in scored.scores if each.candidate.name == fitted.name), None)
     gain = (fitted.log_likelihood - base.log_likelihood) / (score.inflation if score else 1.0)
     return float(chi2.sf(2.0 * gain, fitted.count - base.count))
 
 
 def named_alone(
-    base: FullFit, screened: Screen, made: Candidate, parts: Sequence[Finding], workspace: Workspace, finer: bool
+    base: FullFit, scored: Screen, made: Candidate, parts: Sequence[Finding], workspace: Workspace, finer: bool
 ) -> Named | None:
     """`made` in the model of `base` in place of `parts`, whose names it may be tied with; None where it does not stand
     up to a full fit and to unseen data. It may have its `finer` formula where these have theirs."""
     fits = []
     for each in workspace.candidates:
         if each is made or each.name in {part.effect for part in parts}:
-            model = with_effect(base.model, each, screened.score(each.name).starts[0])
+            model = with_effect(base.model, each, scored.score(each.name).starts[0])
             ended = tried(partial(full, model, workspace, each), each.name, workspace.failed)
             fits += [ended] if ended is not None else []
     fits = finest(fits, workspace) if finer else fits
@@ -236,18 +229,18 @@ def named_alone(
     rows = {each.name: row for each in fits if (row := _gated(each, base, 1, workspace))}
     if best is None or made.name not in rows or rows[made.name].refused:
         return None
-    held_out = HeldOutCheck(base, workspace).of(best)
-    if held_out is not None and not held_out.stands:
+    said = held_out(best, base, workspace)
+    if said is not None and not said.stands:
         return None
-    p_value = min(screened.score(each.name).p_value for each in fits)
-    rows[made.name] = replace(rows[made.name], held_out=held_out)
+    p_value = min(scored.score(each.name).p_value for each in fits)
+    rows[made.name] = replace(rows[made.name], held_out=said)
     there = tuple(each.name for each in base.model.effects)
     decided = tie(Round(there, 1, tuple(rows.values()), p_value, made.name), lambda other: None)
     workspace.rounds.append(decided)
-    return Named(_finding(best, decided, screened), best)
+    return Named(_finding(best, decided, scored), best)
 
 
-def _finding(best: FullFit, decided: Round, screened: Screen) -> Finding:
+def _finding(best: FullFit, decided: Round, scored: Screen) -> Finding:
     """What was `decided`, of which `best` is the fit."""
     row, p_value = decided.finding, decided.p_value
     assert row is not None
@@ -268,7 +261,7 @@ def _finding(best: FullFit, decided: Round, screened: Screen) -> Finding:
         held_out=row.held_out,
         odds=odds,
         gains={each.name: each.log_likelihood / row.log_likelihood for each in decided.passed},
-        screen=screened,
+        screen=scored,
     )
     return reworded(finding)
 
@@ -280,9 +273,9 @@ def retold(finding: Finding, fitted: FullFit) -> Finding:
 
 def reworded(finding: Finding) -> Finding:
     """`finding` with an explanation that has its parameters."""
-    screened = finding.screen
-    assert screened is not None
-    return replace(finding, explanation=explain(finding, screened.score(finding.effect)))
+    scored = finding.screen
+    assert scored is not None
+    return replace(finding, explanation=explain(finding, scored.score(finding.effect)))
 
 
 def sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:

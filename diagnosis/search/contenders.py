@@ -31,6 +31,7 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import Score, Screen, screen
 from diagnosis.score.whitened import Whitened
+from diagnosis.search.explanation import Tell
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
@@ -39,8 +40,6 @@ from estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
 from estimators.fit.problem import Problem
 from models.effect import Effect
 from models.random.disturbance import undriven
-
-Tell = Callable[[str, float], None]
 
 WORTH_A_FIT = LEVEL
 """p-value, of one candidate alone, below which it gets a quick fit."""
@@ -67,7 +66,7 @@ def look(base: FullFit, workspace: Workspace) -> Screen:
 
 
 def contenders(
-    base: FullFit, screened: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
+    base: FullFit, scored: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
 ) -> list[FullFit]:
     """`hidden`, and full fits with the effects that explain most.
 
@@ -77,10 +76,10 @@ def contenders(
     """
     known, in_place = {each.name for each in hidden}, list[FullFit]()
     if (without := still(base, workspace)) is not None:
-        quicks = tried(partial(_undisturbed, without, base, workspace, partial(_share, tell, 0.0))) or []
+        quicks = _undisturbed(without, base, workspace, partial(_share, tell, 0.0))
         in_place = _full_fits(base, quicks, workspace, known, _most, partial(_share, tell, 0.3))
     most = max((each.log_likelihood - base.log_likelihood for each in in_place), default=0.0)
-    near = replace(screened, scores=tuple(each for each in screened.scores if each.gain >= CONTENDING * most))
+    near = replace(scored, scores=tuple(each for each in scored.scores if each.gain >= CONTENDING * most))
     far = any(score.inflation > FAR for score in near.scores if score.p_single < WORTH_A_FIT)
     quicks = _quick_fits(base, near, workspace, partial(_share, tell, 0.6))
     beside = _full_fits(base, quicks, workspace, known, partial(_with_alike, far), partial(_share, tell, 0.8))
@@ -117,9 +116,8 @@ def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
     begin = Begin({**end.values, **{name: other.values[name] for name in its if name in other.values}}, other.noise)
     if len(end.noise) != len(other.noise):
         return fitted
-    again = partial(full, fitted.model, workspace.for_one, fitted.candidate, begin)
     try:
-        found = tried(again)
+        found = tried(partial(full, fitted.model, workspace.for_one, fitted.candidate, begin))
     except OutOfTime:
         return fitted
     return found if found is not None and found.fit.minimum.converged else fitted
@@ -139,11 +137,7 @@ def still(base: FullFit, workspace: Workspace) -> FullFit | None:
     number = len(disturbances(base.fit))
     if number == 0:
         return None
-    try:
-        found = tried(partial(full, undriven(base.model), workspace.for_one))
-    except OutOfTime:
-        workspace.leave(IN_PLACE)
-        return None
+    found = workspace.in_time(partial(full, undriven(base.model), workspace.for_one), IN_PLACE)
     there = found is not None and beyond_chance(base.log_likelihood - found.log_likelihood, 2 * number)
     return found if there else None
 
@@ -152,22 +146,19 @@ def _undisturbed(without: FullFit, base: FullFit, workspace: Workspace, tell: Te
     """Quick fits of the model of `base` from its fit `without` a disturbance; each is to go on with little of one, and
     all other noise as stated. None where no time for it is left."""
     noise = noise_of(base.fit.problem, shaken=-MUCH)
-    try:
-        found = _quick_fits(without, look(without, workspace), workspace, tell)
-    except OutOfTime:
-        workspace.leave(IN_PLACE)
-        return []
+    scored = workspace.in_time(partial(look, without, workspace), IN_PLACE)
+    found = _quick_fits(without, scored, workspace, tell) if scored else []
     return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
 
-def _quick_fits(base: FullFit, screened: Screen, workspace: Workspace, tell: Tell) -> list[QuickFit]:
+def _quick_fits(base: FullFit, scored: Screen, workspace: Workspace, tell: Tell) -> list[QuickFit]:
     """Of the candidates that are worth one by what the screen of `base` says."""
-    worth = [score for score in screened.scores if score.p_single < WORTH_A_FIT]
+    worth = [score for score in scored.scores if score.p_single < WORTH_A_FIT]
     if any(score.inflation > FAR for score in worth):
-        worth = list(screened.scores)
+        worth = list(scored.scores)
     # Where the model alone is far off, a line from there may miss what would do the same as the surest.
     near = worth[0].candidate.effect.confused_with if worth else ()
-    worth += [score for score in screened.scores if score.candidate.name in near and score not in worth]
+    worth += [score for score in scored.scores if score.candidate.name in near and score not in worth]
 
     quickly = workspace.within(QUICKLY)
 
@@ -175,22 +166,13 @@ def _quick_fits(base: FullFit, screened: Screen, workspace: Workspace, tell: Tel
         title, share = score.candidate.effect.title, number / len(worth)
         model = with_effect(base.model, score.candidate, score.starts[0])
         compiled = partial(quickly.problem, model, lambda text: tell(f"{text} with {title}", share))
-        try:
-            return tried(compiled, score.candidate.name, workspace.failed) is not None
-        except OutOfTime:
-            workspace.leave(score.candidate.name)
-            return False
+        return quickly.in_time(compiled, score.candidate.name, failed=True) is not None
 
     # Compiled one after the other, where that was not done yet.
     worth = [score for number, score in enumerate(worth) if prepare(number, score)]
 
     def quickly_fitted(score: Score) -> QuickFit | None:
-        try:
-            ended = partial(_ended, base, score, quickly.for_one)
-            return tried(ended, score.candidate.name, workspace.failed)
-        except OutOfTime:
-            workspace.leave(score.candidate.name)
-            return None
+        return quickly.in_time(partial(_ended, base, score, quickly.for_one), score.candidate.name, failed=True)
 
     quicks: list[QuickFit] = []
     for number, each in enumerate(side_by_side(quickly_fitted, worth), start=1):
@@ -249,11 +231,7 @@ def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) ->
     candidate = quick.candidate
     model = with_effect(base.model, candidate, quick.values)
     fit = partial(full, model, workspace.for_one, candidate, end, longer=FURTHER_FITS)
-    try:
-        return tried(fit, candidate.name, workspace.failed)
-    except OutOfTime:
-        workspace.leave(candidate.name)
-        return None
+    return workspace.in_time(fit, candidate.name, failed=True)
 
 
 def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.evidence import SURE
-from diagnosis.fits.refit import FullFit, full, off_prior
+from diagnosis.fits.refit import FullFit, off_prior, remembered
 from diagnosis.gates import HeldOut
 from diagnosis.prediction import ahead
+from diagnosis.prepare.pieces import Pieces, hidden, inside
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.whitened import whitening
 from diagnosis.trial import FAILURES
@@ -43,9 +44,9 @@ from models.model import Model
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
-Pieces = tuple[tuple[float, float], ...]
-"""s of a recording, from and to."""
 
+FOLDS = "folds"
+"""What a workspace remembers them by."""
 THIRDS = 3
 PIECES = 2
 """Of each third: what shows at one end of the recording only is both seen by fits and tried. With six, of 2 s each, a
@@ -68,57 +69,41 @@ WIDER = 10.0
 class Fold:
     """`seen` is fitted. Of `whole`, the rows in `pieces` are judged."""
 
-    seen: tuple[Recording, ...]
+    seen: Workspace
     whole: Recording
     pieces: Pieces
 
     def judges(self, time: Array) -> NDArray[np.bool_]:
         """Which of the rows at `time` (n,)."""
-        return _inside(time, self.pieces)
+        return inside(time, self.pieces)
 
 
-class HeldOutCheck:
-    """Judges effects that are added to one model, whose own fits are made once."""
+def held_out(best: FullFit, base: FullFit, workspace: Workspace) -> HeldOut | None:
+    """What fits of a part of the data say of the rest, with the effects that `best` has more than `base` and without;
+    None where no part tells these."""
+    there = {each.name for each in base.model.effects}
+    further = [each for each in best.model.effects if each.name not in there]
+    amplitudes = {name for each in further for name in each.amplitudes}
+    try:
+        parts = _folds(base.model, workspace)
+        return judge(parts, lambda part: _fits(best, base, further, part), amplitudes, workspace.support)
+    except FAILURES:
+        return None
 
-    def __init__(self, base: FullFit, workspace: Workspace) -> None:
-        self._base = base
-        self._workspace = workspace
-        self._few: dict[Pieces, Workspace] = {}
-        self._without: dict[Pieces, Fit] = {}
 
-    def of(self, best: FullFit) -> HeldOut | None:
-        """What fits of a part of the data say of the rest; None where no part tells the effects that `best` adds."""
-        there = {each.name for each in self._base.model.effects}
-        further = [each for each in best.model.effects if each.name not in there]
-        workspace = self._workspace
-        try:
-            parts = folds(self._base.model, workspace.recordings, workspace.support)
-            amplitudes = {name for each in further for name in each.amplitudes}
-            return judge(parts, lambda part: self._fits(best, further, part), amplitudes, workspace.support)
-        except FAILURES:
-            return None
-
-    def _fits(self, best: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
-        base, workspace = self._base.model, self._workspace
-        if part.pieces not in self._few:
-            # Once each, whatever the number of its places.
-            others = tuple({each.effect.name: each.effect for each in workspace.others(base)}.values())
-            few = Workspace.of(base, part.seen, workspace.support, others)
-            self._few[part.pieces] = replace(few, budget=workspace.budget)
-        few = self._few[part.pieces]
-        with_it = unsure(full(best.model, few, begin=best.fit.end).fit)
-        told = result(with_it, 0.0).parameters
-        sizes = [told[name] for each in further for name in each.amplitudes]
-        if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
-            return None
-        # What happens once, at an instant outside the part, is nothing that the part could foretell.
-        once = [each for each in further if each.effect.follows_time]
-        instants = [p.name for each in once for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes]
-        if any(told[name].status in NOT_TOLD for name in instants):
-            return None
-        if part.pieces not in self._without:
-            self._without[part.pieces] = unsure(full(base, few, begin=self._base.fit.end).fit)
-        return self._without[part.pieces], with_it
+def _fits(best: FullFit, base: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
+    """The fits of a part without and with what `best` has `further`; None where the part does not tell that."""
+    with_it = unsure(remembered(best.model, part.seen, begin=best.fit.end).fit)
+    told = result(with_it, 0.0).parameters
+    sizes = [told[name] for each in further for name in each.amplitudes]
+    if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
+        return None
+    # What happens once, at an instant outside the part, is nothing that the part could foretell.
+    once = [each for each in further if each.effect.follows_time]
+    instants = [p.name for each in once for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes]
+    if any(told[name].status in NOT_TOLD for name in instants):
+        return None
+    return unsure(remembered(base.model, part.seen, begin=base.fit.end).fit), with_it
 
 
 def unsure(fitted: Fit) -> Fit:
@@ -157,11 +142,22 @@ def unsure(fitted: Fit) -> Fit:
     return fitted if larger is None else replace(fitted, gain=larger.gain, covariance=larger.covariance)
 
 
-def folds(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Fold]:
-    """What to fit and what to judge. Raises DataError where the recordings cannot be used."""
+def _folds(model: Model, workspace: Workspace) -> list[Fold]:
+    """What to fit and what to judge, made once. Raises DataError where the recordings cannot be used."""
+    found: list[Fold] | None = workspace.memory.get(FOLDS)
+    if found is None:
+        found = workspace.memory[FOLDS] = _cut(model, workspace)
+    return [replace(each, seen=replace(each.seen, budget=workspace.budget)) for each in found]
+
+
+def _cut(model: Model, workspace: Workspace) -> list[Fold]:
+    recordings, support = workspace.recordings, workspace.support
+    # Once each, whatever the number of its places.
+    effects = tuple({each.effect.name: each.effect for each in workspace.others(model)}.values())
     whole = recordings[-1]
     if len(recordings) > 1:
-        return [Fold(tuple(recordings[:-1]), whole, ((0.0, float("inf")),))]
+        seen = Workspace.of(model, recordings[:-1], support, effects)
+        return [Fold(seen, whole, ((0.0, float("inf")),))]
     rows = np.concatenate([segment.time for segment in segments(model, recordings, support=support)])
     edges = np.quantile(rows, np.linspace(0.0, 1.0, THIRDS * PIECES + 1))
     edges[-1] = np.inf
@@ -169,12 +165,8 @@ def folds(model: Model, recordings: Sequence[Recording], support: float | None) 
     found = []
     for third in range(THIRDS):
         pieces = tuple(every[third::THIRDS])
-        found.append(Fold((hidden(model, whole, pieces),), whole, pieces))
+        found.append(Fold(Workspace.of(model, [hidden(model, whole, pieces)], support, effects), whole, pieces))
     return found
-
-
-def _inside(time: Array, pieces: Pieces) -> NDArray[np.bool_]:
-    return np.asarray(np.any([(time >= begin) & (time < end) for begin, end in pieces], axis=0))
 
 
 def judge(
@@ -306,10 +298,3 @@ def _innovations(fitted: Fit, task: Problem) -> list[Array]:
         eliminate(block)[0][: len(segment) * outputs].reshape(-1, outputs)
         for segment, block in zip(task.segments, blocks, strict=True)
     ]
-
-
-def hidden(model: Model, recording: Recording, pieces: Pieces) -> Recording:
-    """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
-    kept = ~_inside(recording.time, pieces)
-    hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
-    return replace(recording, values={**recording.values, **hidden})

@@ -1,0 +1,26 @@
+"""Pieces of a recording's time, and a recording without what was measured in some of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.model import Model
+from telemetry.recording import Recording
+
+Pieces = tuple[tuple[float, float], ...]
+"""s of a recording, from and to."""
+
+
+def inside(time: NDArray[np.float64], pieces: Pieces) -> NDArray[np.bool_]:
+    """Which of the rows at `time` (n,) are in `pieces`."""
+    return np.asarray(np.any([(time >= begin) & (time < end) for begin, end in pieces], axis=0))
+
+
+def hidden(model: Model, recording: Recording, pieces: Pieces) -> Recording:
+    """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
+    kept = ~inside(recording.time, pieces)
+    values = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
+    return replace(recording, values={**recording.values, **values})
