@@ -6,10 +6,10 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from diagnosis.prepare.candidates import Candidate
-from diagnosis.score.change_points import INSTANT
 from diagnosis.score.score_test import Score
 from estimators.contract import ParameterEstimate
 from estimators.numbers import significant
+from models.effect import Role
 
 if TYPE_CHECKING:
     from diagnosis.findings import Finding
@@ -26,9 +26,10 @@ def explain(finding: Finding, score: Score) -> str:
     formula = effect.with_parameters(name.removeprefix(prefix) for name in finding.parameters)
     told = [f"{effect.name}: {effect.title} ({formula.equation})" + (f"; {sizes}" if sizes else "") + "."]
     told.append(effect.signature)
-    instant = finding.parameters.get(candidate.attached.qualified(INSTANT))
-    if instant is not None and instant.value is not None:
-        told.append(f"It sets in at {instant.value:.1f} s: an event, no property of the vehicle.")
+    for name in candidate.attached.of_role(Role.INSTANT):
+        instant = finding.parameters.get(name)
+        if instant is not None and instant.value is not None:
+            told.append(f"It sets in at {instant.value:.1f} s: an event, no property of the vehicle.")
     if all(finding.parameters[name].value is None for name in candidate.amplitudes if name in finding.parameters):
         told.append("How large it is, these data do not tell.")
     first = candidate.amplitudes[0]

@@ -17,8 +17,7 @@ from dataclasses import replace
 
 from diagnosis.diagnose import Diagnosis, Finding, Progress, Verdict, diagnose
 from diagnosis.explain import together
-from diagnosis.fits.masked import LAG
-from diagnosis.fits.speed_loop_choice import FORMULA, over_noise, small, speed_loop
+from diagnosis.fits.speed_loop_choice import lag_error, over_noise, small, speed_loop
 from diagnosis.prediction.closed_loop_error import Loop
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
 from diagnosis.search.one_more import retold, reworded
@@ -183,7 +182,7 @@ def _further(
 
 
 def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
-    """`found` but for what is no more than the formula's own error: a lag below FORMULA of that of the speed loop.
+    """`found` but for what is no more than the formula's own error: a lag below that share of the speed loop's.
 
     That is how far off a lag may be beyond what its fit says, at two standard deviations. A delay shows beyond what bus
     and drive may take anyway: the bound of the setpoint's own offset.
@@ -197,10 +196,10 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
         if effects[name].delay:
             sizes[name] = allowed
         if effects[name].lag:
-            sizes[name] = max(sizes[name], FORMULA * model.parameter(LAG).value)
+            sizes[name] = max(sizes[name], lag_error(model))
     below = found.repaired is not None and small(found.repaired)
     lags = {name for name, effect in effects.items() if effect.lag}
-    unsure = 0.5 * FORMULA * model.parameter(LAG).value
+    unsure = 0.5 * lag_error(model)
     findings = tuple(
         _less_sure(each, unsure) if each.effect in lags else each
         for each in found.findings

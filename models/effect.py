@@ -49,12 +49,25 @@ class Family(StrEnum):
     SENSOR = "sensor"
 
 
+class Role(StrEnum):
+    """What a parameter that shapes an effect is: who looks for effects finds values to start from by it."""
+
+    SHAPE = "shape"
+    FREQUENCY = "frequency"
+    """Hz, at which the effect shows as a line or a mode in a spectrum."""
+    INSTANT = "instant"
+    """s from the first row of a recording on, at which the effect sets in."""
+    DURATION = "duration"
+    """s that it takes to set in."""
+
+
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
     """A parameter of an effect.
 
-    An `amplitude` is zero where the effect is absent; all others shape it and keep `value`. `value`, `scale`, `lower`,
-    `upper` and `starts` are expressions of numbers and of the place's scales, and `unit` may use the place's units:
+    An `amplitude` is zero where the effect is absent; all others shape it, as their `role` says, and keep `value`.
+    `value`, `scale`, `lower`, `upper` and `starts` are expressions of numbers and of the place's scales, and `unit` may
+    use the place's units:
 
     * anywhere: time_scale
     * joint: force_scale, coordinate_scale, rate_scale, smooth_rate; {force}, {coordinate}
@@ -68,6 +81,7 @@ class EffectParameter:
     unit: str
     meaning: str
     amplitude: bool = False
+    role: Role = Role.SHAPE
     value: str = "0"
     scale: str = ""
     lower: str = ""
@@ -96,9 +110,11 @@ class Effect:
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
     experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that do a part
     of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `strikes`: parts
-    strike each other, so that what a little of it does says nothing of what more of it does. `in_radians`: names that
-    are an angle in rad, or the effect makes no sense. `source` is where the equation is from. `instead`: the formula of
-    the same effect at places that offer what that one asks for. `finer`: a formula of the same effect with more physics
+    strike each other, so that what a little of it does says nothing of what more of it does. `stiff`: its own motion is
+    much faster than a row. `sets_in`: it may set in during a run; how a machine is built does not. `onset_of`: the
+    other effect that it is, begun at an instant. `in_radians`: names that are an angle in rad, or the effect makes no
+    sense. `source` is where the equation is from. `instead`: the formula of the same effect at places that offer what
+    that one asks for. `finer`: a formula of the same effect with more physics
     and more parameters, which takes more of a record to tell.
     """
 
@@ -124,6 +140,9 @@ class Effect:
     beyond: tuple[str, ...] = ()
     dissipative: bool = False
     strikes: bool = False
+    stiff: bool = False
+    sets_in: bool = True
+    onset_of: str = ""
     in_radians: tuple[str, ...] = ()
     source: str = ""
     instead: Effect | None = None
@@ -177,3 +196,7 @@ class AttachedEffect:
     def amplitudes(self) -> tuple[str, ...]:
         """Names in the model of the parameters that are zero where the effect is absent."""
         return tuple(map(self.qualified, self.effect.amplitudes))
+
+    def of_role(self, *roles: Role) -> tuple[str, ...]:
+        """Names in the model of the parameters that shape it as one of `roles`."""
+        return tuple(self.qualified(each.name) for each in self.effect.parameters if each.role in roles)

@@ -184,7 +184,8 @@ class Actuator:
     """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions of what
     it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives; `inertia` is
     that of the actuator itself, which is a part of the joint's.
-    `also`: further inputs that are commands of its kind, as of two wheels: an effect acts on all of them alike.
+    `also`: further inputs that are commands of its kind, as of two wheels: an effect acts on all of them alike. `lag`:
+    the parameter by which what it moves lags behind the command, beside which a further lag hardly shows.
     Where it is not `commanded`, `command` is motion that nothing passes on, so that no effect of an input acts there.
     """
 
@@ -201,6 +202,7 @@ class Actuator:
     angle_scale: float = 1.0
     commanded: bool = True
     also: tuple[str, ...] = ()
+    lag: str = ""
 
     @property
     def commands(self) -> tuple[str, ...]:

@@ -34,8 +34,6 @@ from models.parts import Place
 
 Array = NDArray[np.float64]
 
-LAG = "speed_loop_lag"
-"""Parameter of an actuator's model."""
 START = 2
 """Of the starts of an effect: between the smallest and the largest that are usual."""
 TRIED = 10
@@ -100,16 +98,23 @@ def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:
     """`one`, or the fit with the two lags that it has in a row changed about, where that is nearer to what is known of
     the first from before: a record hardly tells which of them comes first."""
     candidate = one.candidate
-    if candidate is None or not candidate.effect.lag or LAG not in one.model.values:
+    first = speed_loop_lag(one.model)
+    if candidate is None or not candidate.effect.lag or not first:
         return one
-    own, values = candidate.attached.qualified(candidate.effect.lag), one.fitted.values
-    about = {name: float(np.clip(values[other], *_bounds(one.model, name))) for name, other in ((LAG, own), (own, LAG))}
+    further, values = candidate.attached.qualified(candidate.effect.lag), one.fitted.values
+    both = ((first, further), (further, first))
+    about = {name: float(np.clip(values[other], *_bounds(one.model, name))) for name, other in both}
     end = one.fit.end
     try:
         other = full(one.model, workspace, candidate, replace(end, values={**end.values, **about}))
     except FAILURES:
         return one
     return max(one, other, key=lambda each: each.log_likelihood)
+
+
+def speed_loop_lag(model: Model) -> str:
+    """The parameter of `model` that is the lag of its actuators; empty where it has none."""
+    return next((each.lag for each in model.actuators if each.lag), "")
 
 
 def _bounds(model: Model, name: str) -> tuple[float, float]:

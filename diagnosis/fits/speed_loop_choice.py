@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from diagnosis.evidence import likelier
 from diagnosis.fits import masked
-from diagnosis.fits.masked import LAG
+from diagnosis.fits.masked import speed_loop_lag
 from diagnosis.fits.refit import FullFit, full
 from diagnosis.lack_of_fit.floor import sensor_noise
 from diagnosis.prepare.actuator_samples import middle
@@ -27,8 +27,6 @@ from models.model import Model
 from models.natural_time import USUAL, natural_time
 from telemetry.recording import Recording
 
-MASKED = ("input_delay", "actuator_lag")
-"""Effects that the lag of a speed loop takes the place of."""
 LOOKED_AT = 20.0
 """Natural times (models.natural_time; 8 s of the MONOCAB) of a record that tell which speed loop it is."""
 FORMULA = 0.06
@@ -45,7 +43,8 @@ SLOWER = 3.0
 def speed_loop(
     actuators: Sequence[Model], recordings: Sequence[Recording], effects: Sequence[Effect]
 ) -> tuple[Model, tuple[str, ...]]:
-    """The model that explains LOOKED_AT best, with the ramp that does, and which of MASKED may be missing there.
+    """The model that explains LOOKED_AT best, with the ramp that does, and which of the effects that the
+    lag of a speed loop takes the place of may be missing there.
 
     Raises DataError where the recordings cannot be used, ArithmeticError where no model can be fitted to them.
     """
@@ -64,7 +63,7 @@ def _all_free(model: Model) -> Model:
 def _nearest(
     actuators: Sequence[Model], few: Sequence[Recording], effects: Sequence[Effect]
 ) -> tuple[FullFit, tuple[str, ...]]:
-    """The likeliest fit, maybe with an effect of MASKED, and all of these that may be missing in its model."""
+    """The likeliest fit, maybe with one of the effects that its lag masks, and all of these that may be missing."""
     bases = []
     for model in actuators:
         workspace = Workspace.of(model, few, None, effects)
@@ -79,11 +78,12 @@ def _nearest(
 
 
 def _tried(alone: FullFit, workspace: Workspace, effects: Sequence[Effect]) -> tuple[float, FullFit, tuple[str, ...]]:
-    """The evidence for a model with the effects that suit it best, its likeliest fit with at most one of MASKED, and
-    which of these may be missing in it."""
-    fits = masked.fits(alone.model, workspace, [each.name for each in effects if each.name in MASKED])
+    """The evidence for a model with the effects that suit it best, its likeliest fit with at most one of those that its
+    lag masks, and which of these may be missing in it."""
+    late = [each.name for each in effects if each.delay or each.lag]
+    fits = masked.fits(alone.model, workspace, late)
     worth = [each for each in fits if likelier(each.evidence - alone.evidence) and not small(each.fitted)]
-    wider = masked.together(alone.model, workspace, [each.name for each in effects if each.name not in MASKED])
+    wider = masked.together(alone.model, workspace, [each.name for each in effects if each.name not in late])
     evidence = max(each.evidence for each in (alone, *fits, *wider)) - _order(alone)
     return evidence, max((alone, *worth), key=lambda each: each.evidence), tuple(each.name for each in worth)
 
@@ -132,4 +132,10 @@ def _order(alone: FullFit) -> float:
 def small(fitted: Model) -> bool:
     """Whether a further lag in `fitted` is less than the formula's own error; False where there is none."""
     lags = [each.qualified(each.effect.lag) for each in fitted.effects if each.effect.lag]
-    return any(fitted.parameter(name).value < FORMULA * fitted.parameter(LAG).value for name in lags)
+    return any(fitted.parameter(name).value < lag_error(fitted) for name in lags)
+
+
+def lag_error(model: Model) -> float:
+    """s by which the lag of the speed loop of `model` may be off; 0 where it has none."""
+    lag = speed_loop_lag(model)
+    return FORMULA * model.parameter(lag).value if lag else 0.0

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.live.line import LONGEST, LineFinder
-from diagnosis.live.naming import SUDDEN, TOO_LITTLE, Gathered, LiveResult
-from diagnosis.prepare.candidates import candidates_for
+from diagnosis.live.naming import TOO_LITTLE, Gathered, LiveResult
+from diagnosis.prepare.candidates import Candidate, candidates_for
 from diagnosis.prepare.workspace import attached
 from estimators.fit.problem import FINEST as STEP
 from estimators.fit.problem import Problem
@@ -32,8 +32,8 @@ from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.prediction_error import CHUNK, RecursivePredictionError, as_it_runs, at_rest, known_as
 from estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
 from models.compiler.kernel import Kernel, Memory, Progress, compile_model
-from models.effect import Effect
-from models.effects.catalogue import CATALOGUE
+from models.effect import Effect, Role
+from models.effects.catalogue import CATALOGUE, find
 from models.model import Model
 from models.parts import ModelError
 from telemetry.channels import ChannelTable
@@ -49,15 +49,17 @@ FAR = (0.05, 0.6)
 """Typical sizes of a parameter, and natural logarithms of a noise or of how long it lasts, after which all is gone
 through again with the recursion. It does so at half of these logarithms, for its gain, which tells effects apart no
 better: hardly anything is known of some noises, so that these move for minutes."""
-LINE = "periodic_disturbance"
-"""The effect whose frequency is followed."""
 NEAR = 0.25
 """Of a turn, by which a line may get ahead in what was gathered of it, or its frequency be off in what told it."""
 COUNTS = 1
 """Counts by which a counted output moves in a chunk, from which on it is gathered: its error is then as good as noise.
 Of what hardly moves it stays for seconds, like a torque or friction."""
-UNSEEN = ("backlash", "sensor_lag")
-"""Effects whose own motion is too fast to be followed along with all others."""
+
+
+def _line_of(candidate: Candidate) -> tuple[str, str] | None:
+    """An effect that is a line in a spectrum, and the parameter that is its frequency; None for another."""
+    frequencies = candidate.attached.of_role(Role.FREQUENCY)
+    return (candidate.name, frequencies[0]) if frequencies and candidate.effect.follows_time else None
 
 
 class LiveDiagnosis:
@@ -89,13 +91,9 @@ class LiveDiagnosis:
             progress=progress,
             watch=self._see,
         )
-        names = [each if isinstance(each, str) else each.name for each in effects or CATALOGUE]
-        chosen = [
-            each
-            for each, name in zip(effects or CATALOGUE, names, strict=True)
-            if name not in (*SUDDEN.values(), *UNSEEN)
-        ]
-        found, self.left_out = candidates_for(model, (), chosen)
+        asked = [find(each) if isinstance(each, str) else each for each in effects or CATALOGUE]
+        # What sets in is found as what it is from then on; what is stiff cannot be followed along with all others.
+        found, self.left_out = candidates_for(model, (), [each for each in asked if not (each.onset_of or each.stiff)])
         wide = attached(model, found)
         if wide.inputs != model.inputs:
             raise ModelError(f"model {model.name}", "an effect needs a further input", remedy="name the effects.")
@@ -106,8 +104,8 @@ class LiveDiagnosis:
         self._defaults = kernel.vector(dict.fromkeys(amplitudes, 0.0))
         self._usual = substeps(kernel, self._defaults, self._base, 0.01)
         self._shared = np.array([kernel.index(parameter.name) for parameter in model.parameters])
-        line = f"{LINE}.frequency"
-        self._line_place = kernel.index(line) if line in kernel.parameters else None
+        self._lined = next(filter(None, map(_line_of, found)), None)
+        self._line_place = None if self._lined is None else kernel.index(self._lined[1])
         self._active = tuple(map(kernel.index, amplitudes))
         self._rooms: dict[str, Array] = {}
         self.reset()
@@ -210,7 +208,8 @@ class LiveDiagnosis:
         columns[:, len(order) : -1] = effects
         whole = gathered.add(*self._moving(columns, chunk)) and last.place + 1 >= last.count
         if whole and (last.count or gathered.is_due()):
-            found = gathered.look(self._shapes, {LINE: self._line.bins})
+            tries = {} if self._lined is None else {self._lined[0]: self._line.bins}
+            found = gathered.look(self._shapes, tries)
             self._result = replace(found, disturbance=self.estimator.disturbance())
             self._follow_line()
 
@@ -238,7 +237,7 @@ class LiveDiagnosis:
 
         Data that are gone through again were there when it was picked: so it has the price of all that could have been.
         """
-        if self._line_place is None or self._gathered is None or self._line is None:
+        if self._lined is None or self._line_place is None or self._gathered is None or self._line is None:
             return
         found = self._line.frequency()
         if found is None:
@@ -249,8 +248,8 @@ class LiveDiagnosis:
         if abs(frequency - float(self._neutral[self._line_place])) * followed > NEAR:
             self._neutral[self._line_place] = frequency
             self._line_since = seconds
-            self._gathered.forget(LINE)
-        self._shapes[f"{LINE}.frequency"] = (frequency, NEAR / span, "Hz")
+            self._gathered.forget(self._lined[0])
+        self._shapes[self._lined[1]] = (frequency, NEAR / span, "Hz")
 
     def _effects(self, chunk: Chunk, seen: Seen) -> Array | None:
         """What the candidates do to a chunk's innovations, (n, m), with what was `seen` last.

@@ -55,17 +55,8 @@ formula fits less well than one that is refitted."""
 NEAR = 0.5
 """Of the logarithm of the odds of a name, from which on an effect is looked at every second: what sets in passes it in
 half the time that it takes to a name, and without it every other second is looked at."""
-SUDDEN = {"static_torque": "torque_step"}
+BEGUN = {each.onset_of: each.name for each in CATALOGUE.values() if each.onset_of}
 """What an effect is called that was not there from the beginning."""
-ALWAYS = (
-    "gravity_nonlinearity",
-    "gimbal_angle_coupling",
-    "gimbal_imbalance",
-    "torque_drift",
-    "sensor_offset",
-    "sensor_scale",
-)
-"""Effects that do not set in during a run: how the vehicle is built, and what tells its own time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +287,7 @@ class Gathered:
     def _called(self, onset: Onset) -> str:
         """The name in a model, EFFECT or EFFECT@PLACE."""
         effect, at, place = onset.effect.name.partition("@")
-        return onset.effect.name if self._from_the_beginning(onset) else SUDDEN.get(effect, effect) + at + place
+        return onset.effect.name if self._from_the_beginning(onset) else BEGUN.get(effect, effect) + at + place
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,8 +304,7 @@ class Entry:
         parameters = tuple(p for p in attached_effect.parameters if p.name in attached_effect.amplitudes)
         lower = tuple(p.lower / each for p, each in zip(parameters, scale, strict=True))
         upper = tuple(p.upper / each for p, each in zip(parameters, scale, strict=True))
-        anytime = attached_effect.effect.name not in ALWAYS
-        amplitudes = Amplitudes(attached_effect.name, columns, lower, upper, anytime)
+        amplitudes = Amplitudes(attached_effect.name, columns, lower, upper, attached_effect.effect.sets_in)
         return cls(attached_effect.effect, amplitudes, parameters, scale)
 
 

@@ -12,7 +12,7 @@ from itertools import product
 
 from estimators.data.segments import channels_of, optional_channels
 from models.attach import places_for, starts
-from models.effect import AttachedEffect, Effect
+from models.effect import AttachedEffect, Effect, Role
 from models.effects.catalogue import CATALOGUE, find
 from models.model import Model
 from models.parts import ModelError
@@ -100,7 +100,8 @@ def at_frequencies(candidates: Sequence[Candidate], frequencies: Sequence[float]
     """
     found = []
     for each in candidates:
-        shapes = [p for p in each.attached.parameters if p.unit == "Hz" and p.name in each.shapes]
+        lines = each.attached.of_role(Role.FREQUENCY)
+        shapes = [p for p in each.attached.parameters if p.name in lines]
         more = [
             {**each.variants[0], shape.name: value}
             for shape in shapes

@@ -24,13 +24,10 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.score.whitened import Whitened
 from estimators.data.time_scale import time_scale
 from estimators.fit.problem import Problem
+from models.effect import Role
 
 Array = NDArray[np.float64]
 
-INSTANT = "start"
-"""What an effect calls the instant, s from the first row of a recording on, at which it sets in."""
-RISE = "rise"
-"""What it calls the time, s, that this takes: the usual one is tried, and the shortest that it can be."""
 SPACING = 0.25
 """Time scales (estimators.data.time_scale) between instants that are tried, 0.1 s of the MONOCAB: a step that takes
 three times as long is told to less. What is sharper is tried as much more densely."""
@@ -48,9 +45,10 @@ def at_instants(candidate: Candidate, innovations: Whitened, full: Problem) -> C
     `full` is the problem of the model with it. Only the first of its amplitudes is looked at, and only instants within
     the longest stretch. The variants of the usual rise come first, then those of the shortest.
     """
-    name = candidate.attached.qualified(INSTANT)
-    if name not in candidate.shapes:
+    instants = candidate.attached.of_role(Role.INSTANT)
+    if not instants:
         return candidate
+    name = instants[0]
     first, scale = float(full.segments[0].time[0]), time_scale(full.model, full.segments)
     longest = int(np.argmax([len(segment) for segment in full.segments]))
     time = full.segments[longest].time
@@ -69,11 +67,10 @@ def at_instants(candidate: Candidate, innovations: Whitened, full: Problem) -> C
 
 def _rises(candidate: Candidate) -> list[tuple[Mapping[str, float], float]]:
     """The usual shape of `candidate`, and where it has a shortest rise the one with that; how many times sharper."""
-    usual, name = candidate.variants[0], candidate.attached.qualified(RISE)
-    shortest = next((each.lower for each in candidate.attached.parameters if each.name == name), 0.0)
-    if not 0.0 < shortest < usual.get(name, 0.0):
-        return [(usual, 1.0)]
-    return [(usual, 1.0), ({**usual, name: shortest}, usual[name] / shortest)]
+    usual, durations = candidate.variants[0], candidate.attached.of_role(Role.DURATION)
+    lower = {each.name: each.lower for each in candidate.attached.parameters if each.name in durations}
+    shorter = [(name, least) for name, least in lower.items() if 0.0 < least < usual[name]]
+    return [(usual, 1.0), *(({**usual, name: least}, usual[name] / least) for name, least in shorter)]
 
 
 def _gains(innovations: Whitened, full: Problem, stretches: Sequence[Array], which: int) -> Array:

@@ -16,7 +16,7 @@ Sources: Rao's score test; Westfall and Young, "Resampling-based multiple testin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from diagnosis.prepare.candidates import Candidate, at_frequencies
-from diagnosis.score.change_points import INSTANT, at_instants
+from diagnosis.score.change_points import at_instants
 from diagnosis.score.whitened import Whitened, peaks, project
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.fit.problem import Problem
+from models.effect import Role
 
 Array = NDArray[np.float64]
 _Pass = tuple[Problem, int, list[Candidate]]
@@ -273,8 +274,8 @@ def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry
     counts, by what the first amplitude does alone: all of them together may do all that another does.
     """
     candidate = entries[0].candidate
-    start = candidate.attached.qualified(INSTANT)
-    usual = [each for each in entries if _but(start, each.shape) == _but(start, entries[0].shape)]
+    instants = candidate.attached.of_role(Role.INSTANT)
+    usual = [each for each in entries if _but(instants, each.shape) == _but(instants, entries[0].shape)]
     beyond = [f"{other}{candidate.name.removeprefix(candidate.effect.name)}" for other in candidate.effect.beyond]
     others = [entry.where for name in beyond for entry in by_name.get(name, ())]
     variances = []
@@ -286,8 +287,8 @@ def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry
     return DETECTABLE * float(np.sqrt(min(variances)))
 
 
-def _but(name: str, shape: Mapping[str, float]) -> dict[str, float]:
-    return {other: value for other, value in shape.items() if other != name}
+def _but(names: Collection[str], shape: Mapping[str, float]) -> dict[str, float]:
+    return {other: value for other, value in shape.items() if other not in names}
 
 
 def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array, score: Array) -> Screen:

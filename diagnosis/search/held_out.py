@@ -39,7 +39,7 @@ from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import Problem, problem
 from estimators.fit.result import inverse
 from estimators.methods.prediction_error import result
-from models.effect import AttachedEffect
+from models.effect import AttachedEffect, Role
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -99,9 +99,8 @@ def _fits(best: FullFit, base: FullFit, further: Sequence[AttachedEffect], part:
     if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
         return None
     # What happens once, at an instant outside the part, is nothing that the part could foretell.
-    once = [each for each in further if each.effect.follows_time]
-    instants = [p.name for each in once for p in each.parameters if p.unit == "s" and p.name not in each.amplitudes]
-    if any(told[name].status in NOT_TOLD for name in instants):
+    times = [name for each in further for name in each.of_role(Role.INSTANT, Role.DURATION)]
+    if any(told[name].status in NOT_TOLD for name in times):
         return None
     return unsure(remembered(base.model, part.seen, begin=base.fit.end).fit), with_it
 

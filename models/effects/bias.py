@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family
+from models.effect import Effect, EffectParameter, Family, Role
 from models.parts import Place
 
 STATIC_TORQUE = Effect(
@@ -40,6 +40,7 @@ TORQUE_STEP = Effect(
             "start",
             "s",
             "when it begins, from the first row of the record on",
+            role=Role.INSTANT,
             value="2.5 * time_scale",
             scale="time_scale / 4",
             lower="0",
@@ -49,6 +50,7 @@ TORQUE_STEP = Effect(
             "rise",
             "s",
             "how long it takes",
+            role=Role.DURATION,
             value="0.75 * time_scale",
             scale="time_scale / 4",
             lower="time_scale / 20",
@@ -61,6 +63,7 @@ TORQUE_STEP = Effect(
     separated_by="A longer record, in which what came before and what came after each last longer than the slowest "
     "motion of the vehicle.",
     beyond=("static_torque",),
+    onset_of="static_torque",
     source="Griese et al. (MONOCAB): side load; tanh is the best fit to a straight ramp, to 7 % of the step",
 )
 
@@ -76,6 +79,7 @@ TORQUE_DRIFT = Effect(
             "time_constant",
             "s",
             "of the creep",
+            role=Role.DURATION,
             value="75 * time_scale",
             scale="25 * time_scale",
             lower="2.5 * time_scale",
@@ -93,5 +97,6 @@ TORQUE_DRIFT = Effect(
     ),
     separated_by="A record that is several time constants long; a second one without a pause does not start again.",
     beyond=("static_torque",),
+    sets_in=False,
     source="first-order creep; Lakes, Viscoelastic Materials (2009), standard linear solid",
 )

@@ -21,6 +21,7 @@ GIMBAL_ANGLE_COUPLING = Effect(
     confused_with=("input_gain",),
     separated_by="The same excitation around a precession angle of zero and around a large one, as under a side load.",
     in_radians=("actuator_angle",),
+    sets_in=False,
     source="Arnold, Maunder, Gyrodynamics (1961); Griese et al. (MONOCAB), linearised there",
 )
 
@@ -37,5 +38,6 @@ GIMBAL_IMBALANCE = Effect(
     separated_by="Excitation well below the unstable pole, or the vehicle held for seconds at two precession angles: "
     "fast precession is a copy of the roll rate, and a constant one of a static torque.",
     in_radians=("actuator_angle",),
+    sets_in=False,
     source="Arnold, Maunder, Gyrodynamics (1961)",
 )

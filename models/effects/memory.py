@@ -129,6 +129,7 @@ _BACKLASH_OF_A_GEAR = Effect(
     separated_by="The same excitation at two amplitudes: the blows come as often, while those of a lag or of a delay "
     "grow. An encoder behind the gear shows the play itself.",
     strikes=True,
+    stiff=True,
     source="Nordin, Gutman, Automatica 38 (2002) 1633, two masses with play; the flanks by Hunt, Crossley, J. Appl. "
     "Mech. 42 (1975) 440",
 )
@@ -201,6 +202,7 @@ BACKLASH = Effect(
     ),
     separated_by="The same excitation at two amplitudes: the steps keep their size, while those of a lag or of a "
     "delay grow.",
+    stiff=True,
     source="Nordin, Gutman, Automatica 38 (2002) 1633, the physical model of a shaft with play: the flank is that of "
     "the torque that the shaft carries, and its elastic twist is added",
     instead=_BACKLASH_OF_A_GEAR,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, Family
+from models.effect import Effect, EffectParameter, Family, Role
 from models.parts import Place
 
 PERIODIC_DISTURBANCE = Effect(
@@ -18,6 +18,7 @@ PERIODIC_DISTURBANCE = Effect(
             "frequency",
             "Hz",
             "to be found where the spectrum of the innovations has its peak",
+            role=Role.FREQUENCY,
             value="0.4 / time_scale",
             scale="0.004 / time_scale",
             lower="0.008 / time_scale",

@@ -44,6 +44,7 @@ SENSOR_OFFSET = Effect(
         "torque_drift",
     ),
     separated_by="Both supports in turn, whose angles are known to be alike, or a spirit level.",
+    sets_in=False,
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )
 
@@ -83,6 +84,7 @@ SENSOR_LAG = Effect(
     confused_with=("sensor_delay", "input_delay", "actuator_lag"),
     separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "
     "measured motion of the actuator.",
+    stiff=True,
     source="data sheets' bandwidth; Titterton, Weston (2004), chapter 4",
 )
 
@@ -118,5 +120,6 @@ SENSOR_SCALE = Effect(
     signature="The rate reading is a multiple of the slope of the angle reading.",
     confused_with=("input_gain",),
     separated_by="Large motion with angle and rate both measured: the angle's slope is the rate.",
+    sets_in=False,
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )

@@ -51,6 +51,7 @@ GRAVITY_NONLINEARITY = Effect(
     separated_by="Large angles, beyond 20 degrees, on a stand that allows them; its size is known, that of gravity "
     "itself.",
     in_radians=("coordinate",),
+    sets_in=False,
     source="Griese et al. (MONOCAB), linearised there",
 )
 

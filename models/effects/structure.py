@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effect import Effect, EffectParameter, EffectState, Family
+from models.effect import Effect, EffectParameter, EffectState, Family, Role
 from models.parts import Place
 
 _SPRING = "((2 * pi * frequency) ** 2 * twist + 4 * pi * frequency * damping_ratio * twist_rate)"
@@ -22,6 +22,7 @@ FLEXIBLE_MODE = Effect(
             "frequency",
             "Hz",
             "of the sprung part on a frame that is held",
+            role=Role.FREQUENCY,
             value="2 / time_scale",
             scale="0.08 / time_scale",
             lower="0.04 / time_scale",

@@ -36,7 +36,8 @@ def validate(effect: Effect) -> None:
     if strangers:
         remedy = f"use names of: {', '.join(sorted(VOCABULARY[effect.place]))}."
         raise ModelError(f"{where}, in_radians", f"there is no {strangers[0]!r} on {effect.place}s", remedy=remedy)
-    for name in (*effect.confused_with, *effect.made_of, *effect.beyond):
+    onsets = (effect.onset_of,) if effect.onset_of else ()
+    for name in (*effect.confused_with, *effect.made_of, *effect.beyond, *onsets):
         if name not in CATALOGUE or name == effect.name:
             remedy = f"name others of the catalogue: {', '.join(CATALOGUE)}."
             raise ModelError(f"{where}, confused_with", f"there is no other effect {name!r}", remedy=remedy)

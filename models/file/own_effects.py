@@ -39,7 +39,7 @@ from pathlib import Path
 from typing import Any
 
 from models.attach import BELONGING
-from models.effect import Effect, EffectParameter, EffectState, Family
+from models.effect import Effect, EffectParameter, EffectState, Family, Role
 from models.effects.catalogue import CATALOGUE
 from models.file.effect_rules import validate
 from models.parts import ModelError, Place
@@ -144,12 +144,14 @@ def _check_keys(entry: Table, kind: type[Any], where: str, optional: Collection[
 
 
 def _values(entry: Table, kind: type[Any], where: str) -> dict[str, Any]:
-    """`entry` with the types of the attributes of `kind`: text, true or false, or a list of texts."""
+    """`entry` with the types of the attributes of `kind`: text, true or false, a role, or a list of texts."""
     types = {field.name: str(field.type) for field in dataclasses.fields(kind)}
     return {key: _value(value, types[key], f"{where}: {key}") for key, value in entry.items()}
 
 
 def _value(value: object, wanted: str, where: str) -> object:
+    if wanted == "Role":
+        return _one_of(Role, value, where)
     if wanted == "bool":
         if not isinstance(value, bool):
             raise ModelError(where, f"{value!r} is neither true nor false", remedy="write true or false.")
@@ -168,7 +170,7 @@ def _text(value: object, where: str) -> str:
     return str(value)
 
 
-def _one_of(kind: type[Family] | type[Place], value: object, where: str) -> Any:
+def _one_of(kind: type[Family] | type[Place] | type[Role], value: object, where: str) -> Any:
     names = [str(each) for each in kind]
     if value not in names:
         raise ModelError(where, f"there is no {value!r}", remedy=f"use one of: {', '.join(names)}.")

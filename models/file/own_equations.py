@@ -230,6 +230,7 @@ def _check_references(tables: ModelSection, file: str) -> None:
     for name, actuator in tables.actuators.items():
         references += [(f"actuators.{name}.command", actuator.command or "''", "inputs")]
         references += [(f"actuators.{name}.also", each, "inputs") for each in actuator.also]
+        references += [(f"actuators.{name}.lag", actuator.lag, "parameters")]
         # An actuator alone moves nothing else that the model knows.
         references += [(f"actuators.{name}.joint", actuator.joint or ("''" if tables.joints else ""), "joints")]
     for name, sensor in tables.sensors.items():

@@ -130,6 +130,7 @@ class ActuatorSection(Section):
     angle_scale: Positive = 1.0
     commanded: bool = True
     also: list[str] = []
+    lag: str = ""
 
 
 class FilterSection(Section):

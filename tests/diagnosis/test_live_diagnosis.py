@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -21,6 +22,7 @@ from estimators.methods.prediction_error import prediction_error
 from estimators.recursive.prediction_error import RecursivePredictionError
 from estimators.recursive.predictor import Seen
 from models.compiler.kernel import compile_model
+from models.effects.catalogue import CATALOGUE
 from models.parts import ModelError
 from models.random.disturbance import disturbed
 from models.segment import Segment
@@ -286,10 +288,11 @@ def test_a_failure_ends_the_diagnosis_and_not_the_recursion(monkeypatch: pytest.
     assert diagnosis.estimator.result().status == "ok"
 
 
-def test_steps_are_made_finer_where_an_effect_moves_too_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_are_made_finer_where_an_effect_moves_too_fast() -> None:
     """A play that is crossed within a cycle: in one step a row its derivative runs away, in finer ones it does not."""
-    monkeypatch.setattr("diagnosis.live.live.UNSEEN", ())
-    diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
+    diagnosis = LiveDiagnosis(
+        nominal_model("monocab"), effects=[replace(each, stiff=False) for each in CATALOGUE.values()], **GIVEN
+    )
     result = course(recorded(), diagnosis)[-1][1]
     assert "backlash" in result.detectable
     assert not result.reason

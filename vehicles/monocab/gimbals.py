@@ -125,7 +125,7 @@ def _model(name: str, title: str, servo: tuple[State, ...], *more: Parameter) ->
             Output("precession_rate", "rad/s", "precession_rate", noise=1e-4, age="drive_age"),
         ),
         base_parameters=(*_PARAMETERS, *more),
-        actuators=(Actuator(name="gimbals", command=COMMAND, joint="", command_scale=0.1),),
+        actuators=(Actuator(name="gimbals", command=COMMAND, joint="", command_scale=0.1, lag="speed_loop_lag"),),
     )
 
 
