@@ -125,7 +125,7 @@ def _answer(
     if lacking := unidentified(base, asked.unasked):
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out), []
 
-    how = Search(workspace.within(SEARCH), asked.masked, asked.most, tell).part(0.1, 0.85)
+    how = Search(workspace.within(SEARCH), asked.masked, asked.most, tell=tell).part(0.1, 0.85)
     known = Explanation(before.findings, before.steps[-1]) if before else None
     found = search(base, how, known)
 

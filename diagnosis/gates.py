@@ -14,22 +14,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from diagnosis.evidence import LEVEL, SURE, by_chance, likelier
-from models.effect import Effect, Family
+from models.effect import Effect
 
-SIMPLER = 0.95
-"""Share of the best gain in log likelihood with which an effect of fewer parameters is named instead.
-
-Real friction is no formula, and what a further parameter gains by bending a little towards it is no evidence for
-another effect."""
-NEIGHBOUR = 0.9
-"""Share of the gain with which a simpler effect, easily confused with the one that is named, is tied with it.
-
-Friction with bristles gains 7 % more by one formula than by its own: what is less does not tell neighbours apart."""
 DOUBT = 0.05
 """p-value of the likelihood ratio below which an effect of more parameters is tied with a simpler one that is named."""
-EXACT = (Family.BIAS, Family.SENSOR)
-"""Families whose formulas are what they say: a constant is a constant. Between two of them the likelihood ratio decides
-alone, at LEVEL."""
 CHECKED = 3
 """Effects, the likeliest first, that are tried on held-out data before none is named."""
 
@@ -210,13 +198,7 @@ def simplest(passed: Sequence[Tried]) -> Tried:
     ]
     if asked:
         return asked[0]
-    simple = [
-        each
-        for each in passed
-        if each.cost < best.cost
-        and each.log_likelihood >= SIMPLER * best.log_likelihood
-        and (not exact(best, each) or needless(best, each) >= LEVEL)
-    ]
+    simple = [each for each in passed if each.cost < best.cost and as_much(each, best)]
     return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best
 
 
@@ -238,23 +220,21 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
         gain, other = best.log_likelihood, each.log_likelihood
         likely = not likelier(likeliest - each.evidence)
         if exact(best, each) and each.parameters < best.parameters:
-            likely = needless(best, each) >= LEVEL
+            likely = as_much(each, best)
         elif alike(best.effect, each.effect):
             if each.cost < best.cost:
-                likely = likely or other >= NEIGHBOUR * gain
+                likely = likely or as_much(each, best)
             elif each.cost > best.cost:
                 # One that can be like the one that is named is an alternative only in what it does otherwise.
                 asked = by_chance(other - gain, each.parameters - best.parameters) < DOUBT
-                likely = asked and (likely or gain < SIMPLER * other)
+                likely = asked and (likely or not as_much(best, each))
                 if not likely and not likelier(gain - other):
                     # Where it is as likely in its usual shape, the record says nothing of its shape.
                     held = in_usual_shape(each)
                     known[each.name] = replace(each, in_usual_shape=held)
                     likely = held is not None and not likelier(gain - held)
             # Of one that contains a tied one only what it gains beyond that would count.
-            likely = likely and not any(
-                one.cost < each.cost and one.log_likelihood > SIMPLER * each.log_likelihood for one in found
-            )
+            likely = likely and not any(one.cost < each.cost and as_much(one, each) for one in found)
         if likely:
             found.append(each)
     names = {each.name for each in found}
@@ -266,9 +246,27 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
 
 
 def exact(one: Tried, other: Tried) -> bool:
-    """Whether the two are easily confused, and neither is a formula for something that follows none."""
-    effects = one.effect, other.effect
-    return alike(*effects) and all(effect.family in EXACT for effect in effects)
+    """Whether the two are easily confused, and the formulas of both are exact: then the likelihood ratio decides alone
+    between them, at LEVEL."""
+    return alike(one.effect, other.effect) and not formula_error(one.effect, other.effect)
+
+
+def as_much(less: Tried, more: Tried) -> bool:
+    """Whether `less` explains as much as `more`, but for what formulas may leave; where these are exact, but for
+    chance.
+
+    Real friction is no formula, and what a further parameter gains by bending a little towards it is no evidence for
+    another effect: friction with bristles gains 7 % more by one formula than by its own.
+    """
+    error = formula_error(less.effect, more.effect)
+    if not error and more.parameters > less.parameters:
+        return needless(more, less) >= LEVEL
+    return less.log_likelihood >= (1.0 - error) * more.log_likelihood
+
+
+def formula_error(*effects: Effect) -> float:
+    """Of the least exact of `effects`."""
+    return max(each.formula_error for each in effects)
 
 
 def needless(more: Tried, less: Tried) -> float:

@@ -107,15 +107,16 @@ class EffectState:
 class Effect:
     """One physical effect that a model may lack.
 
-    `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`: which
-    experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that do a part
-    of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy. `strikes`: parts
-    strike each other, so that what a little of it does says nothing of what more of it does. `stiff`: its own motion is
-    much faster than a row. `sets_in`: it may set in during a run; how a machine is built does not. `onset_of`: the
-    other effect that it is, begun at an instant. `in_radians`: names that are an angle in rad, or the effect makes no
-    sense. `source` is where the equation is from. `instead`: the formula of the same effect at places that offer what
-    that one asks for. `finer`: a formula of the same effect with more physics
-    and more parameters, which takes more of a record to tell.
+    `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`:
+    which experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that
+    do a part of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy.
+    `strikes`: parts strike each other, so that what a little of it does says nothing of what more of it does.
+    `stiff`: its own motion is much faster than a row. `sets_in`: it may set in during a run; how a machine is built
+    does not. `onset_of`: the other effect that it is, begun at an instant. `formula_error`: the share of what it
+    explains that its formula may leave, or that a second name may merely bend; 0 where a constant is a constant.
+    `in_radians`: names that are an angle in rad, or the effect makes no sense. `source` is where the equation is
+    from. `instead`: the formula of the same effect at places that offer what that one asks for. `finer`: a formula
+    of the same effect with more physics and more parameters, which takes more of a record to tell.
     """
 
     name: str
@@ -143,6 +144,7 @@ class Effect:
     stiff: bool = False
     sets_in: bool = True
     onset_of: str = ""
+    formula_error: float = 0.1
     in_radians: tuple[str, ...] = ()
     source: str = ""
     instead: Effect | None = None

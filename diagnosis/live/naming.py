@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.gates import SIMPLER, alike
+from diagnosis.gates import alike
 from diagnosis.live.odds import Weighed, weigh
 from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.live.products import Products
 from diagnosis.prepare.candidates import Candidate
-from diagnosis.search.further import FURTHER_ALIKE
 from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.fit.problem import Problem
 from estimators.numbers import significant
@@ -241,9 +240,12 @@ class Gathered:
     def _asked(self, onset: Onset, named: Sequence[Onset]) -> float:
         """The statistic that a further effect has to have: no formula and no onset is exact."""
         effect = self._entries[onset.effect.name].effect
-        others = [self._entries[each.effect.name].effect for each in named]
-        share = FURTHER_ALIKE if any(alike(effect, other) for other in others) else FURTHER
-        return share * sum(each.statistic for each in named)
+
+        def left(other: Effect) -> float:
+            """Share of what `other` explains that may pass for the effect."""
+            return max(FURTHER, other.formula_error) if alike(effect, other) else FURTHER
+
+        return sum(left(self._entries[each.effect.name].effect) * each.statistic for each in named)
 
     def _finding(
         self,
@@ -304,13 +306,19 @@ class Entry:
         parameters = tuple(p for p in attached_effect.parameters if p.name in attached_effect.amplitudes)
         lower = tuple(p.lower / each for p, each in zip(parameters, scale, strict=True))
         upper = tuple(p.upper / each for p, each in zip(parameters, scale, strict=True))
-        amplitudes = Amplitudes(attached_effect.name, columns, lower, upper, attached_effect.effect.sets_in)
-        return cls(attached_effect.effect, amplitudes, parameters, scale)
+        effect = attached_effect.effect
+        amplitudes = Amplitudes(attached_effect.name, columns, lower, upper, effect.sets_in, effect.formula_error)
+        return cls(effect, amplitudes, parameters, scale)
 
 
 def simplest(found: Sequence[Weighed]) -> Weighed:
-    """The effect of fewest amplitudes among those that are nearly as likely as the first."""
-    near = [each for each in found if each.log_odds >= SIMPLER * found[0].log_odds]
+    """The effect of fewest amplitudes among those that are as likely as the first, but for what formulas may leave."""
+    error = found[0].onset.effect.formula_error
+    near = [
+        each
+        for each in found
+        if each.log_odds >= (1.0 - max(error, each.onset.effect.formula_error)) * found[0].log_odds
+    ]
     return min(near, key=lambda each: len(each.onset.effect.columns))
 
 

@@ -31,13 +31,15 @@ LEAST = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Amplitudes:
-    """An effect's `columns` among all, with the bounds (k,) of its amplitudes; `anytime`: it may set in at any time."""
+    """An effect's `columns` among all, with the bounds (k,) of its amplitudes; `anytime`: it may set in at any time;
+    `formula_error` as of an effect (models.effect)."""
 
     name: str
     columns: tuple[int, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     anytime: bool = True
+    formula_error: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

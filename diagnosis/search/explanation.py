@@ -9,7 +9,9 @@ from functools import partial
 from diagnosis.findings import Finding
 from diagnosis.fits.refit import FullFit
 from diagnosis.prepare.workspace import Workspace
+from diagnosis.score.score_test import Screen
 
+NOTHING_SCORED = Screen((), {})
 Tell = Callable[[str, float], None]
 """Is told in words what is being done, and the share of it that is over, 0 to 1."""
 
@@ -39,11 +41,13 @@ class Explanation:
 @dataclass(frozen=True, slots=True)
 class Search:
     """What the steps of one search share. `masked`: effects of which the score test sees nothing, since parameters of
-    the model take their place (diagnosis.fits.masked); `most`: effects that are added at most."""
+    the model take their place (diagnosis.fits.masked); `most`: effects that are added at most; `alone`: the score test
+    of the model without any of them."""
 
     workspace: Workspace
     masked: Collection[str] = ()
     most: int = 3
+    alone: Screen = NOTHING_SCORED
     tell: Tell = silent
 
     @property

@@ -1,39 +1,40 @@
-"""How much a further effect has to gain beside those that were found: no formula is exact, and a long record tells."""
+"""How much a further effect has to gain beside those that were found: no formula is exact, and a long record tells.
+
+A formula leaves a share of what its effect explains, its formula error (models.effect.Effect.formula_error), and what
+it leaves can only pass for what looks like it. So a further effect has to gain
+
+    sum over the effects found of  formula error x r^2 x log likelihood gained,
+
+r the canonical correlation between what the two do to the innovations of the model alone, as the score test has it.
+Source: the likelihood coarsened by an error of the model, Miller and Dunson, "Robust Bayesian inference via
+coarsening", Journal of the American Statistical Association 114 (2019) 1113-1125.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from diagnosis.findings import Finding
-from diagnosis.gates import alike
-from diagnosis.search.explanation import Explanation
-
-FURTHER = 0.02
-"""Share of what was gained so far that a further effect has to gain.
-
-What backlash leaves looks like elasticity, which is a neighbour. With 0.05 friction or a torque beside it had no
-name."""
-FURTHER_ALIKE = 0.1
-"""The same for an effect that is easily confused with one that was found: it bends its formula."""
-FURTHER_STRUCK = 0.2
-"""The same beside one whose parts strike each other: fits of the same model end up to a tenth of what was gained apart,
-as impacts come a row early or late, and a torque that sets in somewhere moved 437 and 512 nats of 4,000."""
+from diagnosis.score.score_test import Screen
 
 
-def asked(further: Finding, before: Sequence[Finding], of_impacts: float = 0.0) -> float:
-    """Log likelihood that a further effect has to gain, beside those found before and beside the effects of the model
-    as it was whose parts strike each other, which gain `of_impacts`."""
-    share = FURTHER_STRUCK if of_impacts else _least(before)
-    if any(alike(further.definition, each.definition) for each in before):
-        share = max(share, FURTHER_ALIKE)
-    return share * (of_impacts + sum(each.log_likelihood_gain for each in before))
+def asked(further: Finding, before: Sequence[Finding], alone: Screen, of_impacts: float = 0.0) -> float:
+    """Log likelihood that a `further` effect has to gain, beside those found `before` and beside the effects of the
+    model as it was whose parts strike each other, which leave `of_impacts`. `alone`: the score test of that model."""
+    left = (
+        each.definition.formula_error * _likeness(further, each, alone) * each.log_likelihood_gain for each in before
+    )
+    return of_impacts + sum(left)
 
 
-def says_something(found: Explanation) -> float:
-    """Log likelihood by which two fits of effects that gain as much as those of `found` differ, if that is to mean
-    anything."""
-    return _least(found.findings) * found.gain
+def left_by_formulas(findings: Sequence[Finding]) -> float:
+    """Log likelihood of `findings` that says nothing: what their formulas may leave."""
+    return sum(each.definition.formula_error * each.log_likelihood_gain for each in findings)
 
 
-def _least(findings: Sequence[Finding]) -> float:
-    return FURTHER_STRUCK if any(each.definition.strikes for each in findings) else FURTHER
+def _likeness(one: Finding, other: Finding, alone: Screen) -> float:
+    """r^2 of two effects; 1 where a derivative at none of one says nothing of it, or the score test has it not."""
+    known = {one.effect, other.effect} <= alone.bases.keys()
+    if not known or one.definition.strikes or other.definition.strikes:
+        return 1.0
+    return alone.similarity(one.effect, other.effect) ** 2

@@ -26,13 +26,12 @@ from diagnosis.evidence import LEVEL, beyond_chance, likelier
 from diagnosis.findings import Finding
 from diagnosis.fits.finer import is_finer
 from diagnosis.fits.refit import FullFit, full, gained, remembered, with_effect
-from diagnosis.gates import NEIGHBOUR
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Screen
 from diagnosis.search.contenders import look
 from diagnosis.search.explanation import Explanation, Search
-from diagnosis.search.further import asked, says_something
+from diagnosis.search.further import asked, left_by_formulas
 from diagnosis.search.one_more import Named, find, named_alone, surprising, unseen_at_zero
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
@@ -70,7 +69,7 @@ def swap(now: Explanation, how: Search) -> Explanation:
         how.tell(f"looking for {oldest.effect} again, with the others in the model", turn / turns)
         without = remembered(whole.model.remove(oldest.effect), workspace)
         new = _again(Named(oldest, replace(whole, candidate=_candidate(oldest, workspace))), without, how)
-        if new is not None and new.finding.log_likelihood_gain >= asked(new.finding, found):
+        if new is not None and new.finding.log_likelihood_gain >= asked(new.finding, found, how.alone):
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
             whole = new.fit
@@ -80,7 +79,7 @@ def swap(now: Explanation, how: Search) -> Explanation:
         else:
             settled = 0
             whole = without
-    if now.fit.log_likelihood - whole.log_likelihood > says_something(now):
+    if now.fit.log_likelihood - whole.log_likelihood > left_by_formulas(now.findings):
         return now
     place = {name: number for number, name in enumerate(now.names)}
     if {each.effect for each in found} == set(place):
@@ -130,7 +129,7 @@ def merge(now: Explanation, how: Search) -> Explanation:
             others = (each for each in now.findings if all(each is not part for part in parts))
             return Explanation((one.finding, *others), one.fit)
         gain, together = (fit.log_likelihood - base.log_likelihood for fit in (one.fit, whole))
-        if gain >= NEIGHBOUR * together:
+        if gain >= (1.0 - made.effect.formula_error) * together:
             tied = (_tied(each, made) if any(each is part for part in parts) else each for each in now.findings)
             now = Explanation(tuple(tied), whole)
     return now

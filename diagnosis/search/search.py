@@ -21,7 +21,7 @@ from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, gained, settled, w
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import Screen
 from diagnosis.search.contenders import look, still
-from diagnosis.search.explanation import Explanation, Search
+from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
 from diagnosis.search.further import asked
 from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
 from diagnosis.search.one_more import find, retold, sizes, surprising, unseen_at_zero
@@ -31,7 +31,6 @@ HALF = 0.5
 """Share of the time for each of two searches: without a random part that seems to explain most, and beside it."""
 ONCE = 0.75
 """Share of the progress bar that is over when work is done that may have to be done again; for the bar alone."""
-NOTHING_SCORED = Screen((), {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +83,13 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
     """Effect after effect beside the `known` ones, at most as many as `how` says."""
     workspace, most = how.workspace, how.most
     bare = _without_impacts(base, how)
-    of_impacts = max(0.0, base.log_likelihood - bare.log_likelihood)
+    of_impacts = _left_by_impacts(base, bare)
     now, last, fits, screens = known, known.fit, one_by_one(known, workspace.unhurried), list[Screen]()
     if now.findings:
         screens.append(tried(partial(look, base, workspace.unhurried)) or NOTHING_SCORED)
     while True:
-        part = how.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
+        part = replace(how, alone=screens[0] if screens else NOTHING_SCORED)
+        part = part.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
         beside = f", with {now.names[-1]} in the model" if now.findings else ""
         part.tell(f"scoring all effects{beside}", 0.0)
         what = "further effects" if now.findings else "the search for effects"
@@ -98,11 +98,11 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
         if scored is None or len(now.findings) >= most:
             break
         further = workspace.in_time(partial(_one_more, now, scored, part), what)
-        if further is not None and further.findings[-1].log_likelihood_gain < asked(
-            further.findings[-1], now.findings, of_impacts
-        ):
-            last = further.fit  # too little for a name, but known
-            break
+        if further is not None:
+            *before, new = further.findings
+            if new.log_likelihood_gain < asked(new, before, screens[0], of_impacts):
+                last = further.fit  # too little for a name, but known
+                break
         if further is None and not now.findings and most > 1:
             further = workspace.in_time(partial(add_two, now, scored, part), "two effects at once")
         if further is None:
@@ -173,6 +173,12 @@ def _without_impacts(base: FullFit, how: Search) -> FullFit:
         return base if model is base.model else settled(model, how.workspace.unhurried)
     except FAILURES:
         return base
+
+
+def _left_by_impacts(base: FullFit, bare: FullFit) -> float:
+    """Log likelihood that the effects of `base` whose parts strike each other may leave; `bare` is without these."""
+    errors = [each.effect.formula_error for each in base.model.effects if each.effect.strikes]
+    return max(errors, default=0.0) * max(0.0, base.log_likelihood - bare.log_likelihood)
 
 
 def _made_of(made: Finding, found: Explanation, workspace: Workspace) -> MadeOf | None:

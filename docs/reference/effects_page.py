@@ -33,14 +33,15 @@ _KEYS = """\
 Its keys are those of `models.effect.Effect`. `equation`, `signature`, `confused_with`, `separated_by`, `source`,
 `dissipative`, `strikes`, `stiff` (its own motion is much faster than a row, so that it is not looked for while a
 vehicle runs), `sets_in` (false where it cannot set in during a run), `onset_of` (the effect that it is, begun at an
-instant), `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`, `spread`, the standard deviation of
-what it may be when a record begins, and on a sensor `initial`, the reading that it begins with: angle or rate) may be
-left out. A parameter has `name`, `unit`, `meaning`, `amplitude`, `role`, `value`, `scale` (a typical size), `lower`,
-`upper` and `starts`. By its `role` a diagnosis finds values to start from: "frequency" where the spectrum of the
-innovations has a peak, "instant" where a step would explain most, "duration" (of what sets in) as short as it can be;
-any other is a "shape". An expression may contain numbers, + - * / **, brackets, the functions sin, cos, tan, asin,
-acos, atan, sinh, cosh, tanh, exp, log, sqrt, abs, sign, min and max, `pi`, its own parameters and states, and the
-names of its place:
+instant), `formula_error` (the share of what it explains that its formula may leave or a second name may merely bend:
+0.1, and 0 where a constant is a constant), `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`,
+`spread`, the standard deviation of what it may be when a record begins, and on a sensor `initial`, the reading that
+it begins with: angle or rate) may be left out. A parameter has `name`, `unit`, `meaning`, `amplitude`, `role`,
+`value`, `scale` (a typical size), `lower`, `upper` and `starts`. By its `role` a diagnosis finds values to start
+from: "frequency" where the spectrum of the innovations has a peak, "instant" where a step would explain most,
+"duration" (of what sets in) as short as it can be; any other is a "shape". An expression may contain numbers, + - * /
+**, brackets, the functions sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, exp, log, sqrt, abs, sign, min and max,
+`pi`, its own parameters and states, and the names of its place:
 """
 
 _RULES = """\

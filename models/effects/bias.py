@@ -25,6 +25,7 @@ STATIC_TORQUE = Effect(
     ),
     separated_by="A square wave of the angle's reference: a constant torque stays where friction changes its sign. "
     "Weigh it: a known payload at a known place adds to it, not to an offset of the sensor.",
+    formula_error=0.0,
     source="Griese et al. (MONOCAB): the static torque that their model lacked",
 )
 
@@ -64,6 +65,7 @@ TORQUE_STEP = Effect(
     "motion of the vehicle.",
     beyond=("static_torque",),
     onset_of="static_torque",
+    formula_error=0.0,
     source="Griese et al. (MONOCAB): side load; tanh is the best fit to a straight ramp, to 7 % of the step",
 )
 
@@ -98,5 +100,6 @@ TORQUE_DRIFT = Effect(
     separated_by="A record that is several time constants long; a second one without a pause does not start again.",
     beyond=("static_torque",),
     sets_in=False,
+    formula_error=0.0,
     source="first-order creep; Lakes, Viscoelastic Materials (2009), standard linear solid",
 )

@@ -24,6 +24,7 @@ GYRO_BIAS = Effect(
         "torque_drift",
     ),
     separated_by="Seconds at rest on a support.",
+    formula_error=0.0,
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )
 
@@ -45,6 +46,7 @@ SENSOR_OFFSET = Effect(
     ),
     separated_by="Both supports in turn, whose angles are known to be alike, or a spirit level.",
     sets_in=False,
+    formula_error=0.0,
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )
 
@@ -85,6 +87,7 @@ SENSOR_LAG = Effect(
     separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "
     "measured motion of the actuator.",
     stiff=True,
+    formula_error=0.0,
     source="data sheets' bandwidth; Titterton, Weston (2004), chapter 4",
 )
 
@@ -102,6 +105,7 @@ SENSOR_DELAY = Effect(
     confused_with=("sensor_lag", "input_delay", "actuator_lag"),
     separated_by="Fast excitation, or a second sensor of the same motion; actuator and sensor are told apart by a "
     "measured motion of the actuator.",
+    formula_error=0.0,
     source="Åström, Wittenmark, Computer-Controlled Systems (1997), section 2.4",
 )
 
@@ -121,5 +125,6 @@ SENSOR_SCALE = Effect(
     confused_with=("input_gain",),
     separated_by="Large motion with angle and rate both measured: the angle's slope is the rate.",
     sets_in=False,
+    formula_error=0.0,
     source="Titterton, Weston, Strapdown Inertial Navigation Technology (2004), chapter 4",
 )

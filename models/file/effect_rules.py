@@ -41,6 +41,9 @@ def validate(effect: Effect) -> None:
         if name not in CATALOGUE or name == effect.name:
             remedy = f"name others of the catalogue: {', '.join(CATALOGUE)}."
             raise ModelError(f"{where}, confused_with", f"there is no other effect {name!r}", remedy=remedy)
+    if not 0.0 <= effect.formula_error < 1.0:
+        what = f"{effect.formula_error:g} is no share of what it explains"
+        raise ModelError(f"{where}, formula_error", what, remedy="0.1 is usual, 0 where a constant is a constant.")
     _validate_neutral(effect, where)
     for formula in (effect.instead, effect.finer):
         if formula:

@@ -144,7 +144,8 @@ def _check_keys(entry: Table, kind: type[Any], where: str, optional: Collection[
 
 
 def _values(entry: Table, kind: type[Any], where: str) -> dict[str, Any]:
-    """`entry` with the types of the attributes of `kind`: text, true or false, a role, or a list of texts."""
+    """`entry` with the types of the attributes of `kind`: text, a number, true or false, a role, or
+    a list of texts."""
     types = {field.name: str(field.type) for field in dataclasses.fields(kind)}
     return {key: _value(value, types[key], f"{where}: {key}") for key, value in entry.items()}
 
@@ -156,6 +157,10 @@ def _value(value: object, wanted: str, where: str) -> object:
         if not isinstance(value, bool):
             raise ModelError(where, f"{value!r} is neither true nor false", remedy="write true or false.")
         return value
+    if wanted == "float":
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ModelError(where, f"{value!r} is no number", remedy="write a number without quotes.")
+        return float(value)
     if wanted == "tuple[str, ...]":
         if not isinstance(value, list):
             raise ModelError(where, f"{value!r} is no list", remedy='write ["...", "..."].')
