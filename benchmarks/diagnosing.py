@@ -3,7 +3,7 @@
 A minute of sine sweep on the virtual vehicle at 200 Hz, with viscous friction hidden in it, against the whole
 catalogue, its code compiled. Told are wall clock and CPU seconds of
 
-    first answer       data read and looked at, the model fitted, every effect screened: sizes and p-values
+    first answer       data read and looked at, the model fitted, every effect scored: sizes and p-values
     diagnosis          all of it: quick and full fits, unseen data, what is left
     exhaustive search  what an expert would script: an output-error fit with each effect, ranked by BIC
 
@@ -21,7 +21,7 @@ from diagnosis.diagnose import diagnose
 from diagnosis.fits.refit import settled
 from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import screen
+from diagnosis.score.score_test import score_test
 from diagnosis.score.whitened import Whitened
 from estimators.identify.run import with_values
 from service.hidden_effects.exhaustive import exhaustive_bic
@@ -56,7 +56,7 @@ def main() -> None:
         check(MODEL, [recording], VEHICLE.support)
         workspace = Workspace.of(MODEL, [recording], VEHICLE.support)
         base = settled(MODEL, workspace)
-        found = screen(
+        found = score_test(
             Whitened.of(base.fit), lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates
         )
         return f"{found.scores[0].candidate.name}, of {len(found.scores)} effects"

@@ -1,11 +1,11 @@
 """How often is an effect found where nothing is missing? `python benchmarks/false_alarms.py --runs 60`
 
 Clean recordings of virtual vehicles, each with other sensor noise, shaken by a random torque and, of the MONOCAB, as
-far off its vehicle file as that says of itself, are screened for the whole catalogue. The smallest p-value of a
-recording knows that all effects were looked at: where nothing is missing it is uniform, below 0.01 once in a hundred
-recordings. Told is how often it is below some levels, with the 95 % interval (Wilson). With `--named` each is diagnosed
-as a whole, and told is how many get a name, and how many are refused as telling nothing: what the screen lets through
-has to hold on held-out data as well. That takes ten times as long. `--disturbance` is that of `upright benchmark
+far off its vehicle file as that says of itself, are scored for the whole catalogue. The smallest p-value of a recording
+knows that all effects were looked at: where nothing is missing it is uniform, below 0.01 once in a hundred recordings.
+Told is how often it is below some levels, with the 95 % interval (Wilson). With `--named` each is diagnosed as a whole,
+and told is how many get a name, and how many are refused as telling nothing: what the score test lets through has to
+hold on held-out data as well. That takes ten times as long. `--disturbance` is that of `upright benchmark
 hidden-effects`: RMS,CORRELATION_TIME in multiples of the sensor floor and s, or none; drawn anew for each recording
 where it is not given.
 """
@@ -20,7 +20,7 @@ from scipy.stats import binomtest
 
 from diagnosis.diagnose import Verdict, diagnose
 from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import screen
+from diagnosis.score.score_test import score_test
 from diagnosis.score.whitened import Whitened
 from estimators.data.segments import after_settling
 from estimators.fit.maximum_likelihood import fit
@@ -71,7 +71,7 @@ def smallest(name: str, experiment: str, disturbances: Disturbances | None, seed
     recording = clean(name, experiment, disturbances, seed)
     workspace = Workspace.of(model, after_settling(model, [recording], support), support)
     innovations = Whitened.of(fit(workspace.problem(model)))
-    found = screen(innovations, lambda group: workspace.problem(attached(model, group)), workspace.candidates)
+    found = score_test(innovations, lambda group: workspace.problem(attached(model, group)), workspace.candidates)
     return found.scores[0].p_value, found.scores[0].candidate.name
 
 

@@ -13,7 +13,7 @@ from diagnosis.lack_of_fit.adequacy import Adequacy
 from diagnosis.lack_of_fit.events import Event
 from diagnosis.prediction.limit import PredictionLimit
 from diagnosis.prediction.relevance import Relevance
-from diagnosis.score.score_test import Screen
+from diagnosis.score.score_test import ScoreTest
 from estimators.contract import ParameterEstimate
 from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.fit.sensor_errors import InputError, SensorError
@@ -48,7 +48,7 @@ class Finding:
     `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
     model before; `held_out` what data say that the fit had not seen, None where there are none;
     `odds` of every effect that got a full fit, relative to this one, and what each `gains`, as a share of what this one
-    does; `screen` is the one that it was found in. `made_of`, where it is made of two;
+    does; `score_test` is the one that it was found in. `made_of`, where it is made of two;
     `relevance`: the share of the errors that it makes. Where there are several, each is
     told as it is beside the others.
     """
@@ -64,7 +64,7 @@ class Finding:
     held_out: HeldOut | None
     odds: Mapping[str, float]
     gains: Mapping[str, float] = field(default_factory=dict)
-    screen: Screen | None = None
+    score_test: ScoreTest | None = None
     made_of: MadeOf | None = None
     relevance: Relevance | None = None
 
@@ -80,9 +80,9 @@ class Finding:
 
     @property
     def definition(self) -> Effect:
-        """The effect, from the screen that it was found in."""
-        assert self.screen is not None
-        return self.screen.score(self.effect).candidate.effect
+        """The effect, from the score test that it was found in."""
+        assert self.score_test is not None
+        return self.score_test.score(self.effect).candidate.effect
 
     def to_json(self) -> dict[str, Any]:
         """One of `findings` in `diagnose --json`."""
@@ -114,8 +114,8 @@ def _to_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The verdict with its `reason`, what was found, and `repaired`, the model with it; `screens` of the model alone
-    and after each effect that was added.
+    """The verdict with its `reason`, what was found, and `repaired`, the model with it; `score_tests` of the model
+    alone and after each effect that was added.
 
     `steps`: the fit of the model alone, then that after each of `findings`. `disturbance`: the random force that the
     last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `events`: where
@@ -133,7 +133,7 @@ class Diagnosis:
     innovation_ratio_after: float | None = None
     repaired: Model | None = None
     left_out: Mapping[str, str] | None = None
-    screens: tuple[Screen, ...] = ()
+    score_tests: tuple[ScoreTest, ...] = ()
     steps: tuple[FullFit, ...] = ()
     unexplained: Adequacy | None = None
     disturbance: tuple[DisturbanceEstimate, ...] = ()

@@ -175,7 +175,7 @@ def _further(
         minimum_detectable=found.minimum_detectable,
         innovation_ratio_before=found.innovation_ratio_before,
         left_out=found.left_out,
-        screens=(*found.screens, *more.screens),
+        score_tests=(*found.score_tests, *more.score_tests),
         steps=steps,
         untried=tuple(dict.fromkeys((*found.untried, *more.untried))),
     )
@@ -191,7 +191,7 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
         return found
     allowed = max(model.parameter(name).upper for each in model.inputs for name in each.delays)
     sizes = dict(found.minimum_detectable)
-    effects = {score.candidate.name: score.candidate.effect for each in found.screens for score in each.scores}
+    effects = {score.candidate.name: score.candidate.effect for each in found.score_tests for score in each.scores}
     for name in sizes.keys() & effects.keys():
         if effects[name].delay:
             sizes[name] = allowed

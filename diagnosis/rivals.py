@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diagnosis.fits.refit import FullFit, full, quick, with_effect
 from diagnosis.prediction.closed_loop import causal
 from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import screen
+from diagnosis.score.score_test import score_test
 from diagnosis.score.whitened import Whitened
 from diagnosis.trial import FAILURES
 from estimators.budget import UNLIMITED, Budget, OutOfTime
@@ -131,13 +131,13 @@ def fitted_rivals(
     wanted = tuple(each for each in workspace.candidates if each.name in asked)
     workspace = replace(workspace, candidates=wanted, budget=budget)
     base = full(model, workspace)
-    screened = screen(
+    scored = score_test(
         Whitened.of(base.fit),
         lambda group: workspace.problem(attached(base.model, group)),
         workspace.others(base.model),
     )
     fits: dict[str, FullFit] = {}
-    for score in screened.scores:
+    for score in scored.scores:
         start = quick(base.fit, base.model, score, workspace).values
         try:
             fits[score.candidate.name] = full(

@@ -167,7 +167,7 @@ def fit_effect(
     most: int = MOST_STARTS,
 ) -> Fitted:
     """`model` with the effect of `candidate`, from at most `most` shapes; `without` is the fit of `model` to the same
-    `recordings`, and `score` what the screen says of the effect. Its finer formula stays where that is likelier.
+    `recordings`, and `score` what the score test says of the effect. Its finer formula stays where that is likelier.
 
     Raises DataError and EstimationError as `fit_model`, the latter only where every start fails.
     """
@@ -304,7 +304,8 @@ def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:
 
 
 def _starts(model: Model, candidate: Candidate, score: Score | None) -> list[Mapping[str, float]]:
-    """Values of shapes and amplitudes to start from, the most promising first: those of the screen, if there is one.
+    """Values of shapes and amplitudes to start from, the most promising first: those of the score test, if there is
+    one.
 
     From none of it the first steps may make up for it by all else: friction of the robot's gears ended with four times
     the motors' resistance, 1,900 below what it gains from any friction on."""

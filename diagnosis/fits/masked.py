@@ -1,5 +1,5 @@
-"""Effects that the screen does not see, or sees as what they are not: fitted from the model's own values on, whatever
-it says.
+"""Effects that the score test does not see, or sees as what they are not: fitted from the model's own values on,
+whatever it says.
 
 A further lag makes the lag of a speed loop grow, until what is left of it no longer looks like a lag: the derivative
 there points elsewhere. How surprising such an effect's gain is, is told by blocks of time: innovations of a

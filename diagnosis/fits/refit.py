@@ -1,8 +1,8 @@
 """Fits of the model with one more effect, first quickly for every candidate, then fully for those in question.
 
 The quick fit holds the filter gain and the innovations' covariance of the model alone and moves parameters, amplitudes
-and shapes together, from the screen's sizes at its best shapes. The full fit estimates the noise again, too: with the
-effect in the model less noise is needed, which is what makes the difference between neighbours.
+and shapes together, from the score test's sizes at its best shapes. The full fit estimates the noise again, too: with
+the effect in the model less noise is needed, which is what makes the difference between neighbours.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from models.sensing import delayed
 Array = NDArray[np.float64]
 
 STARTS = 2
-"""Shapes that a quick fit starts from: those that the screen likes best."""
+"""Shapes that a quick fit starts from: those that the score test likes best."""
 ELSEWHERE = 1.3
-"""And the best of those whose first number is by this factor another: the screen is a line, and may like the wrong end
-of a valley twice. A mode of 5 Hz was begun at 10.7 and at 10 Hz, and ended at 11.7 with less than half of its gain."""
+"""And the best of those whose first number is by this factor another: the score test is a line, and may like the wrong
+end of a valley twice. A mode of 5 Hz was begun at 10.7 and at 10 Hz, and ended at 11.7 with less than half of its
+gain."""
 ITERATIONS = 8
 LONGER = 24
 """The same from none of the effect, where these ended above what the model alone leaves: that it is a line is true near
-zero, and there the first step moves all parameters as the screen has it."""
+zero, and there the first step moves all parameters as the score test has it."""
 FURTHER_FITS = 2
 """Times that a fit which does not settle goes on."""
 CREEPING = 1.0

@@ -1,7 +1,7 @@
 """The effects that a model may lack: those of the catalogue that it can have and that its recordings can tell.
 
 An effect's amplitudes are zero where it is absent; its shape (a frequency, a width) is anything then. So each candidate
-comes as one or several variants, the same amplitudes at different shapes, to be screened side by side.
+comes as one or several variants, the same amplitudes at different shapes, to be scored side by side.
 """
 
 from __future__ import annotations

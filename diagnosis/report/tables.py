@@ -12,7 +12,7 @@ from diagnosis.prediction.compare import Comparison
 from diagnosis.prediction.relevance import percent
 from diagnosis.report.drawing import shown
 from diagnosis.report.sentences import two_digits
-from diagnosis.score.score_test import Score, Screen
+from diagnosis.score.score_test import Score, ScoreTest
 from estimators.contract import ParameterEstimate
 from estimators.fit.disturbance import disturbances
 from estimators.methods.prediction_error import result
@@ -135,18 +135,18 @@ def limits(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def rankings(diagnosis: Diagnosis) -> list[Ranking]:
-    """One for each finding; where there is none, what the screen alone says of those that came nearest."""
+    """One for each finding; where there is none, what the score test alone says of those that came nearest."""
     if not diagnosis.findings:
-        return [_nearest(diagnosis.screens[0])] if diagnosis.screens and diagnosis.screens[0].scores else []
-    return [_ranking(finding, finding.screen) for finding in diagnosis.findings if finding.screen is not None]
+        return [_nearest(diagnosis.score_tests[0])] if diagnosis.score_tests and diagnosis.score_tests[0].scores else []
+    return [_ranking(finding, finding.score_test) for finding in diagnosis.findings if finding.score_test is not None]
 
 
-def _ranking(finding: Finding, screen: Screen) -> Ranking:
+def _ranking(finding: Finding, score_test: ScoreTest) -> Ranking:
     bracket = {finding.effect, *finding.tied_with} if finding.tied_with else set()
     rows = []
     for name, odds in finding.odds.items():
-        score = screen.score(name)
-        size = _found(finding, score) if name == finding.effect else _screened(score)
+        score = score_test.score(name)
+        size = _found(finding, score) if name == finding.effect else _by_score(score)
         rows.append(_row(score, finding.probability * odds, "tied" if name in bracket else "", size))
     rows.sort(key=lambda row: (row.group != "tied", row.name != finding.effect, -row.probability))
     kept = [row for place, row in enumerate(rows) if place < FEWEST or row.probability >= LEAST_SHOWN or row.group]
@@ -154,12 +154,14 @@ def _ranking(finding: Finding, screen: Screen) -> Ranking:
     # A hundredth of LEAST_SHOWN is what rounding leaves of a difference.
     title = "a model that lacks none of these"
     kept.append(Ranked(NOTHING, title, nothing if nothing > 0.01 * LEAST_SHOWN else 0.0, "", "", "", ""))
-    return Ranking(finding, screen.score(finding.effect).candidate.effect.title, tuple(kept), len(rows) + 1 - len(kept))
+    return Ranking(
+        finding, score_test.score(finding.effect).candidate.effect.title, tuple(kept), len(rows) + 1 - len(kept)
+    )
 
 
-def _nearest(screen: Screen) -> Ranking:
-    rows = [_row(score, 0.0, "", _screened(score)) for score in screen.scores[: 2 * FEWEST]]
-    return Ranking(None, "", tuple(rows), len(screen.scores) - len(rows))
+def _nearest(score_test: ScoreTest) -> Ranking:
+    rows = [_row(score, 0.0, "", _by_score(score)) for score in score_test.scores[: 2 * FEWEST]]
+    return Ranking(None, "", tuple(rows), len(score_test.scores) - len(rows))
 
 
 def _row(score: Score, probability: float, group: str, size: str) -> Ranked:
@@ -176,10 +178,10 @@ def _found(finding: Finding, score: Score) -> str:
         for name, each in finding.parameters.items()
         if each.value is not None
     ]
-    return "; ".join(told) if told else _screened(score)
+    return "; ".join(told) if told else _by_score(score)
 
 
-def _screened(score: Score) -> str:
+def _by_score(score: Score) -> str:
     """Its first amplitude, from the linearised model."""
     first = score.candidate.amplitudes[0]
     size, error = score.sizes[first], score.standard_errors[first]
@@ -197,7 +199,7 @@ def detectable(score: Score) -> str:
 
 def detectables(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """Effect, its title, the least size that the recordings would have shown; by name."""
-    scores = diagnosis.screens[0].scores if diagnosis.screens else ()
+    scores = diagnosis.score_tests[0].scores if diagnosis.score_tests else ()
     return sorted((score.candidate.name, score.candidate.effect.title, detectable(score)) for score in scores)
 
 

@@ -95,9 +95,9 @@ def _add_or_tell_apart(diagnosis: Diagnosis) -> str:
 
 def effect_of(diagnosis: Diagnosis, step: int, name: str) -> Effect:
     """The effect called `name` that was looked for when finding number `step` was found."""
-    screen = diagnosis.findings[step].screen
-    assert screen is not None
-    return screen.score(name).candidate.effect
+    scored = diagnosis.findings[step].score_test
+    assert scored is not None
+    return scored.score(name).candidate.effect
 
 
 def _experiment(suggested: Mapping[str, Any]) -> str:

@@ -29,7 +29,7 @@ from diagnosis.revise.drop_tests import DropTest as DropTest
 from diagnosis.revise.drop_tests import drop_tests as drop_tests
 from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.revise.split import split
-from diagnosis.score.score_test import Score, Screen, screen
+from diagnosis.score.score_test import Score, ScoreTest, score_test
 from diagnosis.score.whitened import Whitened
 from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
@@ -124,8 +124,8 @@ def _repair(
     without = fit_model(model, training, support=support)
     if (with_more := freed(model, without.fit)) is not model:
         model, without = with_more, fit_model(with_more, training, support=support)
-    told("screening", 1.0 / count)
-    looked_at = _screen(without.fit, model, [candidate, *neighbours])
+    told("scoring", 1.0 / count)
+    looked_at = _score_test(without.fit, model, [candidate, *neighbours])
     told(f"fitting with {candidate.name}", 1.2 / count)
     own_score = _score(looked_at, candidate)
     fitted = fit_effect(model, candidate, training, without, score=own_score, support=support)
@@ -197,7 +197,7 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
     return found
 
 
-def _screen(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> Screen:
+def _score_test(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> ScoreTest:
     estimated = [parameter.name for parameter in fitted.problem.parameters]
 
     def attach(group: Sequence[Candidate]) -> Problem:
@@ -208,12 +208,12 @@ def _screen(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> Scree
 
     try:
         with np.errstate(all="ignore"):
-            return screen(Whitened.of(fitted), attach, candidates)
+            return score_test(Whitened.of(fitted), attach, candidates)
     except FAILURES:  # among these: two candidates that are one to this model: there is no direction of their own
-        return Screen((), {})
+        return ScoreTest((), {})
 
 
-def _score(looked_at: Screen, candidate: Candidate) -> Score | None:
+def _score(looked_at: ScoreTest, candidate: Candidate) -> Score | None:
     """None where the record shows nothing of the effect at its start."""
     return next((score for score in looked_at.scores if score.candidate.name == candidate.name), None)
 

@@ -3,7 +3,7 @@
 The response of a predictor to a step does not depend on when the step comes but for its delay. So one pass, with the
 step there from the beginning, serves for all instants: shifted by whole rows it is what a later step would do (the
 generalised likelihood ratio: Willsky and Jones, IEEE Trans. Automatic Control 21, 1976), and its products with
-innovations and nuisances at all shifts are correlations. The screen then looks at the best of them as at any other
+innovations and nuisances at all shifts are correlations. The score test then looks at the best of them as at any other
 shape.
 
 What sets in takes as long as is usual, or is as sharp as the effect can be. A predictor that knows a random force at

@@ -45,7 +45,7 @@ LEAST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What the screen says of one candidate, at the best of its shapes.
+    """What the score test says of one candidate, at the best of its shapes.
 
     `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: by how much the log likelihood would rise.
     `detectable`: the least size of the first amplitude that this record would show at the effect's usual shape, beyond
@@ -79,7 +79,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Screen:
+class ScoreTest:
     """`scores` in order, the surest first; `bases` of what each does to the innovations, orthonormal, by name; `pairs`
     whose sizes physics allows, the surest first."""
 
@@ -96,15 +96,15 @@ class Screen:
         return float(np.clip(singular[0], 0.0, 1.0))
 
 
-def screen(
+def score_test(
     innovations: Whitened,
     attach: Callable[[Sequence[Candidate]], Problem],
     candidates: Sequence[Candidate],
     failed: MutableMapping[str, str] | None = None,
-) -> Screen:
+) -> ScoreTest:
     """Every one of `candidates`. `attach` makes the problem of the model with some of them, on the same rows.
 
-    A candidate under which the model runs away at every step size is left out, and so is one that cannot be screened:
+    A candidate under which the model runs away at every step size is left out, and so is one that cannot be scored:
     `failed` says why. One that makes a pass of many fail is looked for there alone.
     """
     failed = {} if failed is None else failed
@@ -140,7 +140,7 @@ def screen(
     silent = [each.name for each in candidates if each.name not in {*told, *failed}]
     failed.update(dict.fromkeys(silent, "its derivatives are not finite"))
     if not parts:
-        return Screen((), {})
+        return ScoreTest((), {})
     columns = np.column_stack([part for _, _, part in parts])
     return _rank(parts, innovations, project(columns, innovations.nuisance))
 
@@ -196,7 +196,7 @@ class _Entry:
         return {**amplitudes, **self.shape}
 
 
-def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, columns: Array) -> Screen:
+def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, columns: Array) -> ScoreTest:
     residual, blocks = innovations.residual, innovations.blocks
     # Priors scatter as much as they say: only innovations have to show how much they do.
     known = columns.copy()
@@ -225,7 +225,7 @@ def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, 
         drawn = _statistics(candidate, square, normal[:, where])
         entry = _Entry(candidate, number, where, sizes, square, inflation, statistic, drawn)
         by_name.setdefault(candidate.name, []).append(entry)
-    return _screen(by_name, columns, information, score)
+    return _score_test(by_name, columns, information, score)
 
 
 def _draws(information: Array, left: NDArray[np.bool_]) -> Array:
@@ -291,7 +291,7 @@ def _but(names: Collection[str], shape: Mapping[str, float]) -> dict[str, float]
     return {other: value for other, value in shape.items() if other not in names}
 
 
-def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array, score: Array) -> Screen:
+def _score_test(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information: Array, score: Array) -> ScoreTest:
     best = {name: max(entries, key=lambda each: each.statistic) for name, entries in by_name.items()}
     # Each candidate's own distribution first (the best of its shapes), then that of the smallest p-value of all.
     largest = {name: np.max([each.drawn for each in entries], axis=0) for name, entries in by_name.items()}
@@ -319,7 +319,7 @@ def _screen(by_name: Mapping[str, Sequence[_Entry]], columns: Array, information
         )
     scores.sort(key=lambda score: (score.p_value, -score.statistic))
     bases = {name: np.linalg.qr(columns[:, entry.where])[0] for name, entry in best.items()}
-    return Screen(tuple(scores), bases, _pairs(best, by_name, information, score))
+    return ScoreTest(tuple(scores), bases, _pairs(best, by_name, information, score))
 
 
 def _pairs(

@@ -29,7 +29,7 @@ from diagnosis.fits.refit import (
 from diagnosis.gates import alike
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import Score, Screen, screen
+from diagnosis.score.score_test import Score, ScoreTest, score_test
 from diagnosis.score.whitened import Whitened
 from diagnosis.search.explanation import Tell
 from diagnosis.side_by_side import side_by_side
@@ -56,17 +56,17 @@ IN_PLACE = "effects in place of the disturbance"
 """What is left untried where no time is left for them."""
 
 
-def look(base: FullFit, workspace: Workspace) -> Screen:
+def look(base: FullFit, workspace: Workspace) -> ScoreTest:
     """What every candidate that the model of `base` does not have would do to its innovations."""
 
     def attach(group: Sequence[Candidate]) -> Problem:
         return workspace.problem(attached(base.model, group))
 
-    return screen(Whitened.of(base.fit), attach, workspace.others(base.model), workspace.failed)
+    return score_test(Whitened.of(base.fit), attach, workspace.others(base.model), workspace.failed)
 
 
 def contenders(
-    base: FullFit, scored: Screen, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
+    base: FullFit, scored: ScoreTest, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
 ) -> list[FullFit]:
     """`hidden`, and full fits with the effects that explain most.
 
@@ -151,8 +151,8 @@ def _undisturbed(without: FullFit, base: FullFit, workspace: Workspace, tell: Te
     return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
 
-def _quick_fits(base: FullFit, scored: Screen, workspace: Workspace, tell: Tell) -> list[QuickFit]:
-    """Of the candidates that are worth one by what the screen of `base` says."""
+def _quick_fits(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Tell) -> list[QuickFit]:
+    """Of the candidates that are worth one by what the score test of `base` says."""
     worth = [score for score in scored.scores if score.p_single < WORTH_A_FIT]
     if any(score.inflation > FAR for score in worth):
         worth = list(scored.scores)

@@ -9,9 +9,9 @@ from functools import partial
 from diagnosis.findings import Finding
 from diagnosis.fits.refit import FullFit
 from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import Screen
+from diagnosis.score.score_test import ScoreTest
 
-NOTHING_SCORED = Screen((), {})
+NOTHING_SCORED = ScoreTest((), {})
 Tell = Callable[[str, float], None]
 """Is told in words what is being done, and the share of it that is over, 0 to 1."""
 
@@ -47,7 +47,7 @@ class Search:
     workspace: Workspace
     masked: Collection[str] = ()
     most: int = 3
-    alone: Screen = NOTHING_SCORED
+    alone: ScoreTest = NOTHING_SCORED
     tell: Tell = silent
 
     @property

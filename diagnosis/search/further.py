@@ -15,10 +15,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from diagnosis.findings import Finding
-from diagnosis.score.score_test import Screen
+from diagnosis.score.score_test import ScoreTest
 
 
-def asked(further: Finding, before: Sequence[Finding], alone: Screen, of_impacts: float = 0.0) -> float:
+def asked(further: Finding, before: Sequence[Finding], alone: ScoreTest, of_impacts: float = 0.0) -> float:
     """Log likelihood that a `further` effect has to gain, beside those found `before` and beside the effects of the
     model as it was whose parts strike each other, which leave `of_impacts`. `alone`: the score test of that model."""
     left = (
@@ -32,7 +32,7 @@ def left_by_formulas(findings: Sequence[Finding]) -> float:
     return sum(each.definition.formula_error * each.log_likelihood_gain for each in findings)
 
 
-def _likeness(one: Finding, other: Finding, alone: Screen) -> float:
+def _likeness(one: Finding, other: Finding, alone: ScoreTest) -> float:
     """r^2 of two effects; 1 where a derivative at none of one says nothing of it, or the score test has it not."""
     known = {one.effect, other.effect} <= alone.bases.keys()
     if not known or one.definition.strikes or other.definition.strikes:

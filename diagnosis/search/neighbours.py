@@ -28,7 +28,7 @@ from diagnosis.fits.finer import is_finer
 from diagnosis.fits.refit import FullFit, full, gained, remembered, with_effect
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import Screen
+from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import look
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.further import asked, left_by_formulas
@@ -144,14 +144,14 @@ NEIGHBOURS: tuple[tuple[str, Neighbour], ...] = (
 """In this order, each with what is said of it where no time is left for it."""
 
 
-def add_two(now: Explanation, screened: Screen, how: Search) -> Explanation | None:
+def add_two(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
     """`now`, which has no effect, with two of which none shows alone; None where no two are worth being two.
 
     Each takes away what shows of the other: friction the work that a torque does which the actuators bring along. So
     each is looked for beside the other, as in `swap`.
     """
     workspace, base = how.workspace, now.fit
-    for pair in screened.pairs[:PAIRS]:
+    for pair in scored.pairs[:PAIRS]:
         if pair.p_value >= LEVEL:
             return None
         first, second = pair.candidates
@@ -212,13 +212,13 @@ def _candidate(finding: Finding, workspace: Workspace) -> Candidate:
 
 
 def _beside(base: FullFit, how: Search) -> Named | None:
-    screened = look(base, how.workspace)
-    return find(base, screened, how.quiet) if surprising(screened) else None
+    scored = look(base, how.workspace)
+    return find(base, scored, how.quiet) if surprising(scored) else None
 
 
 def _again(oldest: Named, without: FullFit, how: Search) -> Named | None:
-    screened = look(without, how.workspace)
-    if not surprising(screened):
+    scored = look(without, how.workspace)
+    if not surprising(scored):
         return None
     more = {oldest.finding.effect}.intersection(unseen_at_zero(how.workspace))
-    return find(without, screened, replace(how.quiet, masked={*how.masked, *more}), oldest)
+    return find(without, scored, replace(how.quiet, masked={*how.masked, *more}), oldest)

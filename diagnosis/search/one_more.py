@@ -1,6 +1,6 @@
 """One step of a diagnosis: which effect explains most of what a model leaves, and does it stand up to unseen data?
 
-screen of all candidates -> quick fits -> full fits and their evidence -> the simplest of the best -> held-out check
+score test of all candidates -> quick fits -> full fits and their evidence -> the simplest of the best -> held-out check
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from diagnosis.fits.refit import (
 from diagnosis.gates import Round, Tried, alike, decide, gated, tie
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import Screen
+from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import WORTH_A_FIT, at_one_noise, contenders
 from diagnosis.search.explanation import Search
 from diagnosis.search.held_out import held_out
@@ -46,7 +46,7 @@ from estimators.methods.prediction_error import result
 from models.parts import Place
 
 LATE = 0.7
-"""Share of the time that is then left which fits of what the screen does not see may take."""
+"""Share of the time that is then left which fits of what the score test does not see may take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Named:
     fit: FullFit
 
 
-def surprising(scored: Screen) -> bool:
+def surprising(scored: ScoreTest) -> bool:
     """Whether any effect may explain more than chance does.
 
     It need not do so with all of them looked at: in the model without it the disturbance has grown to what it does,
@@ -66,7 +66,7 @@ def surprising(scored: Screen) -> bool:
     return any(score.p_single < WORTH_A_FIT for score in scored.scores)
 
 
-def find(base: FullFit, scored: Screen, how: Search, before: Named | None = None) -> Named | None:
+def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = None) -> Named | None:
     """The effect that explains most, in the model; None where none stands up to a full fit and to held-out data.
 
     `before`: an effect whose fit is known, and that stood up to held-out data.
@@ -100,10 +100,10 @@ def find(base: FullFit, scored: Screen, how: Search, before: Named | None = None
 
 
 def _asked(
-    base: FullFit, fits: Sequence[FullFit], scored: Screen, unscreened: Collection[str], workspace: Workspace
+    base: FullFit, fits: Sequence[FullFit], scored: ScoreTest, unscored: Collection[str], workspace: Workspace
 ) -> tuple[dict[str, FullFit], Round]:
     """All of `fits` in the numbers that decide about them, by the finer formula where that is likelier, and the fits
-    that passed the gates, by name. `unscreened`: effects that the screen does not see."""
+    that passed the gates, by name. `unscored`: effects that the score test does not see."""
     tries = max(1, len(scored.scores))
     rows = {each.name: row for each in fits if (row := _gated(each, base, tries, workspace))}
     likely = sorted((each for each in fits if each.name in rows and not rows[each.name].refused), key=_by_evidence)
@@ -115,7 +115,7 @@ def _asked(
         row = _in_numbers(fit, base)
         if fit is not each:
             row = replace(row, usual=gained(each, base))
-        rows[each.name] = replace(row, p_value=_p_value(fit, base, scored, each.name in unscreened, tries))
+        rows[each.name] = replace(row, p_value=_p_value(fit, base, scored, each.name in unscored, tries))
     there = tuple(each.name for each in base.model.effects)
     ordered = [*(rows[name] for name in names), *(row for name, row in rows.items() if name not in best)]
     p_value = min((row.p_value for row in ordered if not row.refused), default=1.0)
@@ -154,10 +154,10 @@ def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
     )
 
 
-def _p_value(fitted: FullFit, base: FullFit, scored: Screen, unscreened: bool, tries: int) -> float:
-    """How likely chance makes one of so many `tries` explain as much as `fitted`, which the screen may not see.
+def _p_value(fitted: FullFit, base: FullFit, scored: ScoreTest, unscored: bool, tries: int) -> float:
+    """How likely chance makes one of so many `tries` explain as much as `fitted`, which the score test may not see.
 
-    What the screen saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere.
+    What the score test saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere.
     """
     assert fitted.candidate is not None
     effect = fitted.candidate.effect
@@ -167,7 +167,7 @@ def _p_value(fitted: FullFit, base: FullFit, scored: Screen, unscreened: bool, t
         if score.candidate.name == fitted.name or alike(score.candidate.effect, effect)
     ]
     found.append(tries * _by_likelihood(fitted, base, scored))
-    if unscreened:
+    if unscored:
         found.append(tries * surprise(base, fitted))
     return min(1.0, *found)
 
@@ -202,7 +202,7 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
     return again if again.log_likelihood > fitted.log_likelihood + CREEPING else fitted
 
 
-def _by_likelihood(fitted: FullFit, base: FullFit, scored: Screen) -> float:
+def _by_likelihood(fitted: FullFit, base: FullFit, scored: ScoreTest) -> float:
     """p-value of the likelihood ratio of `fitted` to `base`; 1 where shapes that mean nothing without the effect, or
     innovations that scatter more than chance has it, make it no chi squared."""
     assert fitted.candidate is not None
@@ -214,7 +214,7 @@ def _by_likelihood(fitted: FullFit, base: FullFit, scored: Screen) -> float:
 
 
 def named_alone(
-    base: FullFit, scored: Screen, made: Candidate, parts: Sequence[Finding], workspace: Workspace, finer: bool
+    base: FullFit, scored: ScoreTest, made: Candidate, parts: Sequence[Finding], workspace: Workspace, finer: bool
 ) -> Named | None:
     """`made` in the model of `base` in place of `parts`, whose names it may be tied with; None where it does not stand
     up to a full fit and to unseen data. It may have its `finer` formula where these have theirs."""
@@ -240,7 +240,7 @@ def named_alone(
     return Named(_finding(best, decided, scored), best)
 
 
-def _finding(best: FullFit, decided: Round, scored: Screen) -> Finding:
+def _finding(best: FullFit, decided: Round, scored: ScoreTest) -> Finding:
     """What was `decided`, of which `best` is the fit."""
     row, p_value = decided.finding, decided.p_value
     assert row is not None
@@ -261,7 +261,7 @@ def _finding(best: FullFit, decided: Round, scored: Screen) -> Finding:
         held_out=row.held_out,
         odds=odds,
         gains={each.name: each.log_likelihood / row.log_likelihood for each in decided.passed},
-        screen=scored,
+        score_test=scored,
     )
     return reworded(finding)
 
@@ -273,7 +273,7 @@ def retold(finding: Finding, fitted: FullFit) -> Finding:
 
 def reworded(finding: Finding) -> Finding:
     """`finding` with an explanation that has its parameters."""
-    scored = finding.screen
+    scored = finding.score_test
     assert scored is not None
     return replace(finding, explanation=explain(finding, scored.score(finding.effect)))
 

@@ -19,7 +19,7 @@ from diagnosis.findings import Finding, MadeOf
 from diagnosis.fits.random_parts import RANDOM, absorbed, promised
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, gained, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
-from diagnosis.score.score_test import Screen
+from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import look, still
 from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
 from diagnosis.search.further import asked
@@ -38,8 +38,8 @@ class Found:
     """What a search ends with.
 
     `base`: the fit of the model alone; `bare`: that without its effects whose parts strike each other; `fits` with the
-    first of `findings`, with the first two, and so on; `screens` before each and after the last. `last`: the fit of all
-    that was found, which may be one effect more than has a name: what explains too little for one, but no more is
+    first of `findings`, with the first two, and so on; `score_tests` before each and after the last. `last`: the fit of
+    all that was found, which may be one effect more than has a name: what explains too little for one, but no more is
     unknown than what that bends.
     """
 
@@ -47,7 +47,7 @@ class Found:
     bare: FullFit
     findings: tuple[Finding, ...]
     fits: tuple[FullFit, ...]
-    screens: tuple[Screen, ...]
+    score_tests: tuple[ScoreTest, ...]
     last: FullFit
 
 
@@ -84,23 +84,23 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
     workspace, most = how.workspace, how.most
     bare = _without_impacts(base, how)
     of_impacts = _left_by_impacts(base, bare)
-    now, last, fits, screens = known, known.fit, one_by_one(known, workspace.unhurried), list[Screen]()
+    now, last, fits, score_tests = known, known.fit, one_by_one(known, workspace.unhurried), list[ScoreTest]()
     if now.findings:
-        screens.append(tried(partial(look, base, workspace.unhurried)) or NOTHING_SCORED)
+        score_tests.append(tried(partial(look, base, workspace.unhurried)) or NOTHING_SCORED)
     while True:
-        part = replace(how, alone=screens[0] if screens else NOTHING_SCORED)
+        part = replace(how, alone=score_tests[0] if score_tests else NOTHING_SCORED)
         part = part.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
         beside = f", with {now.names[-1]} in the model" if now.findings else ""
         part.tell(f"scoring all effects{beside}", 0.0)
         what = "further effects" if now.findings else "the search for effects"
-        scored = workspace.in_time(partial(look, now.fit, workspace if screens else workspace.unhurried), what)
-        screens.append(scored or NOTHING_SCORED)
+        scored = workspace.in_time(partial(look, now.fit, workspace if score_tests else workspace.unhurried), what)
+        score_tests.append(scored or NOTHING_SCORED)
         if scored is None or len(now.findings) >= most:
             break
         further = workspace.in_time(partial(_one_more, now, scored, part), what)
         if further is not None:
             *before, new = further.findings
-            if new.log_likelihood_gain < asked(new, before, screens[0], of_impacts):
+            if new.log_likelihood_gain < asked(new, before, score_tests[0], of_impacts):
                 last = further.fit  # too little for a name, but known
                 break
         if further is None and not now.findings and most > 1:
@@ -114,10 +114,10 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
         fits = [*fits, now.fit] if alone is None else alone
     findings = [replace(each, made_of=_made_of(each, now, workspace)) for each in now.findings]
     findings = [tried(partial(retold, each, now.fit)) or each for each in findings]
-    return Found(base, bare, tuple(findings), tuple(fits), tuple(screens), last)
+    return Found(base, bare, tuple(findings), tuple(fits), tuple(score_tests), last)
 
 
-def _one_more(now: Explanation, scored: Screen, how: Search) -> Explanation | None:
+def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
     """`now` with the effect that explains most of what it leaves; None where none stands."""
     workspace, seen = how.workspace, surprising(scored)
     # In a fit of the model alone a disturbance may have grown to what is missing, beside which nothing shows.

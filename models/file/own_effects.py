@@ -1,4 +1,4 @@
-"""An effect of the user's own, from a file; `Model.add` takes it, and it is screened and ranked like the others.
+"""An effect of the user's own, from a file; `Model.add` takes it, and it is scored and ranked like the others.
 
 A TOML file has the attributes of models.effect.Effect as keys, and `[[parameters]]` and `[[states]]` have those of
 EffectParameter and EffectState. Needed are name, family, title, place, a parameter that is an amplitude, and what the

@@ -98,8 +98,8 @@ def _detectable(found: Diagnosis) -> Table:
     table.add_column("parameter")
     table.add_column("size", justify="right")
     sizes = found.minimum_detectable or {}
-    screens = [part.screens[0] for part in found.parts or (found,) if part.screens]
-    scores = {score.candidate.name: score for each in screens for score in each.scores}
+    score_tests = [part.score_tests[0] for part in found.parts or (found,) if part.score_tests]
+    scores = {score.candidate.name: score for each in score_tests for score in each.scores}
     for _, score in sorted(scores.items()):
         if score.candidate.name not in sizes:
             continue

@@ -121,7 +121,7 @@ class TestWhatWasFound:
 
     def test_sizes_stand_beside_what_would_have_shown(self) -> None:
         torque = found().findings[0].parameters["coulomb_friction.torque"].value
-        least = found().screens[0].score("coulomb_friction").detectable
+        least = found().score_tests[0].score("coulomb_friction").detectable
         assert torque is not None
         row = page().text.split("smallest to show")[1].split("Probability:")[0]
         assert f"torque = {torque:.2f} ±" in row

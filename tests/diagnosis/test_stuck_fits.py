@@ -27,7 +27,7 @@ def test_the_model_alone_goes_on_from_where_its_fit_seemed_to_settle() -> None:
 
 
 def test_a_quick_fit_that_overshoots_begins_again_from_none_of_the_effect() -> None:
-    """Beside a creeping torque the screen's size of the scale made the error grow, and halving it did, too."""
+    """Beside a creeping torque the score test's size of the scale made the error grow, and halving it did, too."""
     hide = ("sensor_scale=-1.16901", "torque_drift=-0.129222")
     recording = record("monocab", "multisine", hide=hide, seed=675140893, duration=30.0)
     candidates = ("sensor_scale", "sensor_offset", "torque_drift", "static_torque")

@@ -38,7 +38,7 @@ def pushing(name: str, force: str) -> Effect:
 DIVERGES = {
     "a_blow_up": "size * exp(60 * rate**2)",
     "no_number": "size * log(-1 - rate**2)",
-    # The screen sees a drag, and no step of a fit from there has a finite value.
+    # The score test sees a drag, and no step of a fit from there has a finite value.
     "a_trap": "size * rate * exp(1e9 * size**2)",
 }
 RUNAWAY = "1e6 * size * rate**3"

@@ -1,4 +1,4 @@
-"""The score screen: sizes, signs, and p-values that mean what they say."""
+"""The score test: sizes, signs, and p-values that mean what they say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from virtual_records import multisine
 
 from diagnosis.prepare.candidates import at_frequencies, candidates_for
 from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import DETECTABLE, Screen, screen
+from diagnosis.score.score_test import DETECTABLE, ScoreTest, score_test
 from diagnosis.score.whitened import Whitened, project
 from estimators.fit.maximum_likelihood import fit
 from estimators.identify.run import with_values
@@ -35,9 +35,9 @@ def clean() -> tuple[Workspace, Whitened]:
     return workspace, Whitened.of(fit(workspace.problem(MODEL)))
 
 
-def screened(innovations: Whitened) -> Screen:
+def scored(innovations: Whitened) -> ScoreTest:
     workspace, _ = clean()
-    return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+    return score_test(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
 
 
 def white(seed: int) -> Whitened:
@@ -63,7 +63,7 @@ class TestSizes:
     )
     def test_what_was_planted_comes_back(self, name: str, size: float) -> None:
         """3.3 standard errors: a right implementation would miss them with one seed in a thousand."""
-        found = screened(planted(name, size))
+        found = scored(planted(name, size))
         score = found.score(name)
         first = score.candidate.amplitudes[0]
         assert abs(score.sizes[first] - size) < 3.3 * score.standard_errors[first]
@@ -71,13 +71,13 @@ class TestSizes:
         assert found.scores[0].candidate.name == name
 
     def test_a_sign_that_physics_forbids_is_no_finding(self) -> None:
-        score = screened(planted("coulomb_friction", -4.0)).score("coulomb_friction")
+        score = scored(planted("coulomb_friction", -4.0)).score("coulomb_friction")
         assert score.sizes["coulomb_friction.torque"] == 0.0
         assert score.p_value > 0.5
 
     def test_a_size_at_the_detectable_one_is_found(self) -> None:
-        least = screened(clean()[1]).score("viscous_friction").detectable
-        assert screened(planted("viscous_friction", 1.5 * least)).score("viscous_friction").p_single < 1e-3
+        least = scored(clean()[1]).score("viscous_friction").detectable
+        assert scored(planted("viscous_friction", 1.5 * least)).score("viscous_friction").p_single < 1e-3
 
     def test_a_step_is_detectable_by_what_it_does_beyond_a_constant_torque(self) -> None:
         """Four detectable sizes of it beat a constant torque by 4 x 4.66 standard deviations, whose square scatters by
@@ -86,8 +86,10 @@ class TestSizes:
         workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, ("static_torque", "torque_step"))
         step = next(each for each in workspace.candidates if each.name == "torque_step")
 
-        def look(innovations: Whitened) -> Screen:
-            return screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+        def look(innovations: Whitened) -> ScoreTest:
+            return score_test(
+                innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates
+            )
 
         least = look(white(seed=1)).score("torque_step").detectable
         beyond = []
@@ -110,7 +112,7 @@ class TestSizes:
 
         def least(*variants: Mapping[str, float]) -> float:
             both = [coulomb, replace(stribeck, variants=variants)]
-            found = screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), both)
+            found = score_test(innovations, lambda group: workspace.problem(attached(MODEL, group)), both)
             return found.score("stribeck_friction").detectable
 
         usual, other = least(stribeck.variants[0]), [least(each) for each in stribeck.variants[1:]]
@@ -122,7 +124,7 @@ class TestSizes:
         task, innovations = clean()
         names = ("coulomb_friction", "asymmetric_friction")
         workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, names)
-        found = screen(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
+        found = score_test(innovations, lambda group: workspace.problem(attached(MODEL, group)), workspace.candidates)
         one = found.bases["coulomb_friction"]
         moved = project(
             innovations.directions(
@@ -141,8 +143,8 @@ class TestSizes:
 class TestPairs:
     NAMES = ("gimbal_imbalance", "load_dependent_friction", "static_torque", "viscous_friction")
 
-    def look(self, sizes: Mapping[str, float]) -> Screen:
-        """The screen of white innovations with `sizes`, in the standard errors that each would have alone."""
+    def look(self, sizes: Mapping[str, float]) -> ScoreTest:
+        """The score test of white innovations with `sizes`, in the standard errors that each would have alone."""
         task, innovations = clean()
         workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, self.NAMES)
         noise = white(seed=5)
@@ -153,7 +155,7 @@ class TestPairs:
                 moved = innovations.directions(task_with_it, each.amplitudes[:1], {})
                 moved = project(moved, innovations.nuisance)[:, 0]
                 seen += sizes[each.name] * moved / np.linalg.norm(moved)
-        return screen(
+        return score_test(
             replace(noise, residual=seen),
             lambda group: workspace.problem(attached(MODEL, group)),
             workspace.candidates,
@@ -184,11 +186,11 @@ class TestProbabilities:
     def test_p_values_are_uniform_where_nothing_is_missing(self) -> None:
         """White noise in place of the innovations, 60 seeds: the smallest p-value is uniform from 0 to 1 by
         Kolmogorov and Smirnov's test, at a level of 1 % (what is refused of a right implementation)."""
-        found = [min(score.p_value for score in screened(white(seed)).scores) for seed in range(60)]
+        found = [min(score.p_value for score in scored(white(seed)).scores) for seed in range(60)]
         assert stats.kstest(found, "uniform").pvalue > 0.01
 
     def test_a_clean_record_has_none(self) -> None:
-        assert min(score.p_value for score in screened(clean()[1]).scores) > 0.01
+        assert min(score.p_value for score in scored(clean()[1]).scores) > 0.01
 
     def test_frequencies_picked_from_the_data_have_their_price(self) -> None:
         workspace, _ = clean()
@@ -200,7 +202,7 @@ class TestProbabilities:
 
 class TestSimilarity:
     def test_of_an_effect_with_itself_is_one_and_symmetric(self) -> None:
-        found = screened(clean()[1])
+        found = scored(clean()[1])
         assert found.similarity("coulomb_friction", "coulomb_friction") == pytest.approx(1.0)
         one = found.similarity("coulomb_friction", "viscous_friction")
         assert one == pytest.approx(found.similarity("viscous_friction", "coulomb_friction"))
