@@ -23,8 +23,8 @@ from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.parts import diagnose_parts
 from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
-from service.cli.diagnose import default_budget
 from service.hidden_effects.trial import Bench
+from service.offline.diagnose import default_budget
 from service.virtual.run import record
 from simulation.monocab.hidden import HIDDEN
 from telemetry.errors import UprightError

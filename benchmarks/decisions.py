@@ -24,8 +24,8 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -385,8 +385,9 @@ def recorded(path: Path, words: Sequence[str], every: int, processes: int) -> No
     names = [each.name for each in cases() if not words or any(word in each.name for word in words)][::every]
     left = [name for name in names if name not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(processes, max_tasks_per_child=20) as pool, part.open("a", encoding="utf-8") as file:
-        for number, line in enumerate(pool.map(_line_of, left), start=1):
+    # An executor with max_tasks_per_child may wait for ever for workers that have ended (python/cpython 115634).
+    with get_context("spawn").Pool(processes, maxtasksperchild=20) as pool, part.open("a", encoding="utf-8") as file:
+        for number, line in enumerate(pool.imap(_line_of, left), start=1):
             done[line["case"]] = line
             file.write(json.dumps(line) + "\n")
             file.flush()

@@ -33,7 +33,7 @@ from examples import emps, quarter_drone, unbalanced_disk
 from models.file.model_file import load_model
 from models.model import Model
 from models.parts import Disturbance
-from service.cli.diagnose import default_budget
+from service.offline.diagnose import default_budget
 from telemetry.channels import Channel, ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import load

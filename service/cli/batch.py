@@ -10,7 +10,7 @@ import typer
 from service.cli.arguments import VehicleOption
 from service.cli.compare import compare
 from service.cli.diagnose import diagnose
-from service.cli.inputs import fitting, identified_model, load_recording, working
+from service.cli.inputs import fitting, load_recording, working
 from service.output import check_folder, page, parameter_table, print_json
 
 if TYPE_CHECKING:
@@ -75,6 +75,7 @@ def identify(
     from estimators.identify.run import identify as run
     from estimators.identify.subject import NOTHING_OWN
     from service.offline.machine import is_of, support_of
+    from service.offline.models import identified_model
     from vehicles import registry
     from vehicles.file import load
 

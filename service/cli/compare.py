@@ -77,7 +77,7 @@ def compare(
                 pictures.append(target)
         if report is not None:
             from diagnosis.report import write_comparison
-            from service.cli.diagnose import provenance
+            from service.offline.provenance import provenance
 
             origin = provenance(name_of(subject, file), recordings)
             told = [(str(path), found) for path, found in answers]
@@ -102,8 +102,8 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
     own where none is given.
     """
     from estimators.contract import EstimationError
-    from service.cli.inputs import identified_model
     from service.offline.machine import is_of
+    from service.offline.models import identified_model
 
     models: dict[str, Model] = {}
     try:

@@ -9,8 +9,8 @@ from typing import Any
 from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import write_identification
 from models.model import Model
-from service.cli.diagnose import provenance
 from service.offline.machine import name_of, support_of
+from service.offline.provenance import provenance
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 from vehicles.file import VehicleFile

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,21 +11,7 @@ from typing import TYPE_CHECKING, Any
 from service.output import people
 
 if TYPE_CHECKING:
-    from models.model import Model
     from telemetry.recording import Recording
-    from vehicles.file import VehicleFile
-
-
-def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
-    """The model to identify: a model file as it is, a shipped one (by default the vehicle's) with the CAD values."""
-    from estimators.identify.run import with_values
-    from models.file.model_file import load_model
-    from vehicles.registry import nominal_model
-
-    if name is not None and name.endswith(".toml"):
-        return load_model(name)
-    model = nominal_model(vehicle.vehicle.kind) if name is None else load_model(name)
-    return with_values(model, vehicle.parameters.values, vehicle.parameters.deviations)
 
 
 def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
@@ -76,5 +63,38 @@ def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
 
         def told(method: str, label: str, done: int, total: int) -> None:
             progress.update(task, description=f"{method}: {Path(label).name}", completed=done, total=total)
+
+        yield told
+
+
+@contextmanager
+def share_done(seconds: float = math.inf) -> Iterator[Callable[[str, float], None]]:
+    """A progress bar of the share that is over, and of what is left of `seconds`, on stderr."""
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+    from rich.text import Text
+
+    from estimators.budget import Budget
+
+    class Left(ProgressColumn):
+        """The time that is left at most."""
+
+        def render(self, task: Task) -> Text:
+            return Text("" if math.isinf(seconds) else f"{budget.left:.0f} s left at most")
+
+    budget = Budget.of(seconds)
+    columns = (BarColumn(20), TaskProgressColumn(), TimeElapsedColumn(), Left(), TextColumn("{task.description}"))
+    with Progress(*columns, console=people, transient=True) as progress:
+        task = progress.add_task("reading", total=1.0)
+
+        def told(text: str, share: float) -> None:
+            progress.update(task, description=text, completed=share)
 
         yield told

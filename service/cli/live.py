@@ -121,7 +121,8 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
     from estimators.identify.run import identify
     from service.cli.compare import estimates_beside
     from service.cli.identify_page import print_methods
-    from service.cli.inputs import fitting, identified_model, load_recording
+    from service.cli.inputs import fitting, load_recording
+    from service.offline.models import identified_model
     from vehicles import registry
 
     recording = load_recording(path, file.path).between(begin, math.inf)

@@ -23,8 +23,8 @@ def chosen_experiment(
 
     Raises NothingSeparates, and ModelError for an effect that the vehicle's model cannot have.
     """
-    from service.cli.diagnose import share_done
-    from service.cli.inputs import identified_model, load_recording
+    from service.cli.inputs import load_recording, share_done
+    from service.offline.models import identified_model
     from service.offline.next_experiment import separating
     from vehicles.file import load
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from written_report import of_little_matter
 import diagnosis.parts
 from models.file.model_file import read
 from service.cli import app
-from service.cli.diagnose import default_budget
 from service.cli.diagnose_page import print_diagnosis
+from service.offline.diagnose import default_budget
 from service.virtual.run import record
 from telemetry.storage import save
 
@@ -249,3 +250,11 @@ def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path
     assert "the model lacks input_delay" in text
     assert "monocab_gimbals" in text
     assert not (tmp_path / "report-2.html").exists()
+
+
+def test_the_notebook_names_what_it_hid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["diagnose_in_a_notebook.py"])
+    cells = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "diagnose_in_a_notebook.py"))
+    assert [each.effect for each in cells["answer"].found.findings] == ["coulomb_friction"]
+    assert "missing_effect: coulomb_friction" in capsys.readouterr().out
+    assert "<html" in cells["page"]

@@ -1,0 +1,33 @@
+"""Which model or effect is meant: the vehicle's own with its CAD values, a shipped one, or a file's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from estimators.identify.run import with_values
+from models.effect import Effect
+from models.effects.catalogue import find
+from models.file.model_file import load_model
+from models.file.own_effects import load_effect
+from models.model import Model
+from vehicles.file import VehicleFile
+from vehicles.registry import nominal_model
+
+SUFFIXES = (".toml", ".py")
+"""Of a file with an effect of one's own."""
+
+
+def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
+    """A model file as it is, a shipped model (by default the vehicle's) with the CAD values of the vehicle file.
+
+    Raises ModelError, EstimationError.
+    """
+    if name is not None and name.endswith(".toml"):
+        return load_model(name)
+    model = nominal_model(vehicle.vehicle.kind) if name is None else load_model(name)
+    return with_values(model, vehicle.parameters.values, vehicle.parameters.deviations)
+
+
+def chosen_effect(name: str) -> Effect:
+    """An effect of the catalogue by name, or one's own from a file. Raises ModelError."""
+    return load_effect(Path(name)) if name.endswith(SUFFIXES) else find(name)

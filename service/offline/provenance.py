@@ -1,0 +1,17 @@
+"""Where a report comes from, for its foot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+
+from diagnosis.report import Provenance
+
+
+def provenance(vehicle: str, recordings: Sequence[Path]) -> Provenance:
+    """Of what `recordings` are now: minutes later a file may be another. Raises OSError."""
+    hashes = {path.name: sha256(path.read_bytes()).hexdigest() for path in recordings}
+    return Provenance(vehicle, version("upright"), datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), hashes)
