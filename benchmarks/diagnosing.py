@@ -24,7 +24,7 @@ from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import score_test
 from diagnosis.score.whitened import Whitened
 from estimators.identify.run import with_values
-from service.hidden_effects.exhaustive import exhaustive_bic
+from service.hidden_effects.methods.exhaustive import exhaustive_bic
 from service.virtual.run import record
 from telemetry.recording import Recording
 from vehicles.file import load

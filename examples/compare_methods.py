@@ -17,9 +17,9 @@ from math import tau
 from pathlib import Path
 from typing import Any
 
-from diagnosis.report.method_figure import save_methods
+from diagnosis.report.figures.methods import save_methods
 from estimators.identify.run import identify, with_values
-from service.cli.identify_page import print_methods
+from service.cli.pages.identify import print_methods
 from service.virtual.run import record
 from simulation.config import SimulationConfig
 from simulation.monocab.truth import PlantTruth

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from diagnosis.prediction.compare import Comparison
 from diagnosis.report import tables
-from diagnosis.report.drawing import file_name, shown, units
+from diagnosis.report.figures.drawing import file_name, shown, units
 from diagnosis.report.page import Figures, Provenance, compared_figures, render
 from diagnosis.report.sentences import disturbance_text
 

@@ -14,7 +14,7 @@ from diagnosis.diagnose import Diagnosis
 from diagnosis.lack_of_fit.adequacy import over_floor
 from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import tables
-from diagnosis.report.drawing import file_name
+from diagnosis.report.figures.drawing import file_name
 from diagnosis.report.page import Figures, Provenance, compared_figures, render
 from diagnosis.report.sentences import disturbance_sentences, untried_sentence
 from diagnosis.report.words import headline
@@ -90,7 +90,7 @@ def _comparisons(
 
 
 def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) -> Figures:
-    from diagnosis.report import pictures
+    from diagnosis.report.figures import diagnosis as pictures
 
     falling = pictures.staircase(*_stairs(diagnosis)) if diagnosis.steps else ""
     if not comparisons:

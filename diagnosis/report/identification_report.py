@@ -8,7 +8,7 @@ from typing import Any
 
 from diagnosis.prediction.compare import Comparison
 from diagnosis.report.comparison_report import Compared
-from diagnosis.report.drawing import file_name
+from diagnosis.report.figures.drawing import file_name
 from diagnosis.report.page import Provenance, compared_figures, render
 from estimators.contract import EstimationError
 from estimators.identify.document import CANCELLED
@@ -105,8 +105,8 @@ def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 def _figure(document: Mapping[str, Any], truth: Mapping[str, float]) -> str:
     """The methods side by side, "" where no method was asked for what is known from before."""
-    from diagnosis.report.drawing import styled, svg
-    from diagnosis.report.method_figure import method_figure
+    from diagnosis.report.figures.drawing import styled, svg
+    from diagnosis.report.figures.methods import method_figure
 
     @styled
     def drawn() -> str:

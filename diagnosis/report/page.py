@@ -52,8 +52,8 @@ def render(template: str, models: Sequence[str], provenance: Provenance | None, 
 
 def compared_figures(comparisons: Sequence[Comparison], name: str = "") -> Figures:
     """The figures of models beside each other on the same recordings; `name` keeps those of several sets apart."""
-    from diagnosis.report import pictures
-    from diagnosis.report.loop_picture import closed_loop
+    from diagnosis.report.figures import diagnosis as pictures
+    from diagnosis.report.figures.loop import closed_loop
 
     return Figures(
         overlay=pictures.overlay(comparisons, f"overlay{name}"),

@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.diagnose import Diagnosis, Finding
 from diagnosis.prediction.compare import Comparison
 from diagnosis.prediction.relevance import percent
-from diagnosis.report.drawing import shown
+from diagnosis.report.figures.drawing import shown
 from diagnosis.report.sentences import two_digits
 from diagnosis.score.score_test import Score, ScoreTest
 from estimators.contract import ParameterEstimate

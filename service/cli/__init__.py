@@ -14,7 +14,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
 
-from service.cli import batch, benchmark, dashboard, live, model, talk, vehicle
+from service.cli import batch, benchmark, dashboard, live, talk, vehicle
+from service.cli.models import shown as model
 from telemetry.errors import UprightError
 
 app = typer.Typer(

@@ -88,7 +88,7 @@ def identify(
         before, own = (cad.values, cad.deviations), registry.of(file.vehicle.kind).identification()
     known = truths(truth or [])
     if picture is not None:
-        from diagnosis.report.method_figure import check_suffix
+        from diagnosis.report.figures.methods import check_suffix
 
         check_suffix(picture)
     check_folder(report)
@@ -107,7 +107,7 @@ def identify(
             progress=progress,
         )
     if picture is not None:
-        from diagnosis.report.method_figure import save_methods
+        from diagnosis.report.figures.methods import save_methods
 
         save_methods(document, picture, truth=known)
     if report is not None:
@@ -118,7 +118,7 @@ def identify(
     if json:
         print_json(document)
     else:
-        from service.cli.identify_page import print_methods
+        from service.cli.pages.identify import print_methods
 
         print_methods(document, known)
         if picture is not None:

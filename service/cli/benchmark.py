@@ -108,11 +108,11 @@ def hidden_effects(
 
     Ctrl-C ends it and shows what is done by then; the same command goes on from there.
     """
-    from diagnosis.report.method_figure import check_suffix
-    from service.hidden_effects import results
+    from diagnosis.report.figures.methods import check_suffix
     from service.hidden_effects.benchmark import benchmark as run
+    from service.hidden_effects.results import trials as results
+    from service.hidden_effects.results.summary import summarise
     from service.hidden_effects.spread import machines, processes
-    from service.hidden_effects.summary import summarise
 
     if picture is not None:
         check_suffix(picture)
@@ -132,13 +132,13 @@ def hidden_effects(
             people.print(f"Interrupted. What is done is in {output}; the same command goes on from there.")
     figures = summarise(lines.values())
     if picture is not None and lines:
-        from service.hidden_effects.confusion_picture import save_confusion
+        from service.hidden_effects.results.confusion_picture import save_confusion
 
         save_confusion(figures, picture)
     if json:
         print_json(figures.to_json())
     else:
-        from service.cli.benchmark_page import print_summary
+        from service.cli.pages.benchmark import print_summary
 
         print_summary(figures)
         if picture is not None:
@@ -182,9 +182,9 @@ def _grid(
 def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str | None) -> Bench:
     """Raises BadParameter for an unknown baseline or a disturbance that cannot be, ModelError for an unknown model."""
     from models.library import get
-    from service.hidden_effects.answers import diagnosis
-    from service.hidden_effects.baselines import BASELINES
     from service.hidden_effects.disturbances import drawn_for, parse_disturbances
+    from service.hidden_effects.methods.answers import diagnosis
+    from service.hidden_effects.methods.baselines import BASELINES
     from service.hidden_effects.trial import SUBJECT, Bench
 
     chosen = baseline if baseline is not None else [] if quick else list(BASELINES)

@@ -44,14 +44,14 @@ def compare(
     Each recording is compared by itself. What noise alone would leave is the measure: its size is read from the record.
     """
     from diagnosis.prediction.compare import compare as run
-    from service.cli.compare_page import print_comparisons
     from service.cli.inputs import load_recording, working
+    from service.cli.pages.compare import print_comparisons
     from service.offline.machine import name_of, support_of
     from vehicles.file import load
     from vehicles.registry import recorded_loop
 
     if picture is not None:
-        from diagnosis.report.method_figure import check_suffix
+        from diagnosis.report.figures.methods import check_suffix
 
         check_suffix(picture)
     check_folder(report)
@@ -69,7 +69,7 @@ def compare(
             found = run(models, [recording], support=support, loops=[loop], progress=step)
             answers.append((path, found))
             if picture is not None:
-                from diagnosis.report.comparison_figures import save_comparison
+                from diagnosis.report.figures.comparison import save_comparison
 
                 step(f"drawing: {path.name}")
                 target = picture if len(recordings) == 1 else picture.with_stem(f"{picture.stem}_{path.stem}")

@@ -133,7 +133,7 @@ def diagnose(
     if json:
         print_json(found.to_json())
     else:
-        from service.cli.diagnose_page import print_diagnosis
+        from service.cli.pages.diagnose import print_diagnosis
 
         print_diagnosis(found, seconds)
         if pages:

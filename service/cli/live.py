@@ -63,8 +63,8 @@ def demo(
 
     from diagnosis.prediction.compare import compare as compare_models
     from service.cli.compare import estimates_beside, read_models
-    from service.cli.compare_page import comparison_table
     from service.cli.inputs import load_recording, working
+    from service.cli.pages.compare import comparison_table
     from service.cli.talk import follow
     from service.demo.figure import save_run
     from service.demo.run import run_demo
@@ -120,8 +120,8 @@ def identified(path: Path, begin: float, file: VehicleFile) -> None:
 
     from estimators.identify.run import identify
     from service.cli.compare import estimates_beside
-    from service.cli.identify_page import print_methods
     from service.cli.inputs import fitting, load_recording
+    from service.cli.pages.identify import print_methods
     from service.offline.models import identified_model
     from vehicles import registry
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from service.hidden_effects import results
 from service.hidden_effects.cases import Case, references
+from service.hidden_effects.results import trials as results
 from service.hidden_effects.spread import Spread
 from service.hidden_effects.trial import DETECTABLE, Bench, Line
 

@@ -17,7 +17,7 @@ from uuid import uuid4
 
 from service.hidden_effects import trial
 from service.hidden_effects.cases import Case
-from service.hidden_effects.results import failed
+from service.hidden_effects.results.trials import failed
 from service.hidden_effects.trial import Bench, Line
 from telemetry.errors import UprightError
 

@@ -15,9 +15,9 @@ from models.effect import Effect
 from models.effects.catalogue import CATALOGUE
 from models.library import get
 from models.model import Model
-from service.hidden_effects.answers import Answer, Method, diagnosis
 from service.hidden_effects.cases import Case, Kind
 from service.hidden_effects.disturbances import Disturbances, sensor_floor
+from service.hidden_effects.methods.answers import Answer, Method, diagnosis
 from service.hidden_effects.repair import Yardstick, closed, fitted
 from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS

@@ -14,13 +14,13 @@ import small_vehicle
 
 from diagnosis.prediction.closed_loop_error import ClosedLoop, Loop
 from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report.comparison_figures import comparison_figure
+from diagnosis.report.figures.comparison import comparison_figure
 from estimators.speed_loop import MODES, respond
 from estimators.speed_loop import Loop as Tuning
 from estimators.speed_loop_steps import SpeedLoopSteps
 from models import library
 from models.model import Model
-from service.cli.compare_page import closed_loop_lines
+from service.cli.pages.compare import closed_loop_lines
 from service.virtual.run import record
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording

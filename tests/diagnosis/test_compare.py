@@ -13,7 +13,7 @@ import small_vehicle
 import virtual_records
 
 from diagnosis.prediction.compare import Comparison, compare
-from diagnosis.report.comparison_figures import comparison_figure, save_comparison
+from diagnosis.report.figures.comparison import comparison_figure, save_comparison
 from estimators.contract import EstimationError
 from estimators.data.segments import DataError
 from models import library
@@ -21,7 +21,7 @@ from models.file.model_file import load_model
 from models.model import Model
 from models.parts import ModelError
 from service.cli.compare import read_models
-from service.cli.compare_page import comparison_table
+from service.cli.pages.compare import comparison_table
 from telemetry.channels import ChannelTable
 from telemetry.errors import RecordingError
 from telemetry.recording import Recording

@@ -13,7 +13,7 @@ import pytest
 
 from diagnosis.fits.effect_fit import fit_model, horizons_of
 from diagnosis.prediction.ahead import errors, on, sensor_floors
-from diagnosis.report.repair_figure import repair_figure
+from diagnosis.report.figures.repair import repair_figure
 from diagnosis.report.repair_words import in_words, odds_text
 from diagnosis.revise.drop_tests import drop_tests
 from diagnosis.revise.result import Budget, Neighbour, Repair

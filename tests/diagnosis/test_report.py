@@ -27,8 +27,8 @@ from written_report import (
 from diagnosis.diagnose import Diagnosis, Verdict
 from diagnosis.prediction.relevance import percent
 from diagnosis.report import write_report
-from diagnosis.report.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
-from diagnosis.report.pictures import staircase
+from diagnosis.report.figures.diagnosis import staircase
+from diagnosis.report.figures.drawing import MOST_POINTS, STYLE, in_a_row, separate, shown, svg, thinned
 from diagnosis.report.tables import p_text
 from diagnosis.report.words import headline
 from estimators.disturbance_estimate import rms

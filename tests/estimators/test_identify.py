@@ -17,7 +17,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import estimators
-from diagnosis.report.method_figure import method_figure, save_methods
+from diagnosis.report.figures.methods import method_figure, save_methods
 from estimators.contract import EstimationError
 from estimators.identify.run import identify, plan, with_values
 from estimators.identify.table import METHODS, Domain, Experiment, Takes, experiment_of, unsuited
@@ -25,7 +25,7 @@ from models.file.document import ModelFile
 from models.file.model_file import write
 from models.parts import ModelError
 from service.cli import app
-from service.cli.identify_page import print_methods
+from service.cli.pages.identify import print_methods
 from telemetry.channels import ChannelTable
 from telemetry.recording import Recording
 from telemetry.storage import save
@@ -319,7 +319,7 @@ def command(*words: str, code: int = 0) -> str:
 def test_the_table_fits_the_terminal(
     document: dict[str, Any], width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("service.cli.identify_page.page", Console(width=width, highlight=False))
+    monkeypatch.setattr("service.cli.pages.identify.page", Console(width=width, highlight=False))
     print_methods(document, {"inertia": 1650.0})
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line.rstrip()) for line in lines) <= width

@@ -18,7 +18,7 @@ from estimators.identify.common_fit import HORIZON, CommonPredictor
 from estimators.identify.run import identify
 from estimators.identify.table import METHODS
 from models.model import Model
-from service.cli.identify_page import print_methods
+from service.cli.pages.identify import print_methods
 from telemetry.recording import Recording
 
 SIMULATED = ("output_error", "output_error_simplex", "recursive_output_error")
@@ -159,7 +159,7 @@ class TestAnUnstablePlant:
         assert alone["methods"]["output_error"]["not_chosen"].startswith("not sound here")
         from rich.console import Console
 
-        monkeypatch.setattr("service.cli.identify_page.page", Console(width=100, highlight=False))
+        monkeypatch.setattr("service.cli.pages.identify.page", Console(width=100, highlight=False))
         print_methods(alone, {})
         shown = " ".join(capsys.readouterr().out.split())
         assert "To rely on: none of these methods" in shown

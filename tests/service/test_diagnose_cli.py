@@ -17,7 +17,7 @@ from written_report import of_little_matter
 import diagnosis.parts
 from models.file.model_file import read
 from service.cli import app
-from service.cli.diagnose_page import print_diagnosis
+from service.cli.pages.diagnose import print_diagnosis
 from service.offline.diagnose import default_budget
 from service.virtual.run import record
 from telemetry.storage import save

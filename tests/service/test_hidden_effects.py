@@ -25,17 +25,17 @@ from models.effects.catalogue import CATALOGUE
 from models.file.effect_rules import validate
 from models.library import get
 from service.cli import app
-from service.hidden_effects import results
-from service.hidden_effects.answers import MISSING, UNKNOWN, Answer, of_diagnosis
-from service.hidden_effects.baselines import BASELINES
 from service.hidden_effects.benchmark import benchmark
 from service.hidden_effects.cases import QUICK, Case, Grid, Kind
-from service.hidden_effects.confusion_picture import save_confusion
+from service.hidden_effects.methods.answers import MISSING, UNKNOWN, Answer, of_diagnosis
+from service.hidden_effects.methods.baselines import BASELINES
+from service.hidden_effects.methods.terms import measured, regression
 from service.hidden_effects.repair import closed, fitted
+from service.hidden_effects.results import trials as results
+from service.hidden_effects.results.confusion_picture import save_confusion
+from service.hidden_effects.results.summary import middle, share, summarise
 from service.hidden_effects.sizes import NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.spread import SchedulerError, Spread, machines, processes
-from service.hidden_effects.summary import middle, share, summarise
-from service.hidden_effects.terms import measured, regression
 from service.hidden_effects.trial import SUBJECT, Bench, run, virtual
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import FARTHEST, LATENCY, drawn
@@ -145,7 +145,7 @@ def test_no_catalogue_has_them() -> None:
 @pytest.mark.parametrize("name", UNLISTED)
 def test_plant_and_model_have_the_same_torque(name: str) -> None:
     """At a time where the swing's phase is that of the plant, so that one amplitude is enough."""
-    from service.hidden_effects.terms import evaluated
+    from service.hidden_effects.methods.terms import evaluated
 
     effect = UNLISTED_EFFECTS[name]
     validate(effect)

@@ -14,7 +14,7 @@ from written_report import HASH, HOSTILE, Page
 
 from diagnosis.prediction.compare import Comparison, compare
 from diagnosis.report import Provenance, write_comparison, write_identification
-from diagnosis.report.drawing import looks
+from diagnosis.report.figures.drawing import looks
 from estimators.disturbance_estimate import DisturbanceEstimate
 from estimators.identify.run import identify, with_values
 from models import library

@@ -15,11 +15,11 @@ from plant_in_the_loop import ClosedLoopRun, Measured, simulate_closed_loop
 from typer.testing import CliRunner
 
 from service.cli import app
-from service.hidden_effects.answers import ADEQUATE, Answer
-from service.hidden_effects.by_disturbance import thirds
 from service.hidden_effects.cases import Case
 from service.hidden_effects.disturbances import Drawn, Multiple, parse_disturbances, sensor_floor
-from service.hidden_effects.summary import summarise
+from service.hidden_effects.methods.answers import ADEQUATE, Answer
+from service.hidden_effects.results.by_disturbance import thirds
+from service.hidden_effects.results.summary import summarise
 from service.hidden_effects.trial import SUBJECT, Bench, virtual
 from service.hidden_effects.trial import run as run_case
 from service.hidden_effects.vehicles import drawn

@@ -16,8 +16,8 @@ import numpy as np
 
 from models.effect import Effect
 from models.model import Model
-from service.hidden_effects.answers import ADEQUATE, UNKNOWN, Answer
 from service.hidden_effects.cases import Grid
+from service.hidden_effects.methods.answers import ADEQUATE, UNKNOWN, Answer
 from service.hidden_effects.trial import SUBJECT, Bench
 from service.hidden_effects.vehicles import Vehicle
 from simulation.disturbance import Disturbance

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from service.output import page
 
 if TYPE_CHECKING:
-    from service.hidden_effects.summary import Figure, Merit, Summary
+    from service.hidden_effects.results.summary import Figure, Merit, Summary
 
 Row = tuple[str, str, "Callable[[Merit], Figure | None]", bool]
 """Heading, what is wanted, the figure of a method, whether it is a share."""

@@ -10,8 +10,8 @@ from matplotlib.patches import Patch
 
 from diagnosis.prediction.closed_loop_error import ClosedLoop
 from diagnosis.prediction.compare import Comparison
-from diagnosis.report.drawing import MEASURED, WIDTH, Array, in_a_row, looks, shown, styled, svg, thinned, units
-from diagnosis.report.pictures import BAND, IN_A_ROW
+from diagnosis.report.figures.diagnosis import BAND, IN_A_ROW
+from diagnosis.report.figures.drawing import MEASURED, WIDTH, Array, in_a_row, looks, shown, styled, svg, thinned, units
 
 
 @styled

@@ -17,7 +17,7 @@ from diagnosis.lack_of_fit.force_bins import Binned
 from diagnosis.lack_of_fit.where_it_fails import Energy
 from diagnosis.prediction.compare import Comparison
 from diagnosis.prediction.horizons import Prediction
-from diagnosis.report.drawing import (
+from diagnosis.report.figures.drawing import (
     FLOOR,
     MEASURED,
     WIDTH,

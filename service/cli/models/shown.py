@@ -1,4 +1,4 @@
-"""Commands about models: model show, model list-effects, model new, model remove; model_repair has the others."""
+"""Commands about models: model show, model list-effects, model new, model remove; changed has the others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli import model_repair
+from service.cli.models import changed
 from service.output import page, print_json
 
 model = typer.Typer(
@@ -29,8 +29,8 @@ class Format(StrEnum):
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands of this module, and those of model_repair, to `app`."""
-    model_repair.register(model)
+    """Add the commands of this module, and those of changed, to `app`."""
+    changed.register(model)
     app.add_typer(model, name="model")
 
 
@@ -63,7 +63,7 @@ def show(
     elif format is Format.LATEX:
         typer.echo(rendering.latex(shown))
     else:
-        from service.cli.model_page import print_model
+        from service.cli.pages.model import print_model
 
         print_model(shown, file.history)
 

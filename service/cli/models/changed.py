@@ -80,7 +80,7 @@ def add(
     if not recording and (held_out or picture):
         raise typer.BadParameter("needs a --recording to fit the model to.", param_hint="--held-out, --picture")
     if picture is not None:
-        from diagnosis.report.method_figure import check_suffix
+        from diagnosis.report.figures.methods import check_suffix
 
         check_suffix(picture)
     before, target = _start(name, vehicle), _target(name, output)
@@ -90,7 +90,7 @@ def add(
     entry: dict[str, Any] = {"action": "add", "effect": before.model.add(wanted, at).effects[-1].name, "date": _now()}
     found: Repair | None = None
     if recording:
-        from service.cli.model_entry import rounded, told
+        from service.cli.models.history_entry import rounded, told
 
         found = _repair(before, wanted, at, recording, held_out or [], vehicle)
         changed = rounded(found)
@@ -101,7 +101,7 @@ def add(
     if own_file:
         files[added.name] = os.path.relpath(effect, target.resolve().parent)
     if found is not None and picture is not None:
-        from diagnosis.report.repair_figure import save_repair
+        from diagnosis.report.figures.repair import save_repair
 
         save_repair(found, picture)
     write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), target)
@@ -118,13 +118,13 @@ def add(
             document["repair"] = {**found.to_json(), "words": in_words(found)}
         print_json(document)
         return
-    from service.cli.model_page import print_parameters
+    from service.cli.pages.model import print_parameters
 
     page.print(f"{target}: {added.name} added at {added.at}: {added.effect.equation}", markup=False, soft_wrap=True)
     if found is None:
         print_parameters(added.parameters)
         return
-    from service.cli.repair_page import print_repair
+    from service.cli.pages.repair import print_repair
 
     print_repair(found)
     page.print(f"\nTake it back with `upright model undo {target}`.", markup=False, soft_wrap=True)
@@ -171,7 +171,7 @@ def drop_test(
     if json:
         print_json({"file": str(file), "effects": [each.to_json() for each in tests]})
         return
-    from service.cli.repair_page import print_drop_tests
+    from service.cli.pages.repair import print_drop_tests
 
     print_drop_tests(tests, str(file))
 

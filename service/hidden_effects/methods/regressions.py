@@ -21,8 +21,8 @@ from estimators.data.segments import segments
 from models.effect import Effect
 from models.model import Model
 from models.segment import Segment
-from service.hidden_effects.answers import Answer
-from service.hidden_effects.terms import Term, evaluated, measured, regression, residual
+from service.hidden_effects.methods.answers import Answer
+from service.hidden_effects.methods.terms import Term, evaluated, measured, regression, residual
 from telemetry.errors import UprightError
 from telemetry.recording import Recording
 

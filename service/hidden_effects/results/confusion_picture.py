@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from models.effects.catalogue import CATALOGUE
-from service.hidden_effects.summary import Summary
+from service.hidden_effects.results.summary import Summary
 from telemetry.errors import UprightError
 
 CELL = 0.24

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from service.hidden_effects.answers import Method
-from service.hidden_effects.exhaustive import exhaustive_bic
-from service.hidden_effects.regressions import differentiate_sindy, smoother_stepwise
+from service.hidden_effects.methods.answers import Method
+from service.hidden_effects.methods.exhaustive import exhaustive_bic
+from service.hidden_effects.methods.regressions import differentiate_sindy, smoother_stepwise
 
 BASELINES: Mapping[str, Method] = {
     "differentiate_sindy": differentiate_sindy,

@@ -17,7 +17,7 @@ from models.effect import Effect
 from models.effects.catalogue import CATALOGUE
 from models.model import Model
 from models.parts import ModelError
-from service.hidden_effects.answers import ADEQUATE, MISSING, Answer, Found
+from service.hidden_effects.methods.answers import ADEQUATE, MISSING, Answer, Found
 from telemetry.recording import Recording
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 from scipy.stats import binom, binomtest
 
-from service.hidden_effects.answers import ADEQUATE, INSUFFICIENT, MISSING, UNKNOWN
-from service.hidden_effects.by_disturbance import thirds
 from service.hidden_effects.cases import Kind
-from service.hidden_effects.results import methods_of
+from service.hidden_effects.methods.answers import ADEQUATE, INSUFFICIENT, MISSING, UNKNOWN
+from service.hidden_effects.results.by_disturbance import thirds
+from service.hidden_effects.results.trials import methods_of
 from service.hidden_effects.trial import DETECTABLE, Line
 
 SEEN = 2.0
