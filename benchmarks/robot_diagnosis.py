@@ -139,10 +139,10 @@ def diagnosed(case: Case, found: dict[str, Any]) -> str:
         if each["effect"] in case.names:
             size = next(iter(each["parameters"].values()))
             value, std = (float("nan") if size[key] is None else size[key] for key in ("value", "std"))
-            told.append(f"{value:.4g} +-{std:.2g} {size['unit']} for {case.size:g}")
+            told.append(f"{value:.4g} ± {std:.2g} {size['unit']} for {case.size:g}")
     for joint, each in found["disturbance"].items():
         if each["shown"]:
-            told.append(f"{each['rms']:.2g} +-{each['rms_std']:.1g} {each['unit']} RMS at {joint}")
+            told.append(f"{each['rms']:.2g} ± {each['rms_std']:.1g} {each['unit']} RMS at {joint}")
     if found["innovation_ratio_before"] is not None:
         told.append(f"{found['innovation_ratio_before']:.3g} to {found['innovation_ratio_after']:.3g} times the noise")
     return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in told if each)

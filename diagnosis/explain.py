@@ -58,7 +58,7 @@ def explain(finding: Finding, score: Score) -> str:
         told.append(str(finding.relevance))
     if finding.held_out is not None:
         gain, std = finding.held_out.gain, finding.held_out.std
-        told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} +-{std:.2g}.")
+        told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} ± {std:.2g}.")
     else:
         told.append("No part of these data tells enough of it to be held against another: record once more.")
     return " ".join(told)
@@ -84,7 +84,7 @@ def _sizes(parameters: Mapping[str, ParameterEstimate], prefix: str = "") -> str
 
 def _value(value: float, std: float, unit: str) -> str:
     decimals = significant(std)
-    return f"{value:.{decimals}f} +-{std:.{decimals}f}" + ("" if unit == "1" else f" {unit}")
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}" + ("" if unit == "1" else f" {unit}")
 
 
 def _unit(candidate: Candidate, name: str) -> str:

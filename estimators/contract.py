@@ -166,7 +166,7 @@ def _as_html(estimate: Estimate) -> str:
         for name in estimate.parameters
     )
     notes = "".join(f"<div>{escape(note)}</div>" for note in _notes(estimate))
-    head = "<tr><th>parameter</th><th>value</th><th>+-</th><th>unit</th><th></th></tr>"
+    head = "<tr><th>parameter</th><th>value</th><th>±</th><th>unit</th><th></th></tr>"
     return f"<div><b>{escape(_headline(estimate))}</b><table>{head}{rows}</table>{notes}</div>"
 
 
@@ -180,7 +180,7 @@ def _cells(name: str, estimate: Estimate) -> tuple[str, str, str, str, str]:
     if parameter.value is None or parameter.std is None:
         return name, "-", "", parameter.unit, f"{parameter.status.value}: {parameter.reason}"
     digits = significant(parameter.std)
-    return name, f"{parameter.value:.{digits}f}", f"+- {parameter.std:.{digits}f}", parameter.unit, parameter.reason
+    return name, f"{parameter.value:.{digits}f}", f"± {parameter.std:.{digits}f}", parameter.unit, parameter.reason
 
 
 def _notes(estimate: Estimate) -> list[str]:

@@ -84,7 +84,7 @@ def print_tables(found: Estimation) -> None:
     print(f"{complete.told} combinations are told to 30 %; slope at the minimum {complete.kkt_residual:.2g} deviations")
     print("\ncombination, a unit of motor gain, with the rest held")
     for name, (value, std) in combinations(found.told, TOLD_NEAR_UPRIGHT).items():
-        print(f"{name:28}{value:12.5g} +- {std:.2g}")
+        print(f"{name:28}{value:12.5g} ± {std:.2g}")
     print(f"\npercent of what moves that is predicted {HORIZON:g} s ahead: table 1, complete, reduced")
     for experiment, shares in percents(found).items():
         for channel in SHOWN:

@@ -38,4 +38,4 @@ for channel, percent in second.fit_percent.items():
 
 # %% Values are plain numbers
 inertia = second.parameters["inertia"]
-print(f"inertia {inertia.value:.0f} +- {inertia.std:.0f} {inertia.unit}; everything known: {second.values}")
+print(f"inertia {inertia.value:.0f} ± {inertia.std:.0f} {inertia.unit}; everything known: {second.values}")

@@ -326,7 +326,7 @@ def _explain(
     called: str, effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]
 ) -> str:
     told = ", ".join(
-        f"{name.split('.')[-1]} = {value:.{significant(std)}f} +-{std:.{significant(std)}f}"
+        f"{name.split('.')[-1]} = {value:.{significant(std)}f} ± {std:.{significant(std)}f}"
         + ("" if unit == "1" else f" {unit}")
         for name, (value, std, unit) in sizes.items()
     )

@@ -88,7 +88,7 @@ def assemble(
         elif std > max(2.0 * asked, ASKED_OF_SIZE * abs(value)):
             status = Status.UNIDENTIFIABLE
             held = ", ".join(problem.model.parameters[number].name for number in problem.uncertain)
-            reason = f"it is known to +-{std:.3g} {parameter.unit} only, since it rests on values that are held: {held}"
+            reason = f"it is known to ± {std:.3g} {parameter.unit} only, since it rests on values that are held: {held}"
         elif hit and not _is_neutral(parameter, value):
             status = Status.AT_BOUND
             bound = lower[place] if value <= lower[place] else upper[place]
@@ -124,7 +124,7 @@ def _unknown(problem: Problem, place: int, related: Array, alone: float, asked: 
     parameter = problem.parameters[place]
     others = np.abs(np.delete(related[place], place))
     names = [each.name for number, each in enumerate(problem.parameters) if number != place]
-    told = f"the record tells {parameter.name} to +-{alone:.3g} {parameter.unit}, +-{asked:.3g} is asked"
+    told = f"the record tells {parameter.name} to ± {alone:.3g} {parameter.unit}, ± {asked:.3g} is asked"
     if len(others) and np.max(others) > 0.9:
         partner = names[int(np.argmax(others))]
         return Status.UNIDENTIFIABLE, f"{told}: {partner} does the same to what is measured; hold one of them"

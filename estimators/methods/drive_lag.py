@@ -189,6 +189,6 @@ def _parameter(
         reason = f"{name} comes out at the end of what is looked at, {value:g} s: check the channels' signs and times"
         return ParameterEstimate(None, None, "s", Status.AT_BOUND, coverage, reason)
     if coverage < 100.0:
-        reason = f"{name} is known to +- {std:.2g} s only, {asked:.2g} s asked: record larger or more steps"
+        reason = f"{name} is known to ± {std:.2g} s only, {asked:.2g} s asked: record larger or more steps"
         return ParameterEstimate(None, None, "s", Status.TOO_LITTLE_EXCITATION, coverage, reason)
     return ParameterEstimate(value, std, "s", Status.OK, coverage)

@@ -270,7 +270,7 @@ def _told(place: int, parameters: Sequence[Parameter], fit: Fit, whole: Array) -
     if not fit.settled:
         return unknown(Status.NOT_CONVERGED, f"the simplex did not settle in {STEPS} steps")
     if not std < asked:
-        reason = f"the response tells {parameter.name} to +-{std:.3g} {parameter.unit}, +-{asked:.3g} is asked"
+        reason = f"the response tells {parameter.name} to ± {std:.3g} {parameter.unit}, ± {asked:.3g} is asked"
         related = np.abs(np.delete(correlation(fit.covariance)[place], place))
         if len(related) and np.max(related) > 0.9:
             partner = [p.name for number, p in enumerate(parameters) if number != place][int(np.argmax(related))]

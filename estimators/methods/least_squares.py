@@ -232,7 +232,7 @@ def _told(
         reason = f"how sure {parameter.name} is cannot be told from {len(used)} rows: record for longer"
         return unknown(Status.TOO_FEW_SAMPLES, reason)
     elif std > asked:
-        reason = f"the record tells {parameter.name} to +-{std:.3g} {parameter.unit}, +-{asked:.3g} is asked"
+        reason = f"the record tells {parameter.name} to ± {std:.3g} {parameter.unit}, ± {asked:.3g} is asked"
     if reason and partner is not None:
         together = f"its term goes together with that of {balance.names[partner]}; hold one of them"
         return unknown(Status.UNIDENTIFIABLE, f"{reason}: {together}")

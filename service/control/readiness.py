@@ -57,7 +57,7 @@ def interlocks(
     elif abs(abs(lean.angle) - vehicle.support) > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
         found.append(
             f"The vehicle does not rest on a support: {kind.angle} {degrees(lean.angle):.2f} deg, supports at "
-            f"+-{vehicle.limits.support_deg:g} deg. Set it down, or check imu.axes and limits.support_deg."
+            f"±{vehicle.limits.support_deg:g} deg. Set it down, or check imu.axes and limits.support_deg."
         )
     for drive in io.drives:
         if drive.state in FAULTY or drive.emergency is not None:

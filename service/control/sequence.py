@@ -144,7 +144,7 @@ class ExperimentRun:
             if off > AT_REST_ANGLE or abs(lean.rate) > AT_REST_RATE:
                 self._fail(
                     f"the vehicle does not rest on a support: {self._plan.angle} is {degrees(lean.angle):.2f} deg at "
-                    f"{degrees(lean.rate):.2f} deg/s, the supports are at +-{degrees(self._plan.support):.2f} "
+                    f"{degrees(lean.rate):.2f} deg/s, the supports are at ±{degrees(self._plan.support):.2f} "
                     "deg. Check the supports, imu.axes and limits.support_deg",
                     go_on=Phase.DISABLE,
                 )

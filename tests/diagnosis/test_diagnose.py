@@ -90,7 +90,7 @@ class TestOneEffect:
 
     def test_the_explanation_has_equation_size_and_neighbour(self) -> None:
         text = found_in("viscous_friction").findings[0].explanation
-        for part in ("coefficient rate", "N m s/rad", "+-", "would have shown"):
+        for part in ("coefficient rate", "N m s/rad", " ± ", "would have shown"):
             assert part in text
 
 

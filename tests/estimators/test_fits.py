@@ -192,7 +192,7 @@ def test_clipping_is_told_from_standing_still() -> None:
 def test_estimate_reads_well_as_text_html_and_json(model: Model, multisine: Recording) -> None:
     estimate = estimators.output_error(model, [multisine])
     text, html, document = str(estimate), estimate._repr_html_(), estimate.to_json()
-    assert "+-" in text
+    assert "±" in text
     assert "kg m^2" in text
     assert html.startswith("<div>")
     assert set(document["parameters"]["inertia"]) >= {"value", "std", "unit", "identifiable"}

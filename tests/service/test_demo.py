@@ -189,6 +189,6 @@ def test_the_balancing_robot_has_a_story_of_its_own(tmp_path: Path) -> None:
     assert fitted["status"] == "ok"
     assert fitted["parameters"]["motor_constant"]["value"] > 0.0
     assert "fails" in told, "the vehicle file's numbers are off the plant's by up to 40 %"
-    assert "adequate: The model explains the recordings to within their noise" in told
+    assert "adequate: the model explains these recordings to within their noise" in told
     assert recording.with_suffix(".png").stat().st_size > 10_000
     assert "<svg" in (tmp_path / "diagnosis.html").read_text()

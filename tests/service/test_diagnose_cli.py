@@ -110,7 +110,7 @@ def test_the_usual_budget_goes_with_the_rows() -> None:
 def test_what_is_negligible_is_listed_below_and_makes_no_headline(capsys: pytest.CaptureFixture[str]) -> None:
     print_diagnosis(of_little_matter(), 60.0)
     text = " ".join(capsys.readouterr().out.split())
-    assert text.startswith("negligible effect: Nothing is missing that matters.")
+    assert text.startswith("negligible effect: nothing is missing that matters.")
     above, below = text.split("Negligible: what shows, and makes less than 1 % of the error")
     assert "coulomb_friction" not in above
     assert "1. coulomb_friction" in below

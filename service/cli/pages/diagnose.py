@@ -9,38 +9,19 @@ from rich.padding import Padding
 from rich.table import Table
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict
-from diagnosis.explain import explained_by_none
-from diagnosis.report.sentences import (
-    NOTHING_MATTERS,
-    disturbance_sentences,
-    mattering,
-    negligible,
-    to_within,
-    untried_sentence,
-)
+from diagnosis.report.sentences import disturbance_sentences, mattering, negligible, untried_sentence
+from diagnosis.report.words import headline
 from service.output import page
 
-HEADLINES = {
-    Verdict.ADEQUATE: ("green", "adequate", "The model explains the recordings {to_within}."),
-    Verdict.MISSING_EFFECT: ("yellow", "missing effect", "The model lacks a physical effect that has a name."),
-    Verdict.UNKNOWN: ("red", "unknown", "The model lacks something that {explained_by_none}."),
-    Verdict.INSUFFICIENT_DATA: ("red", "insufficient data", "The recordings cannot tell."),
-}
+COLOURS = {"adequate": "green", "missing_effect": "yellow", "unknown": "red", "insufficient_data": "red"}
+"""Of a headline, by its kind."""
 BAR = 20
 
 
 def print_diagnosis(found: Diagnosis, seconds: float) -> None:
     """Verdict, findings, and the smallest effects that would have shown, of a diagnosis within so many `seconds`."""
-    colour, verdict, meaning = HEADLINES[found.verdict]
-    matter = mattering(found)
-    meaning = meaning.format(to_within=to_within(found), explained_by_none=explained_by_none(found.untried))
-    if found.verdict is Verdict.MISSING_EFFECT and not matter:
-        colour, verdict, meaning = "green", "negligible effect", f"{NOTHING_MATTERS.capitalize()}."
-    if found.verdict is Verdict.UNKNOWN and matter:
-        meaning = "What has a name is not all that the model lacks."
-    if found.verdict is Verdict.ADEQUATE and found.unexplained and found.unexplained.struck:
-        meaning = "No known effect is missing; what is left may be when its blows come."
-    page.print(f"[bold {colour}]{verdict}[/]: {meaning}")
+    told, matter = headline(found), mattering(found)
+    page.print(f"[bold {COLOURS[told.kind]}]{told.word.lower()}[/]: {escape(told.text)}.")
     if not found.findings or found.verdict is Verdict.UNKNOWN:
         page.print(Padding(escape(found.reason), (0, 2)))
     if found.innovation_ratio_before is not None and found.innovation_ratio_after is not None:
@@ -48,18 +29,17 @@ def print_diagnosis(found: Diagnosis, seconds: float) -> None:
             f"Innovation energy over that of the noise: {found.innovation_ratio_before:.4g} before, "
             f"{found.innovation_ratio_after:.4g} after"
         )
-    if told := disturbance_sentences(found):
-        page.print(escape(told))
-    if told := untried_sentence(found, seconds):
-        page.print(f"[yellow]{escape(told)}[/]")
+    if shaking := disturbance_sentences(found):
+        page.print(escape(shaking))
+    if left := untried_sentence(found, seconds):
+        page.print(f"[yellow]{escape(left)}[/]")
     for number, finding in enumerate(matter, 1):
         _print_finding(number, finding)
     for number, finding in enumerate(negligible(found), len(matter) + 1):
         if number == len(matter) + 1:
             page.print("\n[bold]Negligible: what shows, and makes less than 1 % of the error[/]")
         _print_finding(number, finding)
-    if found.suggested_experiment:
-        page.print(f"\nNext: {escape(str(found.suggested_experiment['text']))}")
+    page.print(f"\nNext: {escape(told.next_step)}")
     if found.minimum_detectable and found.repaired is not None:
         page.print()
         page.print(_detectable(found))

@@ -68,7 +68,7 @@ export class Gap {
     };
     const told = shaken(diagnosis, this.app.config.units);
     const untried = Array.isArray(diagnosis.untried) ? diagnosis.untried : [];
-    fill(place, h("p", { class: diagnosis.adequate || nothing ? "good" : "told" }, nothing ? sentence(diagnosis.reason) : diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replaceAll("+-", "± ").replace(/\.$/, "")}.` : verdict),
+    fill(place, h("p", { class: diagnosis.adequate || nothing ? "good" : "told" }, nothing ? sentence(diagnosis.reason) : diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replace(/\.$/, "")}.` : verdict),
       told ? h("p", { "data-told": "disturbance" }, told) : null,
       untried.length ? h("p", { "data-told": "untried" }, `Left untried for want of time: ${untried.join("; ")}. upright diagnose --budget SECONDS gives more.`) : null,
       shown((each) => !negligible(each)), shown(negligible, "Negligible: what shows, and makes less than 1 % of the error"),

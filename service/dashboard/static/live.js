@@ -68,7 +68,7 @@ export class Live {
     this.none.hidden = true;
     this.events.unshift(event);
     this.events.length = Math.min(this.events.length, 30);
-    fill(this.log, this.events.map((each) => h("li", { "data-severity": each.severity }, each.text.replaceAll("+-", "± "))));
+    fill(this.log, this.events.map((each) => h("li", { "data-severity": each.severity }, each.text)));
   }
 
   draw() {
