@@ -1,0 +1,51 @@
+"""Benchmarks rot where nothing runs them: each is read, and those that compute alone run once in a short form."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+PROGRAMS = sorted(path.name for path in FOLDER.glob("*.py"))
+SHORT = {
+    "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
+    "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),
+    "monte_carlo.py": ("--runs", "2", "--duration", "15", "--method", "least_squares", "--processes", "1"),
+}
+"""Of those that need no broker, browser, second vehicle or hour."""
+
+
+@pytest.mark.parametrize("program", [each for each in PROGRAMS if each != "echo.py"])
+def test_each_can_be_read(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With all that it imports, its main part left out. echo.py is a program of turnaround.py, and has nothing else."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    assert runpy.run_path(str(FOLDER / program))["__doc__"]
+
+
+@pytest.mark.patient
+@pytest.mark.parametrize("program", SHORT)
+def test_each_that_computes_alone_runs(program: str) -> None:
+    command = [sys.executable, str(FOLDER / program), *SHORT[program]]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=FOLDER.parent)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip()
+
+
+@pytest.mark.patient
+def test_a_table_of_decisions_is_decided_again(tmp_path: Path) -> None:
+    program, table = str(FOLDER / "decisions.py"), tmp_path / "table.jsonl.xz"
+    for arguments in (
+        ("record", str(table), "--only", "swing encoder", "--processes", "1"),
+        ("replay", str(table)),
+        ("summary", str(table)),
+        ("diff", str(table), str(table)),
+    ):
+        done = subprocess.run(
+            [sys.executable, program, *arguments], capture_output=True, text=True, cwd=FOLDER.parent, check=True
+        )
+        if arguments[0] == "replay":
+            assert done.stdout.strip().startswith("0 of ")
