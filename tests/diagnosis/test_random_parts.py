@@ -13,13 +13,15 @@ from scipy.stats import binom
 from shaken_plant import Shaken
 from thorough import of_many
 
-import diagnosis.diagnose
+import diagnosis.search.search
 from benchmarks.others_recordings import EFFECTS, SENSORS, OthersVehicle
-from diagnosis.diagnose import Diagnosis, Searched, Verdict, diagnose
+from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.lack_of_fit.colour import LEVEL, _blocks, signals
 from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.report.sentences import disturbance_sentences, to_within
+from diagnosis.search.explanation import Explanation, Search
+from diagnosis.search.search import Found
 from estimators.disturbance_estimate import DisturbanceEstimate, NarrowBandEstimate
 from estimators.fit.disturbance import disturbances
 from estimators.fit.maximum_likelihood import fit
@@ -315,23 +317,24 @@ def test_a_search_beside_a_random_part_that_time_cuts_short_keeps_what_was_found
 ) -> None:
     workspace, base = Workspace((), None, (), (), {}), SimpleNamespace(evidence=0.0)
 
-    def searched(evidence: float, findings: list[str]) -> Searched:
-        return Searched(base, base, findings, [], [], SimpleNamespace(evidence=evidence))  # type: ignore[arg-type]
+    def searched(evidence: float, findings: tuple[str, ...]) -> Found:
+        return Found(base, base, findings, (), (), SimpleNamespace(evidence=evidence))  # type: ignore[arg-type]
 
-    first, second = searched(1.0, ["friction"]), searched(5.0, [])
+    first, second = searched(1.0, ("friction",)), searched(5.0, ())
     answers = iter([first, second])
 
     workspace.leave("further effects")  # the first search may have left the same
 
-    def search(_: object, own: Workspace, *__: object) -> Searched:
+    def effects(_: object, known: Explanation, how: Search) -> Found:
         found = next(answers)
         if found is second:
-            own.untried.extend(untried)
+            how.workspace.untried.extend(untried)
         return found
 
     parts = iter([base])
-    monkeypatch.setattr(diagnosis.diagnose, "_searched", search)
-    monkeypatch.setattr(diagnosis.diagnose, "_outdone", lambda *_: False)
-    monkeypatch.setattr(diagnosis.diagnose, "absorbed", lambda *_: next(parts, None))
-    found = diagnosis.diagnose._beside_random_parts(base, workspace, 3, (), lambda text, share: None, None)  # type: ignore[arg-type]
+    module = diagnosis.search.search
+    monkeypatch.setattr(module, "_effects", effects)
+    monkeypatch.setattr(module, "_outdone", lambda *_: False)
+    monkeypatch.setattr(module, "absorbed", lambda *_: next(parts, None))
+    found = module.search(base, Search(workspace))  # type: ignore[arg-type]
     assert found is (first if untried else second)
