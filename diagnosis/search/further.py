@@ -1,14 +1,15 @@
 """How much a further effect has to gain beside those that were found: no formula is exact, and a long record tells.
 
-A formula leaves a share of what its effect explains, its formula error (models.effect.Effect.formula_error), and what
-it leaves can only pass for what looks like it. So a further effect has to gain
+A formula leaves a share of what its effect explains, its formula error (models.effect.Effect.formula_error), and a
+further name may be no more than a part of that. So a further effect has to gain
 
     sum over the effects found of  formula error x r^2 x log likelihood gained,
 
 r the canonical correlation between what the two do to the innovations of the model alone, as the score test has it at
-their usual shapes. Of two that the catalogue calls easily confused, r is 1: at some shape they are. Source: the
-likelihood coarsened by an error of the model, Miller and Dunson, "Robust Bayesian inference via coarsening", Journal of
-the American Statistical Association 114 (2019) 1113-1125.
+their usual shapes; 1 for two that the catalogue calls easily confused, since at some shape they are; and LEAST at
+least, since what a formula leaves is what it cannot say itself.
+Source: the likelihood coarsened by an error of the model, Miller and Dunson, "Robust Bayesian inference via
+coarsening", Journal of the American Statistical Association 114 (2019) 1113-1125.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ from collections.abc import Sequence
 from diagnosis.findings import Finding
 from diagnosis.gates import alike
 from diagnosis.score.score_test import ScoreTest
+
+LEAST = 0.2
+"""Of r^2. A fit leaves nothing along its own formula, so that r alone says too little of what is left: what a curve of
+measured friction leaves passes for an effect that friction does not look like."""
 
 
 def asked(further: Finding, before: Sequence[Finding], alone: ScoreTest, of_impacts: float = 0.0) -> float:
@@ -40,4 +45,4 @@ def _likeness(one: Finding, other: Finding, alone: ScoreTest) -> float:
     if alike(*effects) or any(each.strikes for each in effects):
         return 1.0
     known = {one.effect, other.effect} <= alone.bases.keys()
-    return alone.similarity(one.effect, other.effect) ** 2 if known else 1.0
+    return max(LEAST, alone.similarity(one.effect, other.effect) ** 2) if known else 1.0
