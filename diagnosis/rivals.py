@@ -8,12 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.fits.refit import FullFit, full, quick, with_effect
+from diagnosis.fits.refit import FullFit, full
 from diagnosis.prediction.closed_loop import causal
-from diagnosis.prepare.workspace import Workspace, attached
-from diagnosis.score.score_test import score_test
-from diagnosis.score.whitened import Whitened
-from diagnosis.trial import FAILURES
+from diagnosis.prepare.workspace import Workspace
+from diagnosis.search.contenders import each_fitted, look
 from estimators.budget import UNLIMITED, Budget, OutOfTime
 from estimators.data.segments import after_settling
 from estimators.fit.innovations import NoiseModel
@@ -131,22 +129,9 @@ def fitted_rivals(
     wanted = tuple(each for each in workspace.candidates if each.name in asked)
     workspace = replace(workspace, candidates=wanted, budget=budget)
     base = full(model, workspace)
-    scored = score_test(
-        Whitened.of(base.fit),
-        lambda group: workspace.problem(attached(base.model, group)),
-        workspace.others(base.model),
-    )
-    fits: dict[str, FullFit] = {}
-    for score in scored.scores:
-        start = quick(base.fit, base.model, score, workspace).values
-        try:
-            fits[score.candidate.name] = full(
-                with_effect(base.model, score.candidate, start), workspace, score.candidate
-            )
-        except OutOfTime:
-            raise  # fewer rivals would ask another question
-        except FAILURES:
-            continue
+    fits = each_fitted(base, look(base, workspace), workspace)
+    if workspace.untried:  # fewer rivals would ask another question
+        raise OutOfTime(f"no time was left for {workspace.untried[0]}")
     if not fits:
         return []
     best = max(fits, key=lambda name: fits[name].log_likelihood)

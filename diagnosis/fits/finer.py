@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from functools import partial
 
 from diagnosis.evidence import likelier
-from diagnosis.fits.effect_fit import candidate_of
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, with_effect
+from diagnosis.prepare.candidates import candidate_of
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_likelihood, off_prior, with_effect
+from diagnosis.prediction.ahead import errors
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.whitened import BLOCK
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import FAILURES
 from estimators.budget import OutOfTime
-from estimators.data.time_scale import time_scale
+from estimators.data.time_scale import horizon, time_scale
 from estimators.fit.maximum_likelihood import Begin, fit
 from models.attach import starts
 from models.model import Model
@@ -40,18 +41,20 @@ TRIED = 10
 """Steps of a fit from each shape of an effect whose parts strike each other, and"""
 FITTED = 2
 """how many of them, the likeliest, go on."""
+ALMOST = 0.9
+"""Share of the best fit's gain with which another one is asked what it foretells."""
 
 
-def fits(model: Model, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
-    """Full fits of `model` with each of the candidates `names` and of those whose parts strike each other, but for the
-    `known`, whose fits are."""
-    found = []
+def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
+    """Full fits of the model of `base` with each of the candidates `names` and of those whose parts strike each other,
+    but for the `known`, whose fits are."""
+    model, found = base.model, list[FullFit]()
     for candidate in workspace.others(model):
         if candidate.name in known:
             continue
         if candidate.effect.strikes:
             try:
-                found += _struck(model, candidate, workspace)
+                found += _struck(base, candidate, workspace)
             except OutOfTime:
                 workspace.leave(candidate.name)
             continue
@@ -70,9 +73,14 @@ def fits(model: Model, workspace: Workspace, names: Collection[str], known: Coll
     return found
 
 
-def _struck(model: Model, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
-    """The likeliest full fit with the candidate, from its shapes on; none where none is possible."""
-    starts = [with_effect(model, candidate, shape) for shape in candidate.variants]
+def _struck(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
+    """The full fit with the candidate, from its shapes on, that foretells its record best, of those that explain almost
+    as much as the likeliest; none where none is possible.
+
+    An impact that comes a row early or late costs as much as one that nobody expected, so fits end hundreds apart of
+    thousands that they gain, and some of them with a filter that each impact throws off.
+    """
+    starts = [with_effect(base.model, candidate, shape) for shape in candidate.variants]
     workspace.problem(starts[0])  # compiled before two threads ask for it
 
     def tried(start: Model) -> tuple[float, Begin] | None:
@@ -91,7 +99,19 @@ def _struck(model: Model, candidate: Candidate, workspace: Workspace) -> list[Fu
     near = sorted((each for each in side_by_side(tried, starts) if each is not None), key=lambda each: -each[0])
     ends = side_by_side(fitted, [end for _, end in near[:FITTED]])
     found = [each for each in ends if each is not None and each.fit.minimum.converged]
-    return [max(found, key=lambda each: each.log_likelihood)] if found else []
+    most = max((each.log_likelihood - base.log_likelihood for each in found), default=0.0)
+    almost = [each for each in found if each.log_likelihood - base.log_likelihood >= ALMOST * most]
+    return [min(almost, key=lambda each: _off_ahead(each, almost[0]))] if almost else []
+
+
+def _off_ahead(fitted: FullFit, other: FullFit) -> float:
+    """Energy of the error a horizon ahead on the record that was fitted, over that of the `other` fit; infinite where
+    the model diverges."""
+    with np.errstate(all="ignore"):
+        reach = horizon(other.fit.problem.model, other.fit.problem.segments)
+        energy, least = (np.nanmean(errors(each.fit, (reach,))[0] ** 2, axis=0) for each in (fitted, other))
+        off = float(np.mean(energy / np.maximum(least, 1e-300)))
+    return off if np.isfinite(off) else np.inf
 
 
 def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:

@@ -257,23 +257,24 @@ def gained(fitted: FullFit, base: FullFit) -> tuple[float, int]:
     return fitted.log_likelihood - base.log_likelihood, fitted.count - base.count
 
 
-def surety(fitted: FullFit) -> float:
-    """By how many standard deviations the surest amplitude of the effect that was added last is away from zero, of its
-    own, or of those that it would scatter by were there none of it.
+def t_ratio(fitted: FullFit, effect: str) -> float:
+    """By how many standard deviations the surest amplitude of `effect` is away from zero, of its own, or of those that
+    it would scatter by were there none of it.
 
     One that is not leaves all that was gained to the others, which another start would have brought there, too. Its
     shape is taken for known: of a creep whose end the record does not show, the torque it settles at is anything, and
     that there is one beyond doubt. Likewise where parts strike each other: derivatives through many blows grow until
     they tell nothing of how large the play is, which gained thousands.
     """
-    assert fitted.candidate is not None
+    attached = next(each for each in fitted.model.effects if each.name == effect)
     names = [p.name for p in fitted.fit.problem.parameters]
     information = fitted.fit.minimum.information
-    given = [place for place, name in enumerate(names) if name in fitted.candidate.shapes]
+    shapes = {p.name for p in attached.parameters} - set(attached.amplitudes)
+    given = [place for place, name in enumerate(names) if name in shapes]
     known = np.delete(np.arange(len(information)), given)
     deviations = np.sqrt(np.diag(inverse(information[np.ix_(known, known)])))
     std = dict(zip(known.tolist(), deviations.tolist(), strict=True))
-    places = [names.index(name) for name in fitted.candidate.amplitudes if name in names]
+    places = [names.index(name) for name in attached.amplitudes if name in names]
     if not places:
         return 0.0
     own = np.array([std[place] for place in places])
@@ -330,4 +331,4 @@ def log_likelihood(fitted: Fit) -> float:
         total -= (
             0.5 * float(np.sum(known * np.linalg.solve(fitted.covariance, known.T).T)) + 0.5 * len(known) * logarithm
         )
-    return total
+    return float(total)

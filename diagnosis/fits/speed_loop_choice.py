@@ -81,7 +81,7 @@ def _tried(alone: FullFit, workspace: Workspace, effects: Sequence[Effect]) -> t
     """The evidence for a model with the effects that suit it best, its likeliest fit with at most one of those that its
     lag masks, and which of these may be missing in it."""
     late = [each.name for each in effects if each.delay or each.lag]
-    fits = masked.fits(alone.model, workspace, late)
+    fits = masked.fits(alone, workspace, late)
     worth = [each for each in fits if likelier(each.evidence - alone.evidence) and not small(each.fitted)]
     wider = masked.together(alone.model, workspace, [each.name for each in effects if each.name not in late])
     evidence = max(each.evidence for each in (alone, *fits, *wider)) - _order(alone)

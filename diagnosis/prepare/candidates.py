@@ -93,6 +93,14 @@ def candidates_for(
     return found, left_out
 
 
+def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:
+    """`attached`, the last effect of a model that was `model` before, with the shapes it names."""
+    names = [p.name for p in attached.effect.parameters if not p.amplitude]
+    values = product(*(starts(model, attached, name) for name in names))
+    qualified = [attached.qualified(name) for name in names]
+    return Candidate(attached, tuple(dict(zip(qualified, each, strict=True)) for each in values))
+
+
 def at_frequencies(candidates: Sequence[Candidate], frequencies: Sequence[float], among: int) -> list[Candidate]:
     """`candidates`, those that have a frequency (Hz) as their shape with further variants at `frequencies`.
 

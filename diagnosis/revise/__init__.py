@@ -1,2 +1,3 @@
-"""A model with an effect added or taken out: split says what is fitted and what is tried, revision fits both models and
-holds the change against the effect's neighbours (result), drop_tests leave each effect out in turn."""
+"""A model with an effect added or taken out: split says what is fitted and what is tried, fits makes both fits by the
+engine of the search, revision compares the change with the effect's neighbours (result), drop_tests leave each effect
+out in turn."""

@@ -12,9 +12,8 @@ from math import exp
 from typing import Any
 
 from diagnosis.evidence import asked_for
-from diagnosis.fits.effect_fit import fit_model
 from diagnosis.prepare.ready import ready
-from estimators.data.resting import without_rests
+from diagnosis.revise.fits import Told, alone, training
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -70,12 +69,12 @@ def drop_tests(
     count = 1.0 + len(model.effects)
     told("fitting the whole model", 0.0)
     model = ready(model, recordings)
-    recordings = without_rests(model, recordings)
-    whole = fit_model(model, recordings, support=support)
+    samples = training(model, recordings, support)
+    whole = Told.of(alone(model, samples))
     found = []
     for place, attached in enumerate(model.effects):
         told(f"fitting without {attached.name}", (1.0 + place) / count)
-        without = fit_model(model.remove(attached.name), recordings, support=support)
+        without = Told.of(alone(model.remove(attached.name), samples))
         found.append(
             DropTest(
                 effect=attached.name,
@@ -83,7 +82,7 @@ def drop_tests(
                 likelihood_ratio=max(0.0, 2.0 * (whole.log_likelihood - without.log_likelihood)),
                 degrees=len(whole.values) - len(without.values),
                 bic_difference=without.bic - whole.bic,
-                surety=whole.surety(attached.name),
+                surety=whole.t_ratio(attached.name),
             )
         )
     told("done", 1.0)

@@ -19,29 +19,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.fits.effect_fit import Fitted, candidate_of, fit_effect, fit_model, horizons_of
 from diagnosis.lack_of_fit.floor import floor, innovation_ratio, shaken_as
 from diagnosis.prediction.ahead import errors, on, sensor_floors
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, of_actuators
-from diagnosis.prepare.candidates import Candidate
+from diagnosis.prepare.candidates import Candidate, candidate_of
 from diagnosis.prepare.ready import ready, unready
+from diagnosis.revise import fits
 from diagnosis.revise.drop_tests import DropTest as DropTest
 from diagnosis.revise.drop_tests import drop_tests as drop_tests
+from diagnosis.revise.fits import Told
 from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.revise.split import split
-from diagnosis.score.score_test import Score, ScoreTest, score_test
-from diagnosis.score.whitened import Whitened
-from diagnosis.trial import FAILURES
 from estimators.contract import EstimationError
 from estimators.data.resting import without_rests
 from estimators.data.segments import after_settling, channels_of, optional_channels
+from estimators.data.time_scale import time_scale
 from estimators.fit.maximum_likelihood import Fit
-from estimators.fit.problem import Problem, problem
+from estimators.fit.problem import problem
 from estimators.fit.released import freed
 from models.effect import Effect
 from models.effects.catalogue import find
 from models.expressions import names_in
 from models.model import Model
+from models.natural_time import rounded
 from models.parts import ModelError
 from telemetry.recording import Recording
 
@@ -49,8 +49,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Told in words what is done, and the share that is over, 0 to 1."""
 
-NEIGHBOUR_STARTS = 1
-"""Fits of a neighbour, before its shape is estimated: its score says which shape is the most promising."""
+HORIZONS = (0.125, 0.5, 1.25)
+"""Time scales (estimators.data.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last
+is that of the budget."""
 BLOCKS = 10
 """Parts of the held-out data whose scatter tells how sure a difference between two models is."""
 
@@ -64,7 +65,7 @@ class _Held:
     horizons: tuple[float, ...]
     floor: Array
 
-    def errors(self, fitted: Fitted) -> list[Array]:
+    def errors(self, fitted: Told) -> list[Array]:
         """(m, ny) by horizon."""
         return errors(_on(fitted, self.recordings, self.support), self.horizons)
 
@@ -119,38 +120,40 @@ def _repair(
     candidate = candidate_of(model, model.add(effect, at).effects[-1])
     neighbours = _neighbours(model, candidate, recordings)
     training, tried = split(model, recordings, held_out, support)
-    count = 3.0 + len(neighbours)
+    samples = fits.training(model, training, support, (candidate, *neighbours))
     told(f"fitting without {candidate.name}", 0.0)
-    without = fit_model(model, training, support=support)
-    if (with_more := freed(model, without.fit)) is not model:
-        model, without = with_more, fit_model(with_more, training, support=support)
-    told("scoring", 1.0 / count)
-    looked_at = _score_test(without.fit, model, [candidate, *neighbours])
-    told(f"fitting with {candidate.name}", 1.2 / count)
-    own_score = _score(looked_at, candidate)
-    fitted = fit_effect(model, candidate, training, without, score=own_score, support=support)
+    without = Told.of(fits.alone(model, samples))
+    if (with_more := freed(model, without.full.fit)) is not model:
+        model, without = with_more, Told.of(fits.alone(with_more, samples))
+    told(f"fitting with {candidate.name} and its neighbours", 0.2)
+    found, scored = fits.each_with(
+        without.full, (candidate, *neighbours), samples, lambda text, share: told(text, 0.2 + 0.6 * share)
+    )
+    if candidate.name not in found:
+        why = samples.failed.get(candidate.name, "no fit with it ends")
+        raise EstimationError(f"effect {candidate.name}", why, remedy="check the model with `upright compare`.")
+    told("trying them on held-out data", 0.8)
+    fitted = Told.of(found[candidate.name])
     there = _on(fitted, tried, support)
     horizons = horizons_of(there)
     held = _Held(tried, support, horizons, sensor_floors(there, horizons))
-    outputs = fitted.fit.problem.kernel.outputs
+    outputs = fitted.full.fit.problem.kernel.outputs
     found_before, found_after = held.errors(without), held.errors(fitted)
     energy_before, energy_after = held.energy(found_before), held.energy(found_after)
     rivals = []
-    for place, each in enumerate(neighbours):
-        told(f"fitting its neighbour {each.name}", (2.5 + place) / count)
-        score = _score(looked_at, each)
-        try:
-            found = fit_effect(model, each, training, without, score=score, support=support, most=NEIGHBOUR_STARTS)
-        except EstimationError:
+    for each in neighbours:
+        if each.name not in found:
             continue  # it cannot explain these records at all
-        energy = held.energy(held.errors(found))
+        rival = Told.of(found[each.name])
+        energy = held.energy(held.errors(rival))
+        both = {candidate.name, each.name} <= scored.bases.keys()
         rivals.append(
             Neighbour(
                 effect=each.name,
-                bic_difference=found.bic - fitted.bic,
+                bic_difference=rival.bic - fitted.bic,
                 fall=Budget.of(float(np.mean(energy_before)), float(np.mean(energy))).fall,
                 surety=_surety(energy_after - energy),
-                correlation=looked_at.similarity(candidate.name, each.name) if score and own_score else None,
+                correlation=scored.similarity(candidate.name, each.name) if both else None,
                 separated_by=each.effect.separated_by,
             )
         )
@@ -166,14 +169,14 @@ def _repair(
         horizons=horizons,
         before=_side(without, fitted, _rms(found_before), horizons),
         after=_side(fitted, fitted, _rms(found_after), horizons),
-        floor_training=_by_channel(sensor_floors(fitted.fit, horizons), outputs),
+        floor_training=_by_channel(sensor_floors(fitted.full.fit, horizons), outputs),
         floor_held_out=_by_channel(held.floor, outputs),
         budget=Budget.of(float(np.mean(energy_before)), float(np.mean(energy_after))),
         moved=_moved(without, fitted),
         neighbours=tuple(sorted(rivals, key=lambda each: each.bic_difference)),
         separated_by=candidate.effect.separated_by,
         uses_time=any("time" in names_in(text) for text in candidate.effect.expressions.values()),
-        surety=fitted.surety(candidate.name),
+        surety=fitted.t_ratio(candidate.name),
     )
 
 
@@ -197,38 +200,23 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
     return found
 
 
-def _score_test(fitted: Fit, model: Model, candidates: Sequence[Candidate]) -> ScoreTest:
-    estimated = [parameter.name for parameter in fitted.problem.parameters]
-
-    def attach(group: Sequence[Candidate]) -> Problem:
-        whole = model
-        for each in group:
-            whole = whole.add(each.effect, each.attached.at)
-        return problem(whole, (), estimate=estimated, rows=fitted.problem.segments)
-
-    try:
-        with np.errstate(all="ignore"):
-            return score_test(Whitened.of(fitted), attach, candidates)
-    except FAILURES:  # among these: two candidates that are one to this model: there is no direction of their own
-        return ScoreTest((), {})
-
-
-def _score(looked_at: ScoreTest, candidate: Candidate) -> Score | None:
-    """None where the record shows nothing of the effect at its start."""
-    return next((score for score in looked_at.scores if score.candidate.name == candidate.name), None)
-
-
-def _over_floor(fitted: Fitted, best: Fitted) -> float:
+def _over_floor(fitted: Told, best: Told) -> float:
     """Innovation energy over what a right model leaves, whose gain is that of motion: a friction linearised at rest
     would be a wall."""
-    task, values = shaken_as(fitted.fit.problem, fitted.fit.values, best.fit)
+    task, values = shaken_as(fitted.full.fit.problem, fitted.full.fit.values, best.full.fit)
     moving = values.copy()
     moving[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
     return innovation_ratio(task, values, floor(task, moving))
 
 
-def _on(fitted: Fitted, recordings: Sequence[Recording], support: float | None) -> Fit:
-    return on(fitted.fit, problem(fitted.prior, recordings, support=support))
+def _on(fitted: Told, recordings: Sequence[Recording], support: float | None) -> Fit:
+    return on(fitted.full.fit, problem(fitted.full.model, recordings, support=support))
+
+
+def horizons_of(fitted: Fit) -> tuple[float, ...]:
+    """s ahead at which errors of a fit are told."""
+    scale = time_scale(fitted.problem.model, fitted.problem.segments)
+    return tuple(rounded(each * scale) for each in HORIZONS)
 
 
 def _rms(found: Sequence[Array]) -> Array:
@@ -245,9 +233,9 @@ def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
     return {name: tuple(column.tolist()) for name, column in zip(outputs, rms.T, strict=True)}
 
 
-def _side(fitted: Fitted, best: Fitted, held_out: Array, horizons: Sequence[float]) -> Side:
+def _side(fitted: Told, best: Told, held_out: Array, horizons: Sequence[float]) -> Side:
     """Of one model, beside the disturbance that the `best` leaves."""
-    outputs = fitted.fit.problem.kernel.outputs
+    outputs = fitted.full.fit.problem.kernel.outputs
     parameters = {
         name: FittedParameter(fitted.values[name], fitted.deviations[name], each.unit, each.status.value, each.reason)
         for name, each in fitted.estimate.parameters.items()
@@ -256,18 +244,18 @@ def _side(fitted: Fitted, best: Fitted, held_out: Array, horizons: Sequence[floa
         log_likelihood=fitted.log_likelihood,
         bic=fitted.bic,
         parameters=parameters,
-        training=_by_channel(_rms(errors(fitted.fit, horizons)), outputs),
+        training=_by_channel(_rms(errors(fitted.full.fit, horizons)), outputs),
         held_out=_by_channel(held_out, outputs),
         innovation_ratio=_over_floor(fitted, best),
         disturbance=fitted.estimate.disturbance,
     )
 
 
-def _moved(without: Fitted, fitted: Fitted) -> dict[str, Moved]:
+def _moved(without: Told, fitted: Told) -> dict[str, Moved]:
     return {
         p.name: Moved(
             p.value, p.std, (without.values[p.name] - p.value) / p.std, (fitted.values[p.name] - p.value) / p.std
         )
-        for p in without.fit.problem.parameters
+        for p in without.full.fit.problem.parameters
         if p.std > 0.0
     }

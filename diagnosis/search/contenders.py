@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from diagnosis.evidence import LEVEL, beyond_chance
+from diagnosis.fits import masked
 from diagnosis.fits.look_ahead import foresees
 from diagnosis.fits.refit import (
     CREEPING,
@@ -31,7 +32,7 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import Score, ScoreTest, score_test
 from diagnosis.score.whitened import Whitened
-from diagnosis.search.explanation import Tell
+from diagnosis.search.explanation import Tell, silent
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
@@ -84,6 +85,31 @@ def contenders(
     quicks = _quick_fits(base, near, workspace, partial(_share, tell, 0.6))
     beside = _full_fits(base, quicks, workspace, known, partial(_with_alike, far), partial(_share, tell, 0.8))
     return [*hidden, *in_place, *beside]
+
+
+def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Tell = silent) -> dict[str, FullFit]:
+    """The likeliest fit with each of the candidates of `workspace`, whatever the score test says of it, by name;
+    without those that no fit of ends.
+
+    As a diagnosis fits those that contend. One whose quick fit leads nowhere is begun with next to none of it.
+    """
+    found: list[FullFit] = []
+    without = still(base, workspace)
+    if without is not None and (alone := workspace.in_time(partial(look, without, workspace), IN_PLACE)):
+        quicks = _begun_still(_quick_fits(without, alone, workspace, tell, every=True), base)
+        found += _full_fits(base, quicks, workspace, (), list, tell)
+    quicks = _quick_fits(base, scored, workspace, tell, every=True)
+    found += _full_fits(base, quicks, workspace, (), list, tell)
+    found += masked.fits(base, workspace, ())
+    there = {each.name for each in found}
+    for each in workspace.others(base.model):
+        if each.name not in there:
+            start = {**dict.fromkeys(each.amplitudes, 0.0), **each.variants[0]}
+            end = replace(base.fit.end, values={**base.fit.end.values, **start})
+            one = partial(full, with_effect(base.model, each, start), workspace.for_one, each, end)
+            fit = workspace.in_time(one, each.name, failed=True)
+            found += [fit] if fit is not None else []
+    return {each.name: each for each in at_one_noise(found, base, workspace)}
 
 
 def at_one_noise(fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> list[FullFit]:
@@ -145,15 +171,21 @@ def still(base: FullFit, workspace: Workspace) -> FullFit | None:
 def _undisturbed(without: FullFit, base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
     """Quick fits of the model of `base` from its fit `without` a disturbance; each is to go on with little of one, and
     all other noise as stated. None where no time for it is left."""
-    noise = noise_of(base.fit.problem, shaken=-MUCH)
     scored = workspace.in_time(partial(look, without, workspace), IN_PLACE)
-    found = _quick_fits(without, scored, workspace, tell) if scored else []
-    return [replace(each, end=replace(each.end, noise=noise)) for each in found]
+    return _begun_still(_quick_fits(without, scored, workspace, tell) if scored else [], base)
 
 
-def _quick_fits(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Tell) -> list[QuickFit]:
-    """Of the candidates that are worth one by what the score test of `base` says."""
-    worth = [score for score in scored.scores if score.p_single < WORTH_A_FIT]
+def _begun_still(quicks: Sequence[QuickFit], base: FullFit) -> list[QuickFit]:
+    """`quicks`, to go on with little of the disturbance of `base`, and all other noise as stated."""
+    noise = noise_of(base.fit.problem, shaken=-MUCH)
+    return [replace(each, end=replace(each.end, noise=noise)) for each in quicks]
+
+
+def _quick_fits(
+    base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Tell, every: bool = False
+) -> list[QuickFit]:
+    """Of the candidates that are worth one by what the score test of `base` says, or of every one."""
+    worth = [score for score in scored.scores if every or score.p_single < WORTH_A_FIT]
     if any(score.inflation > FAR for score in worth):
         worth = list(scored.scores)
     # Where the model alone is far off, a line from there may miss what would do the same as the surest.

@@ -25,7 +25,7 @@ from diagnosis.fits.refit import (
     full,
     gained,
     possible,
-    surety,
+    t_ratio,
     with_effect,
 )
 from diagnosis.gates import Round, Tried, alike, decide, gated, tie
@@ -75,7 +75,7 @@ def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = N
     known = [before.fit] if before else []
     fitted_first = contenders(base, scored, workspace, known, tell)
     # What the score test does not see takes longest, so that it comes last.
-    hidden = fits_of_masked(base.model, workspace.within(LATE), how.masked, [each.name for each in known])
+    hidden = fits_of_masked(base, workspace.within(LATE), how.masked, [each.name for each in known])
     fits = at_one_noise([*fitted_first, *hidden], base, workspace)
     fitted, asked = _asked(base, fits, scored, {each.name for each in hidden}, workspace)
 
@@ -149,7 +149,7 @@ def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
         rows=fitted.rows,
         converged=converged,
         inside_bounds=possible(fitted),
-        t_ratio=surety(fitted) if converged else math.nan,
+        t_ratio=t_ratio(fitted, fitted.name) if converged else math.nan,
         among=fitted.candidate.among if fitted.candidate.picked else 1,
     )
 

@@ -11,7 +11,7 @@ from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
 from diagnosis.evidence import SURE, beyond_chance
-from diagnosis.fits.refit import full, gained, surety, with_effect
+from diagnosis.fits.refit import full, gained, t_ratio, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.neighbours import merge, split, swap
@@ -186,7 +186,7 @@ def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:
     place = names.index("torque_drift.torque")
     deviation = np.sqrt(inverse(fitted.fit.minimum.information)[place, place])
     assert abs(fitted.fit.minimum.common[place]) < SURE * deviation, "or this record tells where it settles"
-    assert surety(fitted) > 2.0 * SURE
+    assert t_ratio(fitted, fitted.name) > 2.0 * SURE
 
 
 def test_that_there_is_an_effect_is_sure_though_its_size_is_open() -> None:
@@ -202,4 +202,4 @@ def test_that_there_is_an_effect_is_sure_though_its_size_is_open() -> None:
     place = names.index("static_torque.torque")
     deviation = np.sqrt(inverse(fitted.fit.minimum.information)[place, place])
     assert abs(fitted.fit.minimum.common[place]) < 5.0 * deviation, "or this record tells the mass as well"
-    assert surety(fitted) > 50.0
+    assert t_ratio(fitted, fitted.name) > 50.0

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.fits.effect_fit import fit_model, horizons_of
 from diagnosis.prediction.ahead import errors, on, sensor_floors
 from diagnosis.report.figures.repair import repair_figure
 from diagnosis.report.repair_words import in_words, odds_text
 from diagnosis.revise.drop_tests import drop_tests
+from diagnosis.revise.fits import alone
+from diagnosis.revise.fits import training as samples
 from diagnosis.revise.result import Budget, Neighbour, Repair
-from diagnosis.revise.revision import repair
+from diagnosis.revise.revision import horizons_of, repair
 from diagnosis.revise.split import split
 from estimators.contract import Status
 from estimators.data.segments import DataError
@@ -235,8 +236,9 @@ def test_an_effect_that_is_not_there_is_not_asked_for() -> None:
 def test_a_right_model_is_off_by_the_sensors_alone() -> None:
     recording = carriage(coulomb=0.0, seed=7)
     training, tried = split(bare(), [recording], [])
-    fitted = fit_model(bare().add("viscous_friction"), training)
-    there = on(fitted.fit, problem(fitted.prior, tried))
+    model = bare().add("viscous_friction")
+    fitted = alone(model, samples(model, training, None))
+    there = on(fitted.fit, problem(model, tried))
     horizons = horizons_of(there)
     rms = np.array([np.sqrt(np.mean(each**2, axis=0)) for each in errors(there, horizons)])
     # About 10 s of held-out data with errors that go together for as long as the horizon: a third is two deviations.
@@ -246,8 +248,9 @@ def test_a_right_model_is_off_by_the_sensors_alone() -> None:
 def test_the_initial_state_of_held_out_data_is_fitted() -> None:
     recording = carriage(coulomb=0.0, seed=7)
     training, tried = split(bare(), [recording], [])
-    fitted = fit_model(bare().add("viscous_friction"), training)
-    task = problem(fitted.prior, tried)
+    model = bare().add("viscous_friction")
+    fitted = alone(model, samples(model, training, None))
+    task = problem(model, tried)
     assert task.initials[0][1] == 0.0, "the rate is not measured"
     there = on(fitted.fit, task)
     time, position = recording.time, recording["position"]
