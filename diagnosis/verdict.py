@@ -110,4 +110,4 @@ def _left(before: float, after: float) -> str:
 def _left_by_impacts(rest: Adequacy) -> str:
     """What is left where parts strike each other, in words."""
     left = _left(rest.before, rest.after) if rest.struck else ""
-    return f"{left} Blows that come a row early or late may leave it." if left else ""
+    return f"{left} Impacts that come a sample early or late may leave it." if left else ""

@@ -42,7 +42,8 @@ TRIED = 10
 FITTED = 2
 """how many of them, the likeliest, go on."""
 ALMOST = 0.9
-"""Share of the best fit's gain with which another one is asked what it foretells."""
+"""Share of the best fit's gain from which on fits are compared by how well they predict: so far apart fits of one model
+end (docs/decisions.md, of fits with play)."""
 
 
 def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
@@ -74,7 +75,7 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
 
 
 def _struck(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
-    """The full fit with the candidate, from its shapes on, that foretells its record best, of those that explain almost
+    """The full fit with the candidate, from its shapes on, that predicts its record best, of those that explain almost
     as much as the likeliest; none where none is possible.
 
     An impact that comes a row early or late costs as much as one that nobody expected, so fits end hundreds apart of

@@ -13,7 +13,7 @@ from typing import Any
 
 from diagnosis.evidence import asked_for
 from diagnosis.prepare.ready import ready
-from diagnosis.revise.fits import Told, alone, training
+from diagnosis.revise.with_and_without import Estimated, alone, training
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -70,11 +70,11 @@ def drop_tests(
     told("fitting the whole model", 0.0)
     model = ready(model, recordings)
     samples = training(model, recordings, support)
-    whole = Told.of(alone(model, samples))
+    whole = Estimated.of(alone(model, samples))
     found = []
     for place, attached in enumerate(model.effects):
         told(f"fitting without {attached.name}", (1.0 + place) / count)
-        without = Told.of(alone(model.remove(attached.name), samples))
+        without = Estimated.of(alone(model.remove(attached.name), samples))
         found.append(
             DropTest(
                 effect=attached.name,

@@ -24,12 +24,12 @@ from diagnosis.prediction.ahead import errors, on, sensor_floors
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, of_actuators
 from diagnosis.prepare.candidates import Candidate, candidate_of
 from diagnosis.prepare.ready import ready, unready
-from diagnosis.revise import fits
+from diagnosis.revise import with_and_without as fits
 from diagnosis.revise.drop_tests import DropTest as DropTest
 from diagnosis.revise.drop_tests import drop_tests as drop_tests
-from diagnosis.revise.fits import Told
 from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
 from diagnosis.revise.split import split
+from diagnosis.revise.with_and_without import Estimated
 from estimators.contract import EstimationError
 from estimators.data.resting import without_rests
 from estimators.data.segments import after_settling, channels_of, optional_channels
@@ -47,7 +47,7 @@ from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-"""Told in words what is done, and the share that is over, 0 to 1."""
+"""Estimated in words what is done, and the share that is over, 0 to 1."""
 
 HORIZONS = (0.125, 0.5, 1.25)
 """Time scales (estimators.data.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last
@@ -65,7 +65,7 @@ class _Held:
     horizons: tuple[float, ...]
     floor: Array
 
-    def errors(self, fitted: Told) -> list[Array]:
+    def errors(self, fitted: Estimated) -> list[Array]:
         """(m, ny) by horizon."""
         return errors(_on(fitted, self.recordings, self.support), self.horizons)
 
@@ -122,9 +122,9 @@ def _repair(
     training, tried = split(model, recordings, held_out, support)
     samples = fits.training(model, training, support, (candidate, *neighbours))
     told(f"fitting without {candidate.name}", 0.0)
-    without = Told.of(fits.alone(model, samples))
+    without = Estimated.of(fits.alone(model, samples))
     if (with_more := freed(model, without.full.fit)) is not model:
-        model, without = with_more, Told.of(fits.alone(with_more, samples))
+        model, without = with_more, Estimated.of(fits.alone(with_more, samples))
     told(f"fitting with {candidate.name} and its neighbours", 0.2)
     found, scored = fits.each_with(
         without.full, (candidate, *neighbours), samples, lambda text, share: told(text, 0.2 + 0.6 * share)
@@ -133,7 +133,7 @@ def _repair(
         why = samples.failed.get(candidate.name, "no fit with it ends")
         raise EstimationError(f"effect {candidate.name}", why, remedy="check the model with `upright compare`.")
     told("trying them on held-out data", 0.8)
-    fitted = Told.of(found[candidate.name])
+    fitted = Estimated.of(found[candidate.name])
     there = _on(fitted, tried, support)
     horizons = horizons_of(there)
     held = _Held(tried, support, horizons, sensor_floors(there, horizons))
@@ -144,7 +144,7 @@ def _repair(
     for each in neighbours:
         if each.name not in found:
             continue  # it cannot explain these records at all
-        rival = Told.of(found[each.name])
+        rival = Estimated.of(found[each.name])
         energy = held.energy(held.errors(rival))
         both = {candidate.name, each.name} <= scored.bases.keys()
         rivals.append(
@@ -200,7 +200,7 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
     return found
 
 
-def _over_floor(fitted: Told, best: Told) -> float:
+def _over_floor(fitted: Estimated, best: Estimated) -> float:
     """Innovation energy over what a right model leaves, whose gain is that of motion: a friction linearised at rest
     would be a wall."""
     task, values = shaken_as(fitted.full.fit.problem, fitted.full.fit.values, best.full.fit)
@@ -209,7 +209,7 @@ def _over_floor(fitted: Told, best: Told) -> float:
     return innovation_ratio(task, values, floor(task, moving))
 
 
-def _on(fitted: Told, recordings: Sequence[Recording], support: float | None) -> Fit:
+def _on(fitted: Estimated, recordings: Sequence[Recording], support: float | None) -> Fit:
     return on(fitted.full.fit, problem(fitted.full.model, recordings, support=support))
 
 
@@ -233,7 +233,7 @@ def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
     return {name: tuple(column.tolist()) for name, column in zip(outputs, rms.T, strict=True)}
 
 
-def _side(fitted: Told, best: Told, held_out: Array, horizons: Sequence[float]) -> Side:
+def _side(fitted: Estimated, best: Estimated, held_out: Array, horizons: Sequence[float]) -> Side:
     """Of one model, beside the disturbance that the `best` leaves."""
     outputs = fitted.full.fit.problem.kernel.outputs
     parameters = {
@@ -251,7 +251,7 @@ def _side(fitted: Told, best: Told, held_out: Array, horizons: Sequence[float]) 
     )
 
 
-def _moved(without: Told, fitted: Told) -> dict[str, Moved]:
+def _moved(without: Estimated, fitted: Estimated) -> dict[str, Moved]:
     return {
         p.name: Moved(
             p.value, p.std, (without.values[p.name] - p.value) / p.std, (fitted.values[p.name] - p.value) / p.std

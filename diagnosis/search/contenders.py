@@ -40,6 +40,7 @@ from estimators.fit.disturbance import disturbances, is_of_disturbance
 from estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
 from estimators.fit.problem import Problem
 from models.effect import Effect
+from models.parts import Place
 from models.random.disturbance import undriven
 
 WORTH_A_FIT = LEVEL
@@ -93,14 +94,12 @@ def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Te
 
     As a diagnosis fits those that contend. One whose quick fit leads nowhere is begun with next to none of it.
     """
-    found: list[FullFit] = []
-    without = still(base, workspace)
-    if without is not None and (alone := workspace.in_time(partial(look, without, workspace), IN_PLACE)):
-        quicks = _begun_still(_quick_fits(without, alone, workspace, tell, every=True), base)
-        found += _full_fits(base, quicks, workspace, (), list, tell)
     quicks = _quick_fits(base, scored, workspace, tell, every=True)
-    found += _full_fits(base, quicks, workspace, (), list, tell)
-    found += masked.fits(base, workspace, ())
+    found = _full_fits(base, quicks, workspace, (), list, tell)
+    if (without := still(base, workspace)) is not None:
+        in_place = _undisturbed(without, base, workspace, tell, every=True)
+        found += _full_fits(base, in_place, workspace, (), list, tell)
+    found += masked.fits(base, workspace, unseen_at_zero(workspace))
     there = {each.name for each in found}
     for each in workspace.others(base.model):
         if each.name not in there:
@@ -110,6 +109,15 @@ def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Te
             fit = workspace.in_time(one, each.name, failed=True)
             found += [fit] if fit is not None else []
     return {each.name: each for each in at_one_noise(found, base, workspace)}
+
+
+def unseen_at_zero(workspace: Workspace) -> list[str]:
+    """Effects on sensors whose amplitude has starts of its own: near zero the record may ask for less of them."""
+    return [
+        each.effect.name
+        for each in workspace.candidates
+        if each.effect.place is Place.SENSOR and any(p.amplitude and p.starts for p in each.effect.parameters)
+    ]
 
 
 def at_one_noise(fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> list[FullFit]:
@@ -168,17 +176,15 @@ def still(base: FullFit, workspace: Workspace) -> FullFit | None:
     return found if there else None
 
 
-def _undisturbed(without: FullFit, base: FullFit, workspace: Workspace, tell: Tell) -> list[QuickFit]:
-    """Quick fits of the model of `base` from its fit `without` a disturbance; each is to go on with little of one, and
-    all other noise as stated. None where no time for it is left."""
+def _undisturbed(
+    without: FullFit, base: FullFit, workspace: Workspace, tell: Tell, every: bool = False
+) -> list[QuickFit]:
+    """Quick fits of the model of `base` from its fit `without` a disturbance, as of `_quick_fits`; each is to go on
+    with little of one, and all other noise as stated. None where no time for it is left."""
     scored = workspace.in_time(partial(look, without, workspace), IN_PLACE)
-    return _begun_still(_quick_fits(without, scored, workspace, tell) if scored else [], base)
-
-
-def _begun_still(quicks: Sequence[QuickFit], base: FullFit) -> list[QuickFit]:
-    """`quicks`, to go on with little of the disturbance of `base`, and all other noise as stated."""
+    found = _quick_fits(without, scored, workspace, tell, every) if scored else []
     noise = noise_of(base.fit.problem, shaken=-MUCH)
-    return [replace(each, end=replace(each.end, noise=noise)) for each in quicks]
+    return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
 
 def _quick_fits(

@@ -29,10 +29,10 @@ from diagnosis.fits.refit import FullFit, full, gained, remembered, with_effect
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import look
+from diagnosis.search.contenders import look, unseen_at_zero
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.further import asked, left_by_formulas
-from diagnosis.search.one_more import Named, find, named_alone, surprising, unseen_at_zero
+from diagnosis.search.one_more import Named, find, named_alone, surprising
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
 from models.model import Model

@@ -43,7 +43,6 @@ from estimators.fit.innovations import WIDEST
 from estimators.fit.maximum_likelihood import Begin, noise_of
 from estimators.fit.result import inverse
 from estimators.methods.prediction_error import result
-from models.parts import Place
 
 LATE = 0.7
 """Share of the time that is then left which fits of what the score test does not see may take."""
@@ -189,7 +188,7 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
     may have led them to another place. What is looked for next is held against it."""
     task, end = fitted.fit.problem, fitted.fit.end
     if any(each.effect.strikes for each in task.model.effects):
-        return fitted  # its minima are as many as its blows, and not of the noise
+        return fitted  # its minima are as many as its impacts, and not of the noise
     its = is_of_disturbance(task.model)
     values = {name: value for name, value in end.values.items() if name not in its}
     begin = Begin(values, noise_of(task, shaken=-WIDEST, white=-WIDEST))
@@ -298,12 +297,3 @@ def sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
             reason = f"told by what was known before: {told[name].reason}"
             found[name] = replace(told[name], value=value, std=std, status=Status.OK, reason=reason)
     return found
-
-
-def unseen_at_zero(workspace: Workspace) -> list[str]:
-    """Effects on sensors whose amplitude has starts of its own: near zero the record may ask for less of them."""
-    return [
-        each.effect.name
-        for each in workspace.candidates
-        if each.effect.place is Place.SENSOR and any(p.amplitude and p.starts for p in each.effect.parameters)
-    ]

@@ -20,11 +20,11 @@ from diagnosis.fits.random_parts import RANDOM, absorbed, promised
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, gained, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import look, still
+from diagnosis.search.contenders import look, still, unseen_at_zero
 from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
 from diagnosis.search.further import asked
 from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
-from diagnosis.search.one_more import find, retold, sizes, surprising, unseen_at_zero
+from diagnosis.search.one_more import find, retold, sizes, surprising
 from diagnosis.trial import FAILURES, tried
 
 HALF = 0.5

@@ -90,14 +90,13 @@ def diagnose(
     if budget is not None and not budget > 0.0:
         raise typer.BadParameter("has to be more than 0 s; inf is as long as it takes.", param_hint="--budget")
     file = load(vehicle)
-    candidates: list[str | Effect] | None = [chosen_effect(name) for name in effect] if effect else None
+    given = {name: chosen_effect(name) for name in (*(effect or ()), *(own or ()))}
+    candidates: list[str | Effect] | None = [given[name] for name in effect] if effect else None
     if own:
-        candidates = [*(candidates if candidates is not None else CATALOGUE), *map(chosen_effect, own)]
-    from_files = {
-        chosen_effect(name).name: Path(name) for name in (*(effect or ()), *(own or ())) if name.endswith(SUFFIXES)
-    }
+        candidates = [*(candidates if candidates is not None else CATALOGUE), *(given[name] for name in own)]
+    from_files = {each.name: Path(name) for name, each in given.items() if name.endswith(SUFFIXES)}
     loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
-    hashes = provenance("", recordings)  # of what was read: minutes later a file may be another
+    read = provenance("", recordings)  # of what was read: minutes later a file may be another
     seconds = default_budget(loaded) if budget is None else budget
     with share_done(seconds) as progress:
         answer = diagnosed(
@@ -111,7 +110,7 @@ def diagnose(
             begin=begin,
             progress=progress,
         )
-        found, origin = answer.found, replace(hashes, vehicle=name_of(answer.model, file))
+        found, origin = answer.found, replace(read, vehicle=name_of(answer.model, file))
         pages = report_paths(report, len(answer.parts)) if report is not None else []
         for part, path in zip(answer.parts, pages, strict=False):
             from diagnosis.report import write_report

@@ -79,7 +79,7 @@ def test_play_of_the_gears_is_found_with_its_size(vehicle: Path, seed: int) -> N
     # A blow that comes a row early or late is as large as one that is not expected.
     before, after = (found[f"innovation_ratio_{when}"] - 1.0 for when in ("before", "after"))
     assert after < LEFT_STRUCK * before
-    assert "Blows that come a row early or late" in found["reason"]
+    assert "Impacts that come a sample early or late" in found["reason"]
 
 
 def test_without_play_none_is_found(vehicle: Path) -> None:
@@ -117,7 +117,7 @@ def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -
         "--model", vehicle.parent / "repaired.toml", "--effect", "torque_step",
     )  # fmt: skip
     assert found["verdict"] == "adequate", found["reason"]
-    assert "Blows that come a row early or late" in found["reason"]
+    assert "Impacts that come a sample early or late" in found["reason"]
 
 
 @pytest.mark.thorough

@@ -15,11 +15,11 @@ from diagnosis.prediction.ahead import errors, on, sensor_floors
 from diagnosis.report.figures.repair import repair_figure
 from diagnosis.report.repair_words import in_words, odds_text
 from diagnosis.revise.drop_tests import drop_tests
-from diagnosis.revise.fits import alone
-from diagnosis.revise.fits import training as samples
 from diagnosis.revise.result import Budget, Neighbour, Repair
 from diagnosis.revise.revision import horizons_of, repair
 from diagnosis.revise.split import split
+from diagnosis.revise.with_and_without import Estimated, alone
+from diagnosis.revise.with_and_without import training as samples
 from estimators.contract import Status
 from estimators.data.segments import DataError
 from estimators.fit.problem import problem
@@ -243,6 +243,16 @@ def test_a_right_model_is_off_by_the_sensors_alone() -> None:
     rms = np.array([np.sqrt(np.mean(each**2, axis=0)) for each in errors(there, horizons)])
     # About 10 s of held-out data with errors that go together for as long as the horizon: a third is two deviations.
     assert rms == pytest.approx(sensor_floors(there, horizons), rel=0.35)
+
+
+def test_what_is_known_beforehand_is_not_dropped_for_its_t_ratio() -> None:
+    """An effect whose amplitude is held has no standard deviation that could be too large."""
+    recording = carriage(coulomb=0.0, seed=7)
+    model = bare().add("viscous_friction")
+    held = model.change(estimated=[each.name for each in bare().parameters if each.estimated])
+    fitted = Estimated.of(alone(held, samples(held, [recording], None)))
+    assert fitted.t_ratio("viscous_friction") == math.inf
+    assert Estimated.of(alone(model, samples(model, [recording], None))).t_ratio("viscous_friction") < math.inf
 
 
 def test_the_initial_state_of_held_out_data_is_fitted() -> None:

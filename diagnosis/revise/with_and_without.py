@@ -27,15 +27,15 @@ from models.model import Model
 from telemetry.recording import Recording
 
 UNKNOWN = 1e6
-"""Typical sizes: the standard deviation of a parameter that the record says nothing of, as a number."""
-TOLD = (Status.OK, Status.AT_BOUND)
-"""Of a shape that a record tells."""
+"""Typical sizes: the largest standard deviation that is reported, of a parameter that the record does not determine."""
+DETERMINED = (Status.OK, Status.AT_BOUND)
+"""Of a shape that a record determines."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Estimated:
     """A fit in numbers: what it estimates, and of every estimated parameter, by name, `values` and `deviations`, also
-    of those that `estimate` does not tell. `bic` = parameters ln(rows) - 2 log likelihood."""
+    of those that `estimate` does not determine. `bic` = parameters ln(rows) - 2 log likelihood."""
 
     full: FullFit
     estimate: Estimate
@@ -43,7 +43,7 @@ class Told:
     deviations: dict[str, float]
 
     @classmethod
-    def of(cls, fitted: FullFit) -> Told:
+    def of(cls, fitted: FullFit) -> Estimated:
         task, minimum = fitted.fit.problem, fitted.fit.minimum
         with np.errstate(all="ignore"):
             estimate = result(fitted.fit, 0.0)
@@ -70,8 +70,9 @@ class Told:
         return self.full.model.change(self.values, deviations=self.deviations)
 
     def t_ratio(self, effect: str) -> float:
-        """As of diagnosis.fits.refit.t_ratio."""
-        return t_ratio(self.full, effect)
+        """As of diagnosis.fits.refit.t_ratio; infinite for an `effect` none of whose amplitudes is estimated."""
+        attached = next(each for each in self.full.model.effects if each.name == effect)
+        return t_ratio(self.full, effect) if set(attached.amplitudes) & set(self.values) else float("inf")
 
 
 def alone(model: Model, workspace: Workspace) -> FullFit:
@@ -106,24 +107,25 @@ def each_with(
 ) -> tuple[dict[str, FullFit], ScoreTest]:
     """The model of `base` with each of `candidates`, by name, without those that no fit of ends; and their score test.
 
-    By its finer formula where the record asks for it. A shape that the record does not tell stays where it is usual.
+    By its finer formula where the record asks for it. A shape that the record does not determine is held at its usual
+    value.
     """
     workspace = replace(workspace, candidates=tuple(candidates))
     scored = tried(partial(look, base, workspace)) or ScoreTest((), {})
     fits = each_fitted(base, scored, workspace, tell)
     likeliest = sorted(fits.values(), key=lambda each: -each.evidence)
-    return {each.name: _as_told(each, workspace) for each in finest(likeliest, workspace)}, scored
+    return {each.name: _shapes_held(each, workspace) for each in finest(likeliest, workspace)}, scored
 
 
-def _as_told(fitted: FullFit, workspace: Workspace) -> FullFit:
-    """`fitted` with those of its effect's shapes held that the record does not tell, at their usual values, unless it
-    is likelier with them free: several together may be told that alone are not."""
+def _shapes_held(fitted: FullFit, workspace: Workspace) -> FullFit:
+    """`fitted` with those shapes of its effect held at their usual values that the record does not determine, unless it
+    is likelier with them free: several together may be determined that one by one are not."""
     candidate = fitted.candidate
     assert candidate is not None
     attached = next(each for each in fitted.model.effects if each.name == fitted.name)
     shapes = [p.name for p in attached.parameters if p.estimated and p.name not in attached.amplitudes]
     estimates = result(fitted.fit, 0.0).parameters
-    silent = [name for name in shapes if estimates[name].status not in TOLD]
+    silent = [name for name in shapes if estimates[name].status not in DETERMINED]
     if not silent:
         return fitted
     usual = {p.name: p.value for p in fitted.model.remove(fitted.name).add(attached.effect, attached.at).parameters}
