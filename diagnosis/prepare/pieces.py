@@ -20,7 +20,12 @@ def inside(time: NDArray[np.float64], pieces: Pieces) -> NDArray[np.bool_]:
 
 
 def hidden(model: Model, recording: Recording, pieces: Pieces) -> Recording:
-    """`recording` with the measured outputs unknown in `pieces`; time goes on counting from its first row."""
-    kept = ~inside(recording.time, pieces)
+    """`recording` with the outputs of `model` unknown in `pieces`."""
+    return only(model, recording, ~inside(recording.time, pieces))
+
+
+def only(model: Model, recording: Recording, kept: NDArray[np.bool_]) -> Recording:
+    """`recording` with the outputs of `model` known where `kept` (n,) alone: time goes on counting from its first row,
+    as effects that depend on it ask for."""
     values = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
     return replace(recording, values={**recording.values, **values})

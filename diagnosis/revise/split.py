@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diagnosis.prepare.pieces import only
 from estimators.data.segments import segments
 from models.model import Model
 from telemetry.recording import Recording
@@ -26,13 +25,6 @@ def split(
     for recording in recordings:
         rows = np.concatenate([segment.time for segment in segments(model, [recording], support=support)])
         early = recording.time <= np.quantile(rows, TRAINING)
-        training.append(_only(model, recording, early))
-        tried.append(_only(model, recording, ~early))
+        training.append(only(model, recording, early))
+        tried.append(only(model, recording, ~early))
     return training, tried
-
-
-def _only(model: Model, recording: Recording, kept: NDArray[np.bool_]) -> Recording:
-    """`recording` with the measured outputs known where `kept` (n,) alone: time goes on counting from its first row,
-    as effects that depend on it ask for."""
-    hidden = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
-    return replace(recording, values={**recording.values, **hidden})
