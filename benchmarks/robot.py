@@ -88,7 +88,7 @@ class Cost:
             start = initial.copy()
             start[list(task.own)] = part
             run = task.kernel.run(segment, values, start, gain=gain, substeps=task.substeps)
-            if run.runs_away:
+            if run.diverges:
                 return 1e12
             error = np.nan_to_num(segment.measured - run.predicted)
             squares += error.T @ error

@@ -148,15 +148,15 @@ def diagnosed(case: Case, found: dict[str, Any]) -> str:
     return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in told if each)
 
 
-def added(repair: dict[str, Any]) -> list[str]:
+def added(revision: dict[str, Any]) -> list[str]:
     """By channel and horizon, by how much the held-out error's energy falls, and to what multiple of the noise's."""
-    lines = [f"       added, surety {repair['surety']:.3g}: {'needed' if repair['needed'] else 'NOT needed'}"]
-    before, after, floor = repair["before"]["held_out"], repair["after"]["held_out"], repair["floor"]["held_out"]
+    lines = [f"       added, surety {revision['surety']:.3g}: {'needed' if revision['needed'] else 'NOT needed'}"]
+    before, after, floor = revision["before"]["held_out"], revision["after"]["held_out"], revision["floor"]["held_out"]
     for channel in CHANNELS:
         told = [
             f"{ahead:g} s: by {100.0 * (1.0 - (new / old) ** 2):.3g} % to {(new / least) ** 2:.2g}"
             for ahead, old, new, least in zip(
-                repair["horizons"], before[channel], after[channel], floor[channel], strict=True
+                revision["horizons"], before[channel], after[channel], floor[channel], strict=True
             )
         ]
         lines.append(f"       {channel:17}{', '.join(told)}")

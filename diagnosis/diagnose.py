@@ -34,7 +34,7 @@ from estimators.budget import Budget
 from estimators.data.segments import DataError, after_settling
 from estimators.data.time_scale import time_scale
 from estimators.fit.disturbance import disturbances
-from estimators.fit.released import freed
+from estimators.fit.released import released
 from estimators.fit.sensor_errors import sensor_errors
 from models.effect import Effect
 from models.model import Model
@@ -54,7 +54,7 @@ class _Question:
     support: float | None
     candidates: tuple[str | Effect, ...] | None
     most: int
-    masked: Collection[str]
+    confounded: Collection[str]
     unasked: Collection[str]
     budget: Budget
     loops: Sequence[Loop | str]
@@ -67,7 +67,7 @@ def diagnose(
     support: float | None = None,
     candidates: Iterable[str | Effect] | None = None,
     most: int = 3,
-    masked: Collection[str] = (),
+    confounded: Collection[str] = (),
     unasked: Collection[str] = (),
     budget: float | None = None,
     loops: Sequence[Loop | str] = (),
@@ -77,8 +77,8 @@ def diagnose(
 
     A recording that begins on a support is looked at from where the model has settled (`Model.settling`).
     `support` rad: the vehicle is free where its roll is less. `candidates`: effects to look for, the whole catalogue by
-    default. `most`: effects that are added at most, one after the other. `masked`: effects that parameters of
-    the model can take the place of, so that the score test alone does not decide about them (diagnosis.fits.masked).
+    default. `most`: effects that are added at most, one after the other. `confounded`: effects that
+    parameters of the model can imitate, so that the score test does not decide about them (diagnosis.fits.confounded).
     `unasked`: parameters that the recordings need not tell. `budget` s: by then the search ends with what it has, and
     says what it left untried; by default it takes as long as it takes. `loops` tell what closed the loop on each
     recording, or why that is not known (diagnosis.prediction.relevance). `progress` is told what is being done and the
@@ -90,7 +90,7 @@ def diagnose(
     tell("reading the data", 0.0)
     known, model = model, ready(model, recordings)
     chosen = None if candidates is None else tuple(candidates)
-    asked = _Question(model, support, chosen, most, masked, unasked, bound, loops)
+    asked = _Question(model, support, chosen, most, confounded, unasked, bound, loops)
     found, happened = _answer(asked, recordings, partial(part_of, tell, 0.0, ONCE))
     if happened and bound.left:
         tell("leaving out what happened once", ONCE)
@@ -100,7 +100,7 @@ def diagnose(
         cut_short = rest.untried and not rest.findings
         if rest.verdict is not Verdict.INSUFFICIENT_DATA and not cut_short:
             found = replace(rest, reason=f"{rest.reason} {' '.join(map(str, happened))}", events=tuple(happened))
-    return found if found.repaired is None else replace(found, repaired=unready(known, found.repaired))
+    return found if found.revised is None else replace(found, revised=unready(known, found.revised))
 
 
 def _answer(
@@ -125,7 +125,7 @@ def _answer(
     if lacking := unidentified(base, asked.unasked):
         return Diagnosis(Verdict.INSUFFICIENT_DATA, lacking, left_out=workspace.left_out), []
 
-    how = Search(workspace.within(SEARCH), asked.masked, asked.most, tell=tell).part(0.1, 0.85)
+    how = Search(workspace.within(SEARCH), asked.confounded, asked.most, tell=tell).part(0.1, 0.85)
     known = Explanation(before.findings, before.steps[-1]) if before else None
     found = search(base, how, known)
 
@@ -151,7 +151,7 @@ def _answer(
 def _fit_alone(model: Model, workspace: Workspace) -> FullFit:
     """The fit of `model`, with what has to be released in it estimated, too (estimators.fit.released)."""
     base = settled(model, workspace)
-    wider = tried(partial(freed, model, base.fit)) or model
+    wider = tried(partial(released, model, base.fit)) or model
     return base if wider is model else tried(partial(settled, wider, workspace)) or base
 
 

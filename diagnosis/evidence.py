@@ -20,11 +20,11 @@ from scipy.stats import chi2
 
 LEVEL = 0.01
 """Probability of naming an effect where nothing is missing, and of asking for a parameter that is not needed."""
-SURE = 2.0
+SIGNIFICANT = 2.0
 """Standard deviations from which a size counts: one in twenty by chance."""
 ODDS = 20.0
 """From which one explanation counts as better than another."""
-WORTH = math.log(ODDS)
+STRONG = math.log(ODDS)
 """The same as log likelihood, nats."""
 
 
@@ -38,10 +38,10 @@ def beyond_chance(gain: float, count: int, tries: int = 1) -> bool:
     return tries * by_chance(gain, count) < LEVEL
 
 
-def asked_for(gain: float, count: int, surety: float, tries: int = 1) -> bool:
+def asked_for(gain: float, count: int, t_ratio: float, tries: int = 1) -> bool:
     """Whether an effect is asked for whose size is `surety` standard deviations from zero. The other arguments are
     those of `beyond_chance`."""
-    return surety > SURE and beyond_chance(gain, count, tries)
+    return t_ratio > SIGNIFICANT and beyond_chance(gain, count, tries)
 
 
 def likelier(log_odds: float, tries: float = 1.0) -> bool:
@@ -49,4 +49,4 @@ def likelier(log_odds: float, tries: float = 1.0) -> bool:
 
     `log_odds`: natural logarithm of the odds for it, half of what the Bayes information criterion falls by.
     """
-    return log_odds > math.log(tries) + WORTH
+    return log_odds > math.log(tries) + STRONG

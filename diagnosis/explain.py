@@ -36,7 +36,7 @@ def explain(finding: Finding, score: Score) -> str:
     chance = f"chance explains it with a probability of {_probability(finding.p_value)}."
     # What a little of it does, from which the size that a record shows is told, says nothing where parts strike.
     shown = f"This record would have shown {score.detectable:.2g} {_unit(candidate, first)} of {first.split('.')[-1]}; "
-    told.append(chance.capitalize() if effect.strikes else shown + chance)
+    told.append(chance.capitalize() if effect.impacts else shown + chance)
     others = [name for name in finding.odds if name != finding.effect]
     if finding.tied_with:
         tied = ", ".join(finding.tied_with)

@@ -131,7 +131,7 @@ class Diagnosis:
     suggested_experiment: Mapping[str, Any] | None = None
     innovation_ratio_before: float | None = None
     innovation_ratio_after: float | None = None
-    repaired: Model | None = None
+    revised: Model | None = None
     left_out: Mapping[str, str] | None = None
     score_tests: tuple[ScoreTest, ...] = ()
     steps: tuple[FullFit, ...] = ()

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from diagnosis.evidence import LEVEL, SURE, by_chance, likelier
+from diagnosis.evidence import LEVEL, SIGNIFICANT, by_chance, likelier
 from models.effect import Effect
 
 DOUBT = 0.05
@@ -39,7 +39,7 @@ class HeldOut:
     closed_std: float | None = None
     closing_percent: float | None = None
     known: float = 0.0
-    struck: bool = False
+    impacts: bool = False
 
     @property
     def stands(self) -> bool:
@@ -49,13 +49,13 @@ class HeldOut:
         model, which add up on the way, would decide. Nor does it count where parts collide: how well the motion after
         an impact is predicted depends on the filter that the impacts of one record have made.
         """
-        return (self.struck or not self._grows) and self.gain + self.known >= self.std
+        return (self.impacts or not self._grows) and self.gain + self.known >= self.std
 
     @property
     def _grows(self) -> bool:
         if self.closed_percent is None or self.closed_std is None or self.closing_percent is None:
             return False
-        return self.closing_percent > self.closed_std and self.closed_percent <= -SURE * self.closed_std
+        return self.closing_percent > self.closed_std and self.closed_percent <= -SIGNIFICANT * self.closed_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,9 @@ def is_inside_its_bounds(tried: Tried, tries: int) -> str:
 
 def is_significant(tried: Tried, tries: int) -> str:
     """An amplitude that may as well be zero leaves all that was gained to the other parameters."""
-    return "" if tried.t_ratio > SURE else f"its t-ratio is {tried.t_ratio:.2g}, and more than {SURE:g} is needed"
+    if tried.t_ratio > SIGNIFICANT:
+        return ""
+    return f"its t-ratio is {tried.t_ratio:.2g}, and more than {SIGNIFICANT:g} is needed"
 
 
 def is_beyond_chance(tried: Tried, tries: int) -> str:
@@ -221,7 +223,7 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
         likely = not likelier(likeliest - each.evidence)
         if exact(best, each) and each.parameters < best.parameters:
             likely = as_much(each, best)
-        elif alike(best.effect, each.effect):
+        elif confusable(best.effect, each.effect):
             if each.cost < best.cost:
                 likely = likely or as_much(each, best)
             elif each.cost > best.cost:
@@ -248,7 +250,7 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
 def exact(one: Tried, other: Tried) -> bool:
     """Whether the two are easily confused, and the formulas of both are exact: then the likelihood ratio decides alone
     between them, at LEVEL."""
-    return alike(one.effect, other.effect) and not formula_error(one.effect, other.effect)
+    return confusable(one.effect, other.effect) and not formula_error(one.effect, other.effect)
 
 
 def as_much(less: Tried, more: Tried) -> bool:
@@ -278,6 +280,6 @@ def needless(more: Tried, less: Tried) -> float:
     return min(1.0, more.among * by_chance(gain, further))
 
 
-def alike(one: Effect, other: Effect) -> bool:
+def confusable(one: Effect, other: Effect) -> bool:
     """Whether the two are easily confused, by the catalogue's own word."""
     return one.family is other.family or other.name in one.confused_with or one.name in other.confused_with

@@ -76,7 +76,7 @@ def diagnose_parts(
     left = None if budget is None else max((1.0 - SHARE) * budget, budget - (stopwatch() - began))
     other = diagnose_actuators(
         actuators,
-        recordings if own.repaired is None else on_time(recordings, own.repaired),
+        recordings if own.revised is None else on_time(recordings, own.revised),
         support=support,
         candidates=commanded,
         most=most,
@@ -115,7 +115,7 @@ def diagnose_actuators(
         free,
         candidates=candidates,
         most=most,
-        masked=hidden,
+        confounded=hidden,
         unasked=model.values,
         budget=left,
         progress=progress,
@@ -124,10 +124,10 @@ def diagnose_actuators(
         left = None if budget is None else max(0.0, budget - (stopwatch() - began))
         found = _further(found, free, candidates, left)
     found = quiet(beyond_formula(model, found))
-    if found.repaired is None:
+    if found.revised is None:
         return found
-    shipped = next(each for each in known if each.name == found.repaired.name)
-    return replace(found, repaired=as_recorded_rows(shipped, found.repaired))
+    shipped = next(each for each in known if each.name == found.revised.name)
+    return replace(found, revised=as_recorded_rows(shipped, found.revised))
 
 
 def quiet(found: Diagnosis) -> Diagnosis:
@@ -157,7 +157,7 @@ def _further(
     loop is: beside delays that gained 5000 to 7000 nothing else had more than 0.5 to gain, and a dead band of 0.1
     mrad/s had 10.
     """
-    model = found.repaired
+    model = found.revised
     assert model is not None
     there = {each.effect.name for each in model.effects}
     others = [each for each in candidates if each.name not in there]
@@ -197,11 +197,11 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
             sizes[name] = allowed
         if effects[name].lag:
             sizes[name] = max(sizes[name], lag_error(model))
-    below = found.repaired is not None and small(found.repaired)
+    below = found.revised is not None and small(found.revised)
     lags = {name for name, effect in effects.items() if effect.lag}
-    unsure = 0.5 * lag_error(model)
+    with_possible_noise = 0.5 * lag_error(model)
     findings = tuple(
-        _less_sure(each, unsure) if each.effect in lags else each
+        _less_sure(each, with_possible_noise) if each.effect in lags else each
         for each in found.findings
         if not (below and each.effect in lags)
     )

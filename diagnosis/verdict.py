@@ -40,7 +40,7 @@ def verdict(found: Found, rest: Adequacy, workspace: Workspace) -> Diagnosis:
         kind = Verdict.ADEQUATE
         effect = "no effect tried so far" if left else "no known effect"
         reason = f"{effect}, and nothing without a name, would make the innovations smaller than chance does"
-        reason += f".{_left_by_impacts(rest)}" if rest.struck else ""
+        reason += f".{_left_by_impacts(rest)}" if rest.impacts else ""
     return Diagnosis(
         verdict=kind,
         reason=reason,
@@ -48,7 +48,7 @@ def verdict(found: Found, rest: Adequacy, workspace: Workspace) -> Diagnosis:
         minimum_detectable={score.candidate.name: score.detectable for score in found.score_tests[0].scores},
         innovation_ratio_before=before,
         innovation_ratio_after=after,
-        repaired=steps[-1].fitted,
+        revised=steps[-1].fitted,
         left_out={**workspace.left_out, **_failed(workspace, findings)},
         score_tests=found.score_tests,
         steps=steps,
@@ -109,5 +109,5 @@ def _left(before: float, after: float) -> str:
 
 def _left_by_impacts(rest: Adequacy) -> str:
     """What is left where parts strike each other, in words."""
-    left = _left(rest.before, rest.after) if rest.struck else ""
+    left = _left(rest.before, rest.after) if rest.impacts else ""
     return f"{left} Impacts that come a sample early or late may leave it." if left else ""

@@ -31,7 +31,7 @@ for finding in answer.found.findings:
     print(finding.relevance)
 
 # %% The model with it is a model like any other; the report is text, to be written to a file
-print([each.name for each in answer.found.repaired.effects])
+print([each.name for each in answer.found.revised.effects])
 (part,) = answer.parts[:1]
 page = write_report(part.found, part.model, part.recordings, support=answer.support)
 print(f"{len(page) // 1024} KiB of HTML")

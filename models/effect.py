@@ -110,7 +110,7 @@ class Effect:
     `signature`: what it leaves in a record. `confused_with`: effects that leave almost the same. `separated_by`:
     which experiment tells them apart. `made_of`: two others that do almost the same together. `beyond`: others that
     do a part of what it does; it is detectable by what it does beyond them. `dissipative`: it never adds energy.
-    `strikes`: parts strike each other, so that what a little of it does says nothing of what more of it does.
+    `impacts`: parts collide, so that what a little of it does says nothing of what more of it does.
     `stiff`: its own motion is much faster than a row. `sets_in`: it may set in during a run; how a machine is built
     does not. `onset_of`: the other effect that it is, begun at an instant. `formula_error`: the share of what it
     explains that its formula may leave, or that a second name may merely bend; 0 where a constant is a constant.
@@ -140,7 +140,7 @@ class Effect:
     made_of: tuple[str, ...] = ()
     beyond: tuple[str, ...] = ()
     dissipative: bool = False
-    strikes: bool = False
+    impacts: bool = False
     stiff: bool = False
     sets_in: bool = True
     onset_of: str = ""

@@ -32,7 +32,7 @@ SMOOTH = 9
 """Rows of the cubic that a slope is taken from."""
 BLOCK = 16
 """Rows whose errors are taken as one."""
-SURE = 5.0
+SIGNIFICANT = 5.0
 """Standard deviations with which channels have to say it."""
 
 
@@ -55,7 +55,7 @@ def by_the_clock(recording: Recording) -> Recording:
     """`recording` with the instants at which its samples were taken, where its channels surely say that these were
     not those of its time stamps; its `truncated` then says so, too."""
     found = jitter(recording)
-    if found is None or found.share < SURE * found.share_error:
+    if found is None or found.share < SIGNIFICANT * found.share_error:
         return recording
     moved = np.round(1e9 * min(1.0, found.share) * found.off).astype(np.int64)
     share = f"{100.0 * min(1.0, found.share):.0f} ± {100.0 * found.share_error:.1g} %"

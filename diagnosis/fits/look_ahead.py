@@ -30,13 +30,13 @@ Array = NDArray[np.float64]
 
 LAGS = 12
 """Rows for which the noise of one goes on to be foretold from: a predictor's answer is smooth beyond."""
-FORESEEN = 0.1
+LOOKED_AHEAD = 0.1
 """Share of a row's noise above which a fit is none."""
-SURE = 4.0
+SIGNIFICANT = 4.0
 """Standard deviations of that share by which it has to be sure."""
 
 
-def foresees(fitted: Fit, base: Fit) -> bool:
+def looks_ahead(fitted: Fit, base: Fit) -> bool:
     """Whether `fitted` makes more of a row's noise than `base`, in any output whose noise is measured.
 
     Commands do not follow the noise before they are given, so that only measured inputs whose instants are estimated
@@ -50,11 +50,11 @@ def foresees(fitted: Fit, base: Fit) -> bool:
 
 
 def _surely(fitted: Fit, output: int) -> bool:
-    share, std = foretold_share(fitted, output)
-    return share > max(FORESEEN, SURE * std)
+    share, std = look_ahead_share(fitted, output)
+    return share > max(LOOKED_AHEAD, SIGNIFICANT * std)
 
 
-def foretold_share(fitted: Fit, output: int) -> tuple[float, float]:
+def look_ahead_share(fitted: Fit, output: int) -> tuple[float, float]:
     """h_0 of an output, and its standard deviation; zero and infinity where there are too few rows."""
     rows, targets = [], []
     for segment, errors in zip(fitted.problem.segments, fitted.innovations(), strict=True):

@@ -251,7 +251,7 @@ def _creeps(fitted: Fit) -> bool:
     return middle.cost - last.cost < CREEPING
 
 
-def gained(fitted: FullFit, base: FullFit) -> tuple[float, int]:
+def log_ratio(fitted: FullFit, base: FullFit) -> tuple[float, int]:
     """By how much the log likelihood of `fitted` is above that of `base` (nats), whose model lacks some of its effects,
     and by how many parameters."""
     return fitted.log_likelihood - base.log_likelihood, fitted.count - base.count

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from diagnosis.evidence import likelier
-from diagnosis.fits import masked
-from diagnosis.fits.masked import speed_loop_lag
+from diagnosis.fits import confounded
+from diagnosis.fits.confounded import speed_loop_lag
 from diagnosis.fits.refit import FullFit, full
 from diagnosis.lack_of_fit.floor import sensor_noise
 from diagnosis.prepare.actuator_samples import middle
@@ -81,9 +81,9 @@ def _tried(alone: FullFit, workspace: Workspace, effects: Sequence[Effect]) -> t
     """The evidence for a model with the effects that suit it best, its likeliest fit with at most one of those that its
     lag masks, and which of these may be missing in it."""
     late = [each.name for each in effects if each.delay or each.lag]
-    fits = masked.fits(alone, workspace, late)
+    fits = confounded.fits(alone, workspace, late)
     worth = [each for each in fits if likelier(each.evidence - alone.evidence) and not small(each.fitted)]
-    wider = masked.together(alone.model, workspace, [each.name for each in effects if each.name not in late])
+    wider = confounded.together(alone.model, workspace, [each.name for each in effects if each.name not in late])
     evidence = max(each.evidence for each in (alone, *fits, *wider)) - _order(alone)
     return evidence, max((alone, *worth), key=lambda each: each.evidence), tuple(each.name for each in worth)
 

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 LEFT = 0.05
 """Share of the energy over the floor, before anything was added, that an effect by its right name may leave."""
-LEFT_STRUCK = 0.3
+LEFT_BY_IMPACTS = 0.3
 """The same where parts strike each other: a blow that comes a row early or late is an error of dozens of deviations.
 Play of a gear by its right name left 12 to 23 % on six records, another name 90 % and more."""
 SHAPED = 0.12
@@ -40,7 +40,7 @@ rest of which a curve over the rate explains a fifth; that of cubic drag, called
 
 Where a record shows much of an effect, what its formula lacks is far above the noise, and the noise of the fit stands
 in for it: the gain says little then."""
-SURE = 2.0
+SIGNIFICANT = 2.0
 """Standard deviations by which that gain has to be more: of a short record 30 % of 50 nats may as well be 4 %."""
 CHANCE = 1e-3
 """Probability of a shape's gain, were it chance."""
@@ -58,14 +58,14 @@ class Adequacy:
     after: float
     left: Views | None
     shape: Shape | None = None
-    gained: float = 0.0
-    struck: bool = False
+    log_ratio: float = 0.0
+    impacts: bool = False
 
     @property
     def adequate(self) -> bool:
         if self.left is None or self.shaped:
             return False
-        most = LEFT_STRUCK if self.struck else LEFT
+        most = LEFT_BY_IMPACTS if self.impacts else LEFT
         return self.left.adequate or self.after - 1.0 <= most * (self.before - 1.0)
 
     @property
@@ -73,8 +73,8 @@ class Adequacy:
         """Whether a force without a name goes with something."""
         if self.shape is None or self.shape.p_value >= CHANCE:
             return False
-        surely = self.shape.gain - SURE * self.shape.std
-        return surely > SHAPED * self.gained or self.shape.share > EXPLAINED
+        surely = self.shape.gain - SIGNIFICANT * self.shape.std
+        return surely > SHAPED * self.log_ratio or self.shape.share > EXPLAINED
 
     @property
     def named(self) -> bool:
@@ -82,7 +82,7 @@ class Adequacy:
         # Where noise of the model's own explains what is missing, little is over the floor before and after.
         if self.left is None or self.after - 1.0 > max(MOST * (self.before - 1.0), LEFT):
             return False
-        return self.shape is None or not self.shaped or self.shape.gain < self.gained
+        return self.shape is None or not self.shaped or self.shape.gain < self.log_ratio
 
     @property
     def reason(self) -> str:
@@ -95,14 +95,16 @@ class Adequacy:
         return " ".join(words)
 
     def _told(self, shape: Shape) -> str:
-        share = f", {100.0 * shape.gain / self.gained:.0f} % of what the named effects gained" if self.gained else ""
+        share = (
+            f", {100.0 * shape.gain / self.log_ratio:.0f} % of what the named effects gained" if self.log_ratio else ""
+        )
         return (
             f"A force at {shape.joint} that goes with {shape.name}, of no known shape, would still raise the log "
             f"likelihood by {shape.gain:.3g}{share}, and explains {100.0 * shape.share:.0f} % of what is left."
         )
 
 
-def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
+def adequacy(first: Fit, last: Fit, log_ratio: float) -> Adequacy:
     """Of the model as it was and as it became, both beside the disturbance that the latter leaves; `gained` in log
     likelihood."""
     before = over_floor(first, last)
@@ -116,8 +118,8 @@ def adequacy(first: Fit, last: Fit, gained: float) -> Adequacy:
     except FAILURES:
         return Adequacy(before, float("inf"), None)
     sure = [each for each in shaped if each.p_value < CHANCE] or shaped
-    struck = any(each.effect.strikes for each in last.problem.model.effects)
-    return Adequacy(before, left.ratio, seen, sure[0] if sure else None, gained, struck)
+    impacts = any(each.effect.impacts for each in last.problem.model.effects)
+    return Adequacy(before, left.ratio, seen, sure[0] if sure else None, log_ratio, impacts)
 
 
 def over_floor(fitted: Fit, best: Fit, values: Array | None = None) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from diagnosis.gates import alike
+from diagnosis.gates import confusable
 from diagnosis.live.odds import Weighed, weigh
 from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.live.products import Products
@@ -243,7 +243,7 @@ class Gathered:
 
         def left(other: Effect) -> float:
             """Share of what `other` explains that may pass for the effect."""
-            return max(FURTHER, other.formula_error) if alike(effect, other) else FURTHER
+            return max(FURTHER, other.formula_error) if confusable(effect, other) else FURTHER
 
         return sum(left(self._entries[each.effect.name].effect) * each.statistic for each in named)
 

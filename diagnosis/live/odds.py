@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence import WORTH
+from diagnosis.evidence import STRONG
 from diagnosis.live.onset import BEGINNING, LEAST, Amplitudes, Fitted, Onset, examine, with_known
 from diagnosis.live.products import Products
 
@@ -118,7 +118,7 @@ def _averaged(gains: Array, price: Array) -> float:
 
 def tied_from(highest: float) -> float:
     """The logarithm of odds from which on an effect is tied with one that has the `highest`."""
-    return min(highest - WORTH, ALIKE * highest)
+    return min(highest - STRONG, ALIKE * highest)
 
 
 def _explained(gain: float, energies: Array, window: int, acts: NDArray[np.bool_]) -> float:

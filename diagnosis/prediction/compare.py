@@ -141,8 +141,8 @@ def _shaken(task: Problem) -> Fit | None:
 def _best(task: Problem, shaken: Iterable[Fit | None]) -> Fit | None:
     """The likeliest of those that have the outputs of `task`: a vehicle is shaken by what the best model leaves, and
     each model runs through a filter that knows as much."""
-    alike = [each for each in shaken if each is not None and each.problem.kernel.outputs == task.kernel.outputs]
-    return min(alike, key=lambda each: each.minimum.cost, default=None)
+    confusable = [each for each in shaken if each is not None and each.problem.kernel.outputs == task.kernel.outputs]
+    return min(confusable, key=lambda each: each.minimum.cost, default=None)
 
 
 def _task(

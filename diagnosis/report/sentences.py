@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from diagnosis.findings import Diagnosis, Finding
-from diagnosis.report.repair_words import readable
+from diagnosis.report.revision_words import readable
 from estimators.disturbance_estimate import DisturbanceEstimate, in_words
 
 NOTHING_MATTERS = "nothing is missing that matters"

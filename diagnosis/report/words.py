@@ -39,7 +39,7 @@ def _line(diagnosis: Diagnosis) -> str:
     names = _listed([_named(finding) for finding in matter])
     match diagnosis.verdict:
         case Verdict.ADEQUATE:
-            if diagnosis.unexplained is not None and diagnosis.unexplained.struck:
+            if diagnosis.unexplained is not None and diagnosis.unexplained.impacts:
                 return "no known effect is missing; what is left may be the instants of its impacts"
             return f"the model explains these recordings {to_within(diagnosis)}"
         case Verdict.MISSING_EFFECT:

@@ -28,7 +28,7 @@ class DropTest:
     likelihood_ratio: float
     degrees: int
     bic_difference: float
-    surety: float
+    t_ratio: float
 
     @property
     def odds(self) -> float:
@@ -38,7 +38,7 @@ class DropTest:
     @property
     def needed(self) -> bool:
         """Whether the records ask for it."""
-        return asked_for(0.5 * self.likelihood_ratio, self.degrees, self.surety)
+        return asked_for(0.5 * self.likelihood_ratio, self.degrees, self.t_ratio)
 
     @property
     def verdict(self) -> str:
@@ -50,7 +50,7 @@ class DropTest:
             "likelihood_ratio": self.likelihood_ratio,
             "degrees": self.degrees,
             "bic_difference": self.bic_difference,
-            "surety": self.surety,
+            "surety": self.t_ratio,
             "verdict": self.verdict,
         }
 
@@ -82,7 +82,7 @@ def drop_tests(
                 likelihood_ratio=max(0.0, 2.0 * (whole.log_likelihood - without.log_likelihood)),
                 degrees=len(whole.values) - len(without.values),
                 bic_difference=without.bic - whole.bic,
-                surety=whole.t_ratio(attached.name),
+                t_ratio=whole.t_ratio(attached.name),
             )
         )
     told("done", 1.0)

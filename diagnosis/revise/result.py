@@ -105,7 +105,7 @@ class Neighbour:
     effect: str
     bic_difference: float
     fall: float
-    surety: float
+    t_ratio: float
     correlation: float | None
     separated_by: str
 
@@ -117,7 +117,7 @@ class Neighbour:
     @property
     def better(self) -> bool:
         """The odds are for it, and so is the data that neither was fitted to."""
-        return likelier(-0.5 * self.bic_difference) and self.surety > CLEARLY
+        return likelier(-0.5 * self.bic_difference) and self.t_ratio > CLEARLY
 
     @property
     def tied(self) -> bool:
@@ -126,7 +126,7 @@ class Neighbour:
 
 
 @dataclass(frozen=True, slots=True)
-class Repair:
+class Revision:
     """What `diagnosis.revise.revision.repair` tells. `model` is the one with the effect and all values fitted.
 
     `recordings` and `held_out` say in words what was fitted and what was tried. `horizons`: s ahead at which errors are
@@ -151,7 +151,7 @@ class Repair:
     neighbours: tuple[Neighbour, ...]
     separated_by: str
     uses_time: bool
-    surety: float
+    t_ratio: float
 
     @property
     def odds(self) -> float:
@@ -161,15 +161,15 @@ class Repair:
     @property
     def needed(self) -> bool:
         """Whether these records ask for the effect at all."""
-        return asked_for(*self._gained, self.surety)
+        return asked_for(*self._log_ratio, self.t_ratio)
 
     @property
     def p_value(self) -> float:
         """Probability that chance alone gains as much likelihood."""
-        return by_chance(*self._gained)
+        return by_chance(*self._log_ratio)
 
     @property
-    def _gained(self) -> tuple[float, int]:
+    def _log_ratio(self) -> tuple[float, int]:
         """Log likelihood, and by how many parameters."""
         gain = self.after.log_likelihood - self.before.log_likelihood
         return gain, len(self.after.parameters) - len(self.before.parameters)
@@ -192,7 +192,7 @@ class Repair:
             "floor": {"training": _errors(self.floor_training), "held_out": _errors(self.floor_held_out)},
             "odds": self.odds,
             "p_value": self.p_value,
-            "surety": self.surety,
+            "surety": self.t_ratio,
             "needed": self.needed,
             "budget": {
                 "sensors": self.budget.sensors,
@@ -212,7 +212,7 @@ class Repair:
                     "odds": each.odds,
                     "held_out_error_fall_percent": 100.0 * each.fall,
                     "correlation": each.correlation,
-                    "surety": each.surety,
+                    "surety": each.t_ratio,
                     "tied": each.tied,
                     "better": each.better,
                     "separated_by": each.separated_by,

@@ -27,7 +27,7 @@ from diagnosis.prepare.ready import ready, unready
 from diagnosis.revise import with_and_without as fits
 from diagnosis.revise.drop_tests import DropTest as DropTest
 from diagnosis.revise.drop_tests import drop_tests as drop_tests
-from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Repair, Side
+from diagnosis.revise.result import Budget, Errors, FittedParameter, Moved, Neighbour, Revision, Side
 from diagnosis.revise.split import split
 from diagnosis.revise.with_and_without import Estimated
 from estimators.contract import EstimationError
@@ -36,7 +36,7 @@ from estimators.data.segments import after_settling, channels_of, optional_chann
 from estimators.data.time_scale import time_scale
 from estimators.fit.maximum_likelihood import Fit
 from estimators.fit.problem import problem
-from estimators.fit.released import freed
+from estimators.fit.released import released
 from models.effect import Effect
 from models.effects.catalogue import find
 from models.expressions import names_in
@@ -74,7 +74,7 @@ class _Held:
         return np.asarray(np.nanmean((found[-1] / self.floor[-1]) ** 2, axis=1))
 
 
-def repair(
+def revise(
     model: Model,
     effect: Effect | str,
     recordings: Sequence[Recording],
@@ -83,7 +83,7 @@ def repair(
     at: str = "",
     support: float | None = None,
     progress: Progress | None = None,
-) -> Repair:
+) -> Revision:
     """Fit `model` without and with `effect` (at `at`, by default the first place), and tell what the error does.
 
     Its parameter values and standard deviations are the prior of all fits. Without `held_out`, the last third of each
@@ -99,13 +99,13 @@ def repair(
     if of_actuators(model):
         rows = at_samples(model)
         there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
-        found = _repair(rows, effect, there, unseen, at, support, told)
+        found = _revise(rows, effect, there, unseen, at, support, told)
         return replace(found, model=as_recorded_rows(model, found.model))
-    found = _repair(ready(model, recordings), effect, recordings, held_out, at, support, told)
+    found = _revise(ready(model, recordings), effect, recordings, held_out, at, support, told)
     return replace(found, model=unready(model, found.model))
 
 
-def _repair(
+def _revise(
     model: Model,
     effect: Effect | str,
     recordings: Sequence[Recording],
@@ -113,7 +113,7 @@ def _repair(
     at: str,
     support: float | None,
     told: Progress,
-) -> Repair:
+) -> Revision:
     recordings, held_out = (
         without_rests(model, after_settling(model, each, support)) for each in (recordings, held_out)
     )
@@ -123,7 +123,7 @@ def _repair(
     samples = fits.training(model, training, support, (candidate, *neighbours))
     told(f"fitting without {candidate.name}", 0.0)
     without = Estimated.of(fits.alone(model, samples))
-    if (with_more := freed(model, without.full.fit)) is not model:
+    if (with_more := released(model, without.full.fit)) is not model:
         model, without = with_more, Estimated.of(fits.alone(with_more, samples))
     told(f"fitting with {candidate.name} and its neighbours", 0.2)
     found, scored = fits.each_with(
@@ -152,13 +152,13 @@ def _repair(
                 effect=each.name,
                 bic_difference=rival.bic - fitted.bic,
                 fall=Budget.of(float(np.mean(energy_before)), float(np.mean(energy))).fall,
-                surety=_surety(energy_after - energy),
+                t_ratio=_t_ratio(energy_after - energy),
                 correlation=scored.similarity(candidate.name, each.name) if both else None,
                 separated_by=each.effect.separated_by,
             )
         )
     told("done", 1.0)
-    return Repair(
+    return Revision(
         model=fitted.model,
         effect=candidate.name,
         title=candidate.effect.title,
@@ -176,7 +176,7 @@ def _repair(
         neighbours=tuple(sorted(rivals, key=lambda each: each.bic_difference)),
         separated_by=candidate.effect.separated_by,
         uses_time=any("time" in names_in(text) for text in candidate.effect.expressions.values()),
-        surety=fitted.t_ratio(candidate.name),
+        t_ratio=fitted.t_ratio(candidate.name),
     )
 
 
@@ -223,7 +223,7 @@ def _rms(found: Sequence[Array]) -> Array:
     return np.array([np.sqrt(np.nanmean(each**2, axis=0)) for each in found])
 
 
-def _surety(gain: Array) -> float:
+def _t_ratio(gain: Array) -> float:
     """The mean of `gain` (m,) over its standard error: from blocks of rows, since neighbouring ones go together."""
     means = np.array([np.mean(block) for block in np.array_split(gain, BLOCKS)])
     return float(np.mean(means) / max(np.std(means, ddof=1) / np.sqrt(BLOCKS), 1e-300))

@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 
 from diagnosis.evidence import LEVEL, beyond_chance
-from diagnosis.fits import masked
-from diagnosis.fits.look_ahead import foresees
+from diagnosis.fits import confounded
+from diagnosis.fits.look_ahead import looks_ahead
 from diagnosis.fits.refit import (
     CREEPING,
     FURTHER_FITS,
@@ -27,7 +27,7 @@ from diagnosis.fits.refit import (
     quick,
     with_effect,
 )
-from diagnosis.gates import alike
+from diagnosis.gates import confusable
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import Score, ScoreTest, score_test
@@ -84,7 +84,7 @@ def contenders(
     near = replace(scored, scores=tuple(each for each in scored.scores if each.gain >= CONTENDING * most))
     far = any(score.inflation > FAR for score in near.scores if score.p_single < WORTH_A_FIT)
     quicks = _quick_fits(base, near, workspace, partial(_share, tell, 0.6))
-    beside = _full_fits(base, quicks, workspace, known, partial(_with_alike, far), partial(_share, tell, 0.8))
+    beside = _full_fits(base, quicks, workspace, known, partial(_with_confusable, far), partial(_share, tell, 0.8))
     return [*hidden, *in_place, *beside]
 
 
@@ -99,7 +99,7 @@ def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Te
     if (without := still(base, workspace)) is not None:
         in_place = _undisturbed(without, base, workspace, tell, every=True)
         found += _full_fits(base, in_place, workspace, (), list, tell)
-    found += masked.fits(base, workspace, unseen_at_zero(workspace))
+    found += confounded.fits(base, workspace, flat_at_zero(workspace))
     there = {each.name for each in found}
     for each in workspace.others(base.model):
         if each.name not in there:
@@ -111,7 +111,7 @@ def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Te
     return {each.name: each for each in at_one_noise(found, base, workspace)}
 
 
-def unseen_at_zero(workspace: Workspace) -> list[str]:
+def flat_at_zero(workspace: Workspace) -> list[str]:
     """Effects on sensors whose amplitude has starts of its own: near zero the record may ask for less of them."""
     return [
         each.effect.name
@@ -258,7 +258,7 @@ def _full_fits(
             return [each for each in found.values() if each is not None]
         for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
             tell(f"fitted {each.candidate.effect.title}", number / len(chosen))
-            if fit is not None and tried(partial(foresees, fit.fit, base.fit)):
+            if fit is not None and tried(partial(looks_ahead, fit.fit, base.fit)):
                 left = [one for one in left if one is not each]
             else:
                 found[each.candidate.name] = fit
@@ -277,7 +277,7 @@ def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:
     return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * fits[0].gain]
 
 
-def _with_alike(far: bool, fits: Sequence[QuickFit]) -> list[QuickFit]:
+def _with_confusable(far: bool, fits: Sequence[QuickFit]) -> list[QuickFit]:
     """Those that explain most, and what does the same as one of these: at the noise of the model alone, in which the
     disturbance stands in for the effect, it may gain a fifth, as a sensor that is mounted askew of what a constant
     torque does."""
@@ -287,4 +287,4 @@ def _with_alike(far: bool, fits: Sequence[QuickFit]) -> list[QuickFit]:
 
 
 def _like_any(fitted: QuickFit, effects: Sequence[Effect]) -> bool:
-    return any(alike(fitted.candidate.effect, each) for each in effects)
+    return any(confusable(fitted.candidate.effect, each) for each in effects)

@@ -40,12 +40,12 @@ class Explanation:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What the steps of one search share. `masked`: effects of which the score test sees nothing, since parameters of
-    the model take their place (diagnosis.fits.masked); `most`: effects that are added at most; `alone`: the score test
-    of the model without any of them."""
+    """What the steps of one search share. `confounded`: effects that the score test does not see, because parameters
+    of the model imitate them (diagnosis.fits.confounded); `most`: effects that are added at most; `alone`: the score
+    test of the model without any of them."""
 
     workspace: Workspace
-    masked: Collection[str] = ()
+    confounded: Collection[str] = ()
     most: int = 3
     alone: ScoreTest = NOTHING_SCORED
     tell: Tell = silent

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from diagnosis.findings import Finding
-from diagnosis.gates import alike
+from diagnosis.gates import confusable
 from diagnosis.score.score_test import ScoreTest
 
 LEAST = 0.2
@@ -43,7 +43,7 @@ def left_by_formulas(findings: Sequence[Finding]) -> float:
 def _likeness(one: Finding, other: Finding, alone: ScoreTest) -> float:
     """r^2 of two effects; 1 where a derivative at none of one says nothing of it, or the score test has it not."""
     effects = one.definition, other.definition
-    if alike(*effects) or any(each.strikes for each in effects):
+    if confusable(*effects) or any(each.impacts for each in effects):
         return 1.0
     known = {one.effect, other.effect} <= alone.bases.keys()
     return max(LEAST, alone.similarity(one.effect, other.effect) ** 2) if known else 1.0

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence import SURE
+from diagnosis.evidence import SIGNIFICANT
 from diagnosis.fits.refit import FullFit, off_prior, remembered
 from diagnosis.gates import HeldOut
 from diagnosis.prediction import ahead
@@ -93,19 +93,19 @@ def held_out(best: FullFit, base: FullFit, workspace: Workspace) -> HeldOut | No
 
 def _fits(best: FullFit, base: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
     """The fits of a part without and with what `best` has `further`; None where the part does not tell that."""
-    with_it = unsure(remembered(best.model, part.seen, begin=best.fit.end).fit)
+    with_it = with_possible_noise(remembered(best.model, part.seen, begin=best.fit.end).fit)
     told = result(with_it, 0.0).parameters
     sizes = [told[name] for each in further for name in each.amplitudes]
-    if not any(each.value is not None and each.std and abs(each.value) > SURE * each.std for each in sizes):
+    if not any(each.value is not None and each.std and abs(each.value) > SIGNIFICANT * each.std for each in sizes):
         return None
     # What happens once, at an instant outside the part, is nothing that the part could foretell.
     times = [name for each in further for name in each.of_role(Role.INSTANT, Role.DURATION)]
     if any(told[name].status in NOT_TOLD for name in times):
         return None
-    return unsure(remembered(base.model, part.seen, begin=base.fit.end).fit), with_it
+    return with_possible_noise(remembered(base.model, part.seen, begin=base.fit.end).fit), with_it
 
 
-def unsure(fitted: Fit) -> Fit:
+def with_possible_noise(fitted: Fit) -> Fit:
     """`fitted` with the noises that do not show as large as its data do not exclude, by SURE standard deviations of a
     likelihood ratio, but no larger than they are stated.
 
@@ -131,7 +131,7 @@ def unsure(fitted: Fit) -> Fit:
         return fitted
 
     def within(found: Seen | None) -> bool:
-        return found is not None and found.cost <= ended.cost + 0.5 * SURE**2
+        return found is not None and found.cost <= ended.cost + 0.5 * SIGNIFICANT**2
 
     low, high = (1.0, 1.0) if within(seen(1.0)) else (0.0, 1.0)
     for _ in range(HALVINGS if high > low else 0):
@@ -183,18 +183,18 @@ def judge(
     energies: list[Array] = []
     known: list[float] = []
     promises: list[Array] = []
-    struck = False
+    impacts = False
     for part in parts:
         found = fits(part)
         if found is None:
             continue
         without, with_it = found
-        struck = any(each.effect.strikes for each in with_it.problem.model.effects)
-        promise = _foretold(with_it, amplitudes, part, support, struck)
-        if 2.0 * np.sum(promise) < SURE**2:
+        impacts = any(each.effect.impacts for each in with_it.problem.model.effects)
+        promise = _expected_gain(with_it, amplitudes, part, support, impacts)
+        if 2.0 * np.sum(promise) < SIGNIFICANT**2:
             continue
         promises.append(promise)
-        gains.append(_log_density(with_it, part, support, struck) - _log_density(without, part, support, struck))
+        gains.append(_log_density(with_it, part, support, impacts) - _log_density(without, part, support, impacts))
         known.append(off_prior(without) - off_prior(with_it))
         energies.append(_energies(without, with_it, part, support))
     if not gains:
@@ -215,7 +215,7 @@ def judge(
         closed_std=100.0 * spread / float(before - 1.0) if before > 1.0 else None,
         closing_percent=float(100.0 * apart / (before - 1.0)) if before > 1.0 else None,
         known=float(np.mean(known)),
-        struck=struck,
+        impacts=impacts,
     )
 
 
@@ -232,34 +232,34 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
     return np.asarray(judged[np.isfinite(judged).all(axis=1)])
 
 
-def loss(white: Array, struck: bool) -> Array:
+def loss(white: Array, impacts: bool) -> Array:
     """Negative log likelihood of each row of whitened errors `white` (n, outputs), less that of no error, nats (n,).
 
     Of a normal distribution, or, where parts of the model have `struck`, of one that is contaminated by a wider one:
     (1 - TAILS) N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
     """
     normal = 0.5 * white**2
-    if struck:
+    if impacts:
         odds = TAILS / WIDER / (1.0 - TAILS)
         normal = normal - np.logaddexp(0.0, math.log(odds) + normal * (1.0 - WIDER**-2)) + math.log1p(odds)
     return np.asarray(np.sum(normal, axis=1))
 
 
-def _log_density(fitted: Fit, part: Fold, support: float | None, struck: bool) -> Array:
+def _log_density(fitted: Fit, part: Fold, support: float | None, impacts: bool) -> Array:
     """Of the judged rows, by blocks of time."""
     task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
-    return _by_blocks(part, task, [-loss(z, struck) - 0.5 * logarithm for z in _innovations(fitted, task)])
+    return _by_blocks(part, task, [-loss(z, impacts) - 0.5 * logarithm for z in _innovations(fitted, task)])
 
 
-def _foretold(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, struck: bool) -> Array:
+def _expected_gain(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, impacts: bool) -> Array:
     """How much the likelihood of the judged rows would rise by `amplitudes` if these are right, by blocks."""
     task = _whole(fitted, part, support)
     zero = [name in amplitudes for name in (parameter.name for parameter in task.parameters)]
     without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
     less = replace(fitted, minimum=replace(fitted.minimum, common=without))
     both = zip(_innovations(fitted, task), _innovations(less, task), strict=True)
-    return _by_blocks(part, task, [loss(one - other, struck) for one, other in both])
+    return _by_blocks(part, task, [loss(one - other, impacts) for one, other in both])
 
 
 def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:

@@ -25,11 +25,11 @@ from itertools import pairwise
 from diagnosis.evidence import LEVEL, beyond_chance, likelier
 from diagnosis.findings import Finding
 from diagnosis.fits.finer import is_finer
-from diagnosis.fits.refit import FullFit, full, gained, remembered, with_effect
+from diagnosis.fits.refit import FullFit, full, log_ratio, remembered, with_effect
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import look, unseen_at_zero
+from diagnosis.search.contenders import flat_at_zero, look
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.further import asked, left_by_formulas
 from diagnosis.search.one_more import Named, find, named_alone, surprising
@@ -73,7 +73,7 @@ def swap(now: Explanation, how: Search) -> Explanation:
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
             whole = new.fit
-        elif new is None and beyond_chance(*gained(whole, without), len(workspace.candidates)):
+        elif new is None and beyond_chance(*log_ratio(whole, without), len(workspace.candidates)):
             settled += 1
             found.append(oldest)
         else:
@@ -220,5 +220,5 @@ def _again(oldest: Named, without: FullFit, how: Search) -> Named | None:
     scored = look(without, how.workspace)
     if not surprising(scored):
         return None
-    more = {oldest.finding.effect}.intersection(unseen_at_zero(how.workspace))
-    return find(without, scored, replace(how.quiet, masked={*how.masked, *more}), oldest)
+    more = {oldest.finding.effect}.intersection(flat_at_zero(how.workspace))
+    return find(without, scored, replace(how.quiet, confounded={*how.confounded, *more}), oldest)

@@ -13,22 +13,22 @@ from functools import partial
 import numpy as np
 from scipy.stats import chi2
 
-from diagnosis.evidence import SURE
+from diagnosis.evidence import SIGNIFICANT
 from diagnosis.explain import explain
 from diagnosis.findings import Finding
+from diagnosis.fits.confounded import fits as fits_of_confounded
+from diagnosis.fits.confounded import surprise
 from diagnosis.fits.finer import finest
-from diagnosis.fits.masked import fits as fits_of_masked
-from diagnosis.fits.masked import surprise
 from diagnosis.fits.refit import (
     CREEPING,
     FullFit,
     full,
-    gained,
+    log_ratio,
     possible,
     t_ratio,
     with_effect,
 )
-from diagnosis.gates import Round, Tried, alike, decide, gated, tie
+from diagnosis.gates import Round, Tried, confusable, decide, gated, tie
 from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
@@ -74,7 +74,7 @@ def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = N
     known = [before.fit] if before else []
     fitted_first = contenders(base, scored, workspace, known, tell)
     # What the score test does not see takes longest, so that it comes last.
-    hidden = fits_of_masked(base, workspace.within(LATE), how.masked, [each.name for each in known])
+    hidden = fits_of_confounded(base, workspace.within(LATE), how.confounded, [each.name for each in known])
     fits = at_one_noise([*fitted_first, *hidden], base, workspace)
     fitted, asked = _asked(base, fits, scored, {each.name for each in hidden}, workspace)
 
@@ -113,7 +113,7 @@ def _asked(
             continue
         row = _in_numbers(fit, base)
         if fit is not each:
-            row = replace(row, usual=gained(each, base))
+            row = replace(row, usual=log_ratio(each, base))
         rows[each.name] = replace(row, p_value=_p_value(fit, base, scored, each.name in unscored, tries))
     there = tuple(each.name for each in base.model.effects)
     ordered = [*(rows[name] for name in names), *(row for name, row in rows.items() if name not in best)]
@@ -138,7 +138,7 @@ def _gated(fitted: FullFit, base: FullFit, tries: int, workspace: Workspace) -> 
 def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
     """What decides about `fitted`, the model of `base` with one effect more. Raises ArithmeticError, LinAlgError."""
     assert fitted.candidate is not None
-    gain, parameters = gained(fitted, base)
+    gain, parameters = log_ratio(fitted, base)
     converged = fitted.fit.minimum.converged
     return Tried(
         name=fitted.name,
@@ -163,7 +163,7 @@ def _p_value(fitted: FullFit, base: FullFit, scored: ScoreTest, unscored: bool, 
     found = [
         score.p_value
         for score in scored.scores
-        if score.candidate.name == fitted.name or alike(score.candidate.effect, effect)
+        if score.candidate.name == fitted.name or confusable(score.candidate.effect, effect)
     ]
     found.append(tries * _by_likelihood(fitted, base, scored))
     if unscored:
@@ -187,7 +187,7 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
     """`fitted`, or a likelier fit whose noise and disturbance begin at next to nothing: what stood in for the effect
     may have led them to another place. What is looked for next is held against it."""
     task, end = fitted.fit.problem, fitted.fit.end
-    if any(each.effect.strikes for each in task.model.effects):
+    if any(each.effect.impacts for each in task.model.effects):
         return fitted  # its minima are as many as its impacts, and not of the noise
     its = is_of_disturbance(task.model)
     values = {name: value for name, value in end.values.items() if name not in its}
@@ -293,7 +293,7 @@ def sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
             continue
         found[name] = told[name]
         value, std = float(fitted.fit.minimum.common[place]), float(deviations[place])
-        if name in amplitudes and told[name].value is None and abs(value) > SURE * std:
+        if name in amplitudes and told[name].value is None and abs(value) > SIGNIFICANT * std:
             reason = f"told by what was known before: {told[name].reason}"
             found[name] = replace(told[name], value=value, std=std, status=Status.OK, reason=reason)
     return found

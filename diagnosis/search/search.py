@@ -17,10 +17,10 @@ from functools import partial
 from diagnosis.evidence import beyond_chance
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.fits.random_parts import RANDOM, absorbed, promised
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, gained, settled, with_effect
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_ratio, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import look, still, unseen_at_zero
+from diagnosis.search.contenders import flat_at_zero, look, still
 from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
 from diagnosis.search.further import asked
 from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
@@ -121,11 +121,11 @@ def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation |
     """`now` with the effect that explains most of what it leaves; None where none stands."""
     workspace, seen = how.workspace, surprising(scored)
     # In a fit of the model alone a disturbance may have grown to what is missing, beside which nothing shows.
-    if not seen and (now.findings or not (how.masked or still(now.fit, workspace) is not None)):
+    if not seen and (now.findings or not (how.confounded or still(now.fit, workspace) is not None)):
         return None
     # Beside an effect that does not quite fit, a lag bends what is left: there the score test has to see it.
-    more = unseen_at_zero(workspace) if seen and not now.findings else []
-    found = find(now.fit, scored, replace(how, masked={*how.masked, *more}))
+    more = flat_at_zero(workspace) if seen and not now.findings else []
+    found = find(now.fit, scored, replace(how, confounded={*how.confounded, *more}))
     return None if found is None else Explanation((*now.findings, found.finding), found.fit)
 
 
@@ -145,7 +145,7 @@ def _held(base: FullFit, before: Explanation, how: Search) -> tuple[FullFit, Exp
         base = wider
     for each in before.findings:
         without = full(whole.model.remove(each.effect), workspace, longer=FURTHER_FITS)
-        if not beyond_chance(*gained(whole, without), len(workspace.candidates)):
+        if not beyond_chance(*log_ratio(whole, without), len(workspace.candidates)):
             return base, Explanation((), base)
     return base, Explanation(before.findings, whole)
 
@@ -167,7 +167,7 @@ def _without_impacts(base: FullFit, how: Search) -> FullFit:
     """
     model = base.model
     for each in base.model.effects:
-        if each.effect.strikes:
+        if each.effect.impacts:
             model = model.remove(each.name)
     try:
         return base if model is base.model else settled(model, how.workspace.unhurried)
@@ -177,7 +177,7 @@ def _without_impacts(base: FullFit, how: Search) -> FullFit:
 
 def _left_by_impacts(base: FullFit, bare: FullFit) -> float:
     """Log likelihood that the effects of `base` whose parts strike each other may leave; `bare` is without these."""
-    errors = [each.effect.formula_error for each in base.model.effects if each.effect.strikes]
+    errors = [each.effect.formula_error for each in base.model.effects if each.effect.impacts]
     return max(errors, default=0.0) * max(0.0, base.log_likelihood - bare.log_likelihood)
 
 

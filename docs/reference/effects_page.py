@@ -31,7 +31,7 @@ F is a force at the joint, inertia * rate' = load + F, u a command, t the time i
 
 _KEYS = """\
 Its keys are those of `models.effect.Effect`. `equation`, `signature`, `confused_with`, `separated_by`, `source`,
-`dissipative`, `strikes`, `stiff` (its own motion is much faster than a row, so that it is not looked for while a
+`dissipative`, `impacts`, `stiff` (its own motion is much faster than a row, so that it is not looked for while a
 vehicle runs), `sets_in` (false where it cannot set in during a run), `onset_of` (the effect that it is, begun at an
 instant), `formula_error` (the share of what it explains that its formula may leave or a second name may merely bend:
 0.1, and 0 where a constant is a constant), `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`,
@@ -110,7 +110,7 @@ def _formula(effect: Effect) -> list[str]:
     lines += [f"**Confused with:** {', '.join(f'[`{name}`](#{name})' for name in effect.confused_with)}.", ""]
     lines += [f"**Told apart by:** {effect.separated_by}", ""]
     more = "It never adds energy. " if effect.dissipative else ""
-    if effect.strikes:
+    if effect.impacts:
         more += "Its parts strike each other: a diagnosis fits it from each start, whatever a little of it does. "
     if effect.beyond:
         beyond = " and ".join(f"[`{name}`](#{name})" for name in effect.beyond)

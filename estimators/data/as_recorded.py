@@ -30,7 +30,7 @@ ALONE = 2.0
 def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
     """`model` with the noise of known sensors freed where `recordings` have more, and starts as uncertain as these;
     what counts in steps there is counted."""
-    return _counted(_freed(model, recordings), recordings)
+    return _counted(_released(model, recordings), recordings)
 
 
 def _counted(model: Model, recordings: Sequence[Recording]) -> Model:
@@ -54,25 +54,25 @@ def _counted(model: Model, recordings: Sequence[Recording]) -> Model:
     )
 
 
-def _freed(model: Model, recordings: Sequence[Recording]) -> Model:
+def _released(model: Model, recordings: Sequence[Recording]) -> Model:
     noise = {each.name: _white_noise(each.name, recordings) for each in model.outputs}
-    freed = {each.name for each in model.outputs if each.noise_known and noise[each.name] > SHOWN * each.noise}
-    if not freed:
+    released = {each.name for each in model.outputs if each.noise_known and noise[each.name] > SHOWN * each.noise}
+    if not released:
         return model
     outputs = tuple(
-        replace(each, noise=noise[each.name], noise_known=each.noise_known and each.name not in freed)
+        replace(each, noise=noise[each.name], noise_known=each.noise_known and each.name not in released)
         for each in model.outputs
     )
     states = tuple(
         replace(
             each,
-            derivative=f"-{each.name}" if each.error_of in freed else each.derivative,
+            derivative=f"-{each.name}" if each.error_of in released else each.derivative,
             noise_of="",
             initial_std=max(each.initial_std, noise.get(each.initial, 0.0)),
         )
         for each in model.base_states
     )
-    apart = {sensor.name for sensor in model.sensors if sensor.angle in freed}
+    apart = {sensor.name for sensor in model.sensors if sensor.angle in released}
     return replace(
         model,
         base_states=states,

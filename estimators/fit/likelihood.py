@@ -31,7 +31,7 @@ RESOLUTION = 1e-5
 """Share of the movement of an output below which it is not told from another one that reads exactly like it, as both
 wheels of a vehicle that is symmetric to the last bit do."""
 
-RUNAWAY = 1e15
+DIVERGED = 1e15
 """Condition of the innovations' covariance beyond which a predictor has left the record, if not yet for infinity."""
 
 
@@ -93,7 +93,7 @@ class Likelihood:
             run = kernel.run(
                 segment, values, start, gain=gain, gain_slopes=by_gain, active=active, substeps=task.substeps
             )
-            if run.runs_away:
+            if run.diverges:
                 return None
             off, by = task.off_at_the_start(run, initial, part, range(len(active) - len(starts), len(active)))
             error = segment.measured - run.predicted
@@ -107,7 +107,7 @@ class Likelihood:
         covariance = _at_least(squares / task.rows + np.diag(self._floor), self._counted)
         # In units of its own: a wheel that is stuck is no predictor that runs away.
         unit = np.sqrt(np.diag(covariance))
-        if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > RUNAWAY:
+        if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > DIVERGED:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
         normals = tuple(_weighted(*moment, weights, *end, long_run) for moment, end in zip(moments, ends, strict=True))

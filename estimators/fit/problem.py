@@ -157,7 +157,7 @@ class Problem:
             start = initial.copy()
             start[list(self.own)] = part
             run = self.kernel.run(segment, values, start, gain=gain, active=active, substeps=self.substeps)
-            if run.runs_away:
+            if run.diverges:
                 return None
             error = segment.measured - run.predicted
             residual = (np.where(np.isfinite(error), error, 0.0) @ weights.T).ravel()

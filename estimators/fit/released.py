@@ -18,7 +18,7 @@ BETTER = 0.5
 """Share of what was known before to which the data have to tell it, were all else that is held exact."""
 
 
-def freed(model: Model, fitted: Fit) -> Model:
+def released(model: Model, fitted: Fit) -> Model:
     """`model`, to which `fitted` belongs, with such parameters estimated; `model` itself where there are none."""
     task, count = fitted.problem, len(fitted.minimum.common)
     own = {each.name for each in model.base_parameters}

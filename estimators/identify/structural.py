@@ -233,7 +233,7 @@ def _sensitivities(kernel: Kernel, values: Array, motions: Sequence[Motion], col
         kernel.run(motion.segment, values, motion.initial, active=(*columns, *starts), substeps=steps)
         for motion, steps in zip(motions, substeps, strict=True)
     ]
-    if any(run.runs_away for run in runs):
+    if any(run.diverges for run in runs):
         raise EstimationError("motions", "the model runs away in one", remedy="make them shorter.")
     moved = np.std(np.concatenate([run.predicted for run in runs]), axis=0)
     moved[moved == 0.0] = 1.0

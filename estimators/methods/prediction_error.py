@@ -19,7 +19,7 @@ from estimators.data.time_scale import horizon
 from estimators.fit.disturbance import disturbances, is_of_disturbance
 from estimators.fit.maximum_likelihood import Fit, fit
 from estimators.fit.problem import problem
-from estimators.fit.released import freed
+from estimators.fit.released import released
 from estimators.fit.result import assemble, inverse, refused, with_known
 from estimators.stopwatch import stopwatch
 from models import library
@@ -62,7 +62,7 @@ def prediction_error(
     if not (prior and found.disturbance):
         return found
     try:
-        if (more := freed(model, fitted)) is not model:
+        if (more := released(model, fitted)) is not model:
             # What is held farther off than the record shows passes for a disturbance.
             shaken = fit(problem(more, recordings, support=support, progress=progress))
             found = replace(found, disturbance=disturbances(shaken), seconds=stopwatch() - began)

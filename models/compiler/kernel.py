@@ -52,7 +52,7 @@ class Run:
     final: Array
 
     @property
-    def runs_away(self) -> bool:
+    def diverges(self) -> bool:
         """Whether a number is not finite, or so large that no vehicle is meant."""
         largest = (np.max(np.abs(part), initial=0.0) for part in (self.predicted, self.sensitivity))
         return not all(each < LARGEST for each in largest)  # not a number is not less

@@ -128,7 +128,7 @@ _BACKLASH_OF_A_GEAR = Effect(
     ),
     separated_by="The same excitation at two amplitudes: the blows come as often, while those of a lag or of a delay "
     "grow. An encoder behind the gear shows the play itself.",
-    strikes=True,
+    impacts=True,
     stiff=True,
     # An impact that comes a row early or late is an error of dozens of deviations: so far apart fits of one model end.
     formula_error=0.2,

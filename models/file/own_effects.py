@@ -48,6 +48,8 @@ _OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by")
 """Attributes without a default that a file may leave out; the equation is then the expressions themselves."""
 _NO_KEYS = frozenset(("instead",))
 """Attributes that no file has: one file describes one formula."""
+_FORMERLY = {"strikes": "impacts"}
+"""Keys of files that were written for earlier versions, with the attribute's name today."""
 
 Table = Mapping[str, object]
 
@@ -101,6 +103,7 @@ def _from_toml(path: Path) -> Effect:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ModelError(str(path), f"is no TOML ({error})", remedy="correct the line.") from error
     where = str(path)
+    document = {_FORMERLY.get(key, key): value for key, value in document.items()}
     _check_keys(document, Effect, where, _OPTIONAL)
     family = _one_of(Family, document["family"], f"{where}: family")
     place = _one_of(Place, document["place"], f"{where}: place")

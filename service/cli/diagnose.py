@@ -125,7 +125,7 @@ def diagnose(
                 progress=lambda text: progress(text, 1.0),
             )
             path.write_text(text, encoding="utf-8")
-    if auto is not None and found.repaired is not None:
+    if auto is not None and found.revised is not None:
         from service.offline.trail import write_trail
 
         write_trail(auto, found, answer.model, origin.hashes, from_files)
@@ -137,7 +137,7 @@ def diagnose(
         print_diagnosis(found, seconds)
         if pages:
             page.print("\n" + "\n".join(f"Report: {path}" for path in pages))
-        if auto is not None and found.repaired is not None:
+        if auto is not None and found.revised is not None:
             page.print(f"\nModel: {auto}, and how it came about: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA:
         raise typer.Exit(1)

@@ -18,7 +18,7 @@ from models.model import Model
 from service.hidden_effects.cases import Case, Kind
 from service.hidden_effects.disturbances import Disturbances, sensor_floor
 from service.hidden_effects.methods.answers import Answer, Method, diagnosis
-from service.hidden_effects.repair import Yardstick, closed, fitted
+from service.hidden_effects.revision import Yardstick, closed, fitted
 from service.hidden_effects.sizes import SAME_EQUATION, NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 from service.hidden_effects.vehicles import Vehicle, drawn
@@ -86,10 +86,10 @@ class Bench:
     @property
     def conditions(self) -> str:
         """What must be the same for all lines of a file."""
-        alike = f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
+        confusable = f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
         if self.disturbances is None:
-            return alike
-        return f"{alike}, {self.disturbances.conditions}, sizes of what each shows beside its own"
+            return confusable
+        return f"{confusable}, {self.disturbances.conditions}, sizes of what each shows beside its own"
 
     @property
     def nominal(self) -> Model:
@@ -229,7 +229,7 @@ class _Judge:
         ]
         line: Line = {"verdict": answer.verdict, "found": found, "covered": self._covered(answer)}
         line |= {"disturbance": dict(answer.disturbance), "disturbance_covered": self._disturbance_covered(answer)}
-        return line | self._repair(answer)
+        return line | self._revise(answer)
 
     def _covered(self, answer: Answer) -> dict[str, bool]:
         """By effect that was found, whether the 95 % interval of its size holds the plant's."""
@@ -253,22 +253,22 @@ class _Judge:
             for name, (value, deviation) in answer.disturbance.items()
         }
 
-    def _repair(self, answer: Answer) -> Line:
+    def _revise(self, answer: Answer) -> Line:
         """What the repair does to the error; what cannot be worked out is None, with the reason."""
         nothing: Line = {"held_out_closed": None, "energy_over_floor": None}
         try:
             right = self._right()
             assert self._yardstick is not None
-            repaired = self._repaired(answer)
+            revised = self._revised(answer)
             floor = self._yardstick.energy(right, self._data, self._support)
             line: Line = {
                 "held_out_closed": None,
-                "energy_over_floor": self._yardstick.energy(repaired, self._data, self._support) / floor,
+                "energy_over_floor": self._yardstick.energy(revised, self._data, self._support) / floor,
             }
             if self._other is not None:
                 energies = [
                     self._yardstick.energy(each, [self._other], self._support)
-                    for each in (self._nominal(), repaired, right)
+                    for each in (self._nominal(), revised, right)
                 ]
                 line["held_out_closed"] = closed(*energies)
         except (UprightError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -286,11 +286,11 @@ class _Judge:
             self._fits[()] = fitted(self._model, self._data, self._support)[0]
         return self._fits[()]
 
-    def _repaired(self, answer: Answer) -> Model:
+    def _revised(self, answer: Answer) -> Model:
         if not answer.found:
             return self._nominal()
-        if answer.repaired is not None:
-            return answer.repaired
+        if answer.revised is not None:
+            return answer.revised
         names = tuple(sorted(each.effect for each in answer.found))
         if names not in self._fits:
             model = self._model

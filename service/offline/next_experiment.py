@@ -27,7 +27,7 @@ from vehicles.sections import REST, VehicleFile
 SMALL = 0.03
 """Share of its typical size at which an effect is looked at to find the size at which it just shows."""
 MOST_RIVALS = 4
-MOST_UNSEEN = 3
+MOST_UNDETECTABLE = 3
 """Effects that might have been missed that are looked at."""
 DETECTABLE = 10.8
 """nats that the smallest effect is worth that is found with 99 % probability at 1 % false alarms: (2 x 2.33)^2 / 2."""
@@ -93,20 +93,20 @@ def _suggestion(
         return _as_json(
             separating(vehicle, model, registry.of(vehicle.vehicle.kind).prediction().untold, progress=progress)
         )
-    repaired = diagnosis.repaired
-    if repaired is None:
+    revised = diagnosis.revised
+    if revised is None:
         return None
-    experiments = _predictable(vehicle, repaired)
+    experiments = _predictable(vehicle, revised)
     if diagnosis.findings:
         tied = next((finding for finding in diagnosis.findings if finding.tied_with), None)
         if tied is None:
             return None
         names = [tied.effect, *sorted(tied.tied_with, key=lambda name: -tied.odds[name])][:MOST_RIVALS]
-        rivals = fitted_rivals(repaired.remove(tied.effect), recordings, vehicle.support, names, budget)
+        rivals = fitted_rivals(revised.remove(tied.effect), recordings, vehicle.support, names, budget)
         return _as_json(suggest(rivals, experiments, progress)) if len(rivals) > 1 else None
     if diagnosis.verdict is Verdict.ADEQUATE:
-        bare = fitted(repaired, recordings, vehicle.support, budget)
-        for effect, size in _unseen(repaired, diagnosis.minimum_detectable or {})[:MOST_UNSEEN]:
+        bare = fitted(revised, recordings, vehicle.support, budget)
+        for effect, size in _undetectable(revised, diagnosis.minimum_detectable or {})[:MOST_UNDETECTABLE]:
             missed = replace(bare, name=effect, model=_with(bare.model, effect, size))
             found = suggest((missed, bare), experiments, progress)
             if found.best is not None:
@@ -152,7 +152,7 @@ def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
     return experiments_of(vehicle)[0]
 
 
-def _unseen(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]:
+def _undetectable(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]:
     """Effects and the size up to which they may have been missed, the largest against its typical size first."""
     found = []
     for name, size in sizes.items():

@@ -25,11 +25,11 @@ def write_trail(
     `hashes`: SHA-256 of the recordings, by name. `own`: the files of effects of the user's own, by the effect's name.
     Raises OSError and ModelError where that cannot be written.
     """
-    assert found.repaired is not None
+    assert found.revised is not None
     for part in found.parts[1:]:
         if part.findings and part.steps:
             write_trail(target.with_name(f"{target.stem}-actuators.toml"), part, part.steps[0].model, hashes, own)
-    in_it = {each.name for each in found.repaired.effects}
+    in_it = {each.name for each in found.revised.effects}
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     history = tuple(
         {
@@ -44,7 +44,7 @@ def write_trail(
         for finding in found.findings
         if finding.effect in in_it
     )
-    model = replace(found.repaired, name=target.stem)
+    model = replace(found.revised, name=target.stem)
     there = {each.name: own[each.effect.name] for each in model.effects if each.effect.name in own}
     files = {name: os.path.relpath(path, target.resolve().parent) for name, path in there.items()}
     write(ModelFile(model=model, history=history, effect_files=files), target)

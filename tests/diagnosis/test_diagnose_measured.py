@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diagnosis.diagnose import Verdict, diagnose
-from diagnosis.revise.revision import repair
+from diagnosis.revise.revision import revise
 from examples import emps, quarter_drone, unbalanced_disk
 from models.file.model_file import load_model
 
@@ -40,8 +40,8 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
     assert finding.to_json()["made_of"]["parameters"].keys() == finding.made_of.parameters.keys()
     assert finding.held_out_error_closed_percent is not None
     assert finding.held_out_error_closed_percent > 80.0
-    assert found.repaired is not None
-    assert found.repaired.values["inertia"] == pytest.approx(emps.PUBLISHED["inertia"], rel=0.01)
+    assert found.revised is not None
+    assert found.revised.values["inertia"] == pytest.approx(emps.PUBLISHED["inertia"], rel=0.01)
 
 
 @pytest.mark.thorough
@@ -82,6 +82,6 @@ def test_drone_from_thrust_and_gravity_alone(measured_data: Path) -> None:
     assert [each.effect for each in found.findings] == ["coulomb_friction"]
     assert found.disturbance[0].narrow_band is not None
     assert found.disturbance[0].narrow_band.frequency == pytest.approx(19.0, abs=1.0)
-    repaired = repair(model, "coulomb_friction", [multisine], [sweep])
+    revised = revise(model, "coulomb_friction", [multisine], [sweep])
     # Of the energy of the error 0.5 s ahead more than half goes: with less, what is left would be the larger effect.
-    assert repaired.budget.after < 0.5 * repaired.budget.before
+    assert revised.budget.after < 0.5 * revised.budget.before

@@ -77,9 +77,9 @@ def test_a_passive_motor_whose_current_is_noise_alone() -> None:
     assert "of which" in disturbance_sentences(found)
     assert found.to_json()["sensor_errors"]["torque"]["unit"] == "N m"
     # It is of the record, and not of the machine.
-    assert found.repaired is not None
-    assert found.repaired.joints[0].load == body.model(1e-3, 0.3).joints[0].load
-    assert not noisy_inputs(found.repaired)
+    assert found.revised is not None
+    assert found.revised.joints[0].load == body.model(1e-3, 0.3).joints[0].load
+    assert not noisy_inputs(found.revised)
 
 
 class TestNoiseOfAnInput:

@@ -16,7 +16,7 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.robot_diagnosis import vehicle as vehicle_file
-from diagnosis.lack_of_fit.adequacy import LEFT_STRUCK
+from diagnosis.lack_of_fit.adequacy import LEFT_BY_IMPACTS
 from models import library
 from service.cli import app
 from service.virtual.run import record
@@ -78,7 +78,7 @@ def test_play_of_the_gears_is_found_with_its_size(vehicle: Path, seed: int) -> N
     assert width["std"] < width["value"]
     # A blow that comes a row early or late is as large as one that is not expected.
     before, after = (found[f"innovation_ratio_{when}"] - 1.0 for when in ("before", "after"))
-    assert after < LEFT_STRUCK * before
+    assert after < LEFT_BY_IMPACTS * before
     assert "Impacts that come a sample early or late" in found["reason"]
 
 
@@ -101,10 +101,10 @@ def added(vehicle: Path) -> Any:
 def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: Any) -> None:
     """Each model with the filter that was fitted with it: a twentieth of a second ahead in tilt and tilt rate, and in
     this a fifth ahead as well."""
-    repair = added["repair"]
-    assert repair["needed"]
+    revision = added["repair"]
+    assert revision["needed"]
     for channel, horizon, least in (("tilt", 0, 0.05), ("tilt_rate", 0, 0.25), ("tilt_rate", 1, 0.25)):
-        before, after = (repair[when]["held_out"][channel][horizon] for when in ("before", "after"))
+        before, after = (revision[when]["held_out"][channel][horizon] for when in ("before", "after"))
         assert after < (1.0 - least) * before
 
 

@@ -11,7 +11,7 @@ from diagnosis.diagnose import Diagnosis, Verdict, diagnose
 from diagnosis.gates import HeldOut
 from diagnosis.parts import diagnose_actuators
 from diagnosis.prepare.ready import ready
-from diagnosis.search.held_out import TAILS, WIDER, loss, unsure
+from diagnosis.search.held_out import TAILS, WIDER, loss, with_possible_noise
 from estimators.data.segments import after_settling
 from estimators.fit.likelihood import FLOOR
 from estimators.fit.maximum_likelihood import fit
@@ -76,8 +76,8 @@ def test_an_error_ahead_judges_what_does_something_ahead(
 def test_where_parts_strike_the_rows_alone_judge() -> None:
     grows = HeldOut(30.0, 6.0, closed_percent=-80.0, closed_std=16.0, closing_percent=55.0)
     assert not grows.stands
-    assert replace(grows, struck=True).stands
-    assert not replace(grows, struck=True, gain=5.0).stands
+    assert replace(grows, impacts=True).stands
+    assert not replace(grows, impacts=True, gain=5.0).stands
 
 
 def test_a_likelihood_that_does_not_rise_refuses_whatever_the_error_ahead() -> None:
@@ -102,14 +102,14 @@ def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_l
 
 def test_an_error_costs_what_a_normal_distribution_says() -> None:
     white = np.array([[0.0, 0.0], [1.0, 2.0], [60.0, 0.0]])
-    assert loss(white, struck=False).tolist() == [0.0, 2.5, 1800.0]
+    assert loss(white, impacts=False).tolist() == [0.0, 2.5, 1800.0]
 
 
 def test_where_parts_strike_one_blow_out_of_time_does_not_outweigh_many_rows() -> None:
     """Beyond what the tails are for, an error costs what the wider distribution says: the ratio of the densities at 0,
     and a hundredth of the square."""
     white = np.array([[0.0], [1.0], [2.0], [60.0]])
-    none, one, two, blow = loss(white, struck=True)
+    none, one, two, blow = loss(white, impacts=True)
     assert (none, one, two) == pytest.approx((0.0, 0.5, 2.0), abs=2e-3)
     assert blow == pytest.approx(np.log(WIDER / TAILS) + 0.5 * (60.0 / WIDER) ** 2, abs=2e-3)
 
@@ -122,7 +122,7 @@ def test_noise_that_may_be_larger_leaves_what_is_added_to_a_known_sensors() -> N
     recordings = after_settling(model, [quiet], VEHICLE.support)
     model = ready(model, recordings)
     fitted = fit(problem(model, recordings, support=VEHICLE.support))
-    moved = unsure(fitted)
+    moved = with_possible_noise(fitted)
     assert moved is not fitted
     errors = np.concatenate(moved.innovations())
     for place, each in enumerate(model.outputs):

@@ -86,12 +86,12 @@ def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path
         assert size == pytest.approx(HIDDEN[effect].size, rel=0.1)
     file = model if named["effect"] in {each.name for each in read(model).model.effects} else actuators(model)
     other_run = [recorded(effect, tmp_path, ANOTHER)] if effect in CREEPS else []
-    repair = added(file, named["effect"], recording, *other_run)
-    assert repair["needed"]
-    sensors, closed, left = (repair["budget"][each] for each in ("sensors", "effect", "unexplained"))
+    revision = added(file, named["effect"], recording, *other_run)
+    assert revision["needed"]
+    sensors, closed, left = (revision["budget"][each] for each in ("sensors", "effect", "unexplained"))
     if effect in COMMANDED:
         # The formula of the gimbals' speed loop leaves errors of its own, whatever is hidden.
-        assert repair["held_out_error_fall_percent"] > 0.0
+        assert revision["held_out_error_fall_percent"] > 0.0
     else:
         assert closed > CLOSED * (closed + left) or sensors + left < FLOOR * sensors
 

@@ -16,7 +16,7 @@ from diagnosis.prepare.ready import ready
 from estimators.fit.disturbance import disturbances
 from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
-from estimators.fit.released import freed
+from estimators.fit.released import released
 from estimators.identify.run import with_values
 from estimators.methods.prediction_error import prediction_error
 from models.library import get
@@ -201,11 +201,11 @@ def test_a_cad_value_that_the_record_tells_better_is_estimated() -> None:
     recording = record("monocab", "multisine", seed=42, duration=20.0, configure=higher)
     model, support = ready(known(get("monocab_roll")), [recording]), load("monocab").support
     alone = fit(problem(model, [recording], support=support))
-    more = freed(model, alone)
+    more = released(model, alone)
     before = {each.name for each in model.base_parameters if each.estimated}
     assert {each.name for each in more.base_parameters if each.estimated} - before == {"trim_height"}
     fitted = fit(problem(more, [recording], support=support))
-    assert freed(more, fitted) is more, "what else is held, the record does not tell"
+    assert released(more, fitted) is more, "what else is held, the record does not tell"
     found = dict(zip(fitted.problem.kernel.parameters, fitted.values.tolist(), strict=True))
     # To half of what was known before, or better: that is what it is asked for.
     assert found["trim_height"] == pytest.approx(0.475, abs=3.0 * 0.025)

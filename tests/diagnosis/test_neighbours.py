@@ -10,8 +10,8 @@ import pytest
 from thorough import of_many
 
 from diagnosis.diagnose import Diagnosis, Finding, Verdict, diagnose
-from diagnosis.evidence import SURE, beyond_chance
-from diagnosis.fits.refit import full, gained, t_ratio, with_effect
+from diagnosis.evidence import SIGNIFICANT, beyond_chance
+from diagnosis.fits.refit import full, log_ratio, t_ratio, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.neighbours import merge, split, swap
@@ -59,8 +59,8 @@ class TestTwoDrags:
         assert size.std is not None
         # 0.1 of 5000 N m s^2/rad^2, to three standard deviations: bristles are not quite tanh.
         assert abs(size.value - 500.0) < 3.0 * size.std
-        assert found.repaired is not None
-        assert found.repaired.values["quadratic_drag.coefficient"] == size.value
+        assert found.revised is not None
+        assert found.revised.values["quadratic_drag.coefficient"] == size.value
 
 
 def test_what_is_not_missing_beside_another_is_left_out() -> None:
@@ -76,9 +76,9 @@ def test_evidence_counts_the_further_parameters() -> None:
     one = full(MODEL.add("viscous_friction"), workspace)
     two = full(MODEL.add("viscous_friction").add("quadratic_drag"), workspace)
     assert (base.count, one.count, two.count) == (0, 1, 2)
-    assert beyond_chance(*gained(one, base), len(workspace.candidates))
+    assert beyond_chance(*log_ratio(one, base), len(workspace.candidates))
     # The second one is not there.
-    assert not beyond_chance(*gained(two, one), len(workspace.candidates))
+    assert not beyond_chance(*log_ratio(two, one), len(workspace.candidates))
 
 
 def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> None:
@@ -185,8 +185,8 @@ def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:
     names = [each.name for each in fitted.fit.problem.parameters]
     place = names.index("torque_drift.torque")
     deviation = np.sqrt(inverse(fitted.fit.minimum.information)[place, place])
-    assert abs(fitted.fit.minimum.common[place]) < SURE * deviation, "or this record tells where it settles"
-    assert t_ratio(fitted, fitted.name) > 2.0 * SURE
+    assert abs(fitted.fit.minimum.common[place]) < SIGNIFICANT * deviation, "or this record tells where it settles"
+    assert t_ratio(fitted, fitted.name) > 2.0 * SIGNIFICANT
 
 
 def test_that_there_is_an_effect_is_sure_though_its_size_is_open() -> None:

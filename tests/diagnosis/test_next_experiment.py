@@ -198,7 +198,7 @@ def test_a_diagnosis_gets_what_separates_its_tied_effects() -> None:
         held_out=None,
         odds={"coulomb_friction": 1.0, "viscous_friction": 0.5},
     )
-    tied = Diagnosis(Verdict.MISSING_EFFECT, "", (finding,), repaired=with_friction(model, 12.0))
+    tied = Diagnosis(Verdict.MISSING_EFFECT, "", (finding,), revised=with_friction(model, 12.0))
     found = suggest_for(vehicle, tied, model, [recording])
     assert found is not None
     assert set(found) == {"experiment", "parameters", "seconds", "separates", "expected_log_odds_per_second", "text"}
@@ -207,7 +207,7 @@ def test_a_diagnosis_gets_what_separates_its_tied_effects() -> None:
     assert suggest_for(vehicle, alone, model, [recording]) is None
     assert suggest_for(vehicle, Diagnosis(Verdict.UNKNOWN, ""), model, [recording]) is None
     # Whatever cannot be predicted costs the suggestion, not the diagnosis.
-    strange = replace(tied, repaired=library.get("axis").add("coulomb_friction"))
+    strange = replace(tied, revised=library.get("axis").add("coulomb_friction"))
     assert suggest_for(vehicle, strange, model, [recording]) is None
     with pytest.raises(OutOfTime):
         suggest_for(vehicle, tied, model, [recording], budget=Budget.of(0.0))
@@ -227,7 +227,7 @@ def test_an_adequate_model_is_asked_for_what_may_have_been_missed() -> None:
     model = vehicle_model()
     seen = {"coulomb_friction": 1.0, "viscous_friction": 200.0}
     found = suggest_for(
-        vehicle, Diagnosis(Verdict.ADEQUATE, "", minimum_detectable=seen, repaired=model), model, [recording]
+        vehicle, Diagnosis(Verdict.ADEQUATE, "", minimum_detectable=seen, revised=model), model, [recording]
     )
     assert found is not None
     assert found["separates"] == ["viscous_friction", NOTHING_MORE]

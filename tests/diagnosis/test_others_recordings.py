@@ -19,7 +19,7 @@ from thorough import of_many
 from typer.testing import CliRunner
 
 from benchmarks.others_recordings import EFFECTS, OthersVehicle, right
-from diagnosis.fits.look_ahead import FORESEEN, foresees, foretold_share
+from diagnosis.fits.look_ahead import LOOKED_AHEAD, look_ahead_share, looks_ahead
 from diagnosis.fits.refit import FullFit, full, with_effect
 from diagnosis.prepare.ready import ready
 from diagnosis.prepare.workspace import Workspace
@@ -90,17 +90,17 @@ class TestForesight:
     ) -> None:
         right = self.fitted(base, workspace, "coulomb_friction", {"coulomb_friction.torque": 10.0})
         rate = [each.name for each in base.model.outputs].index("roll_rate")
-        assert foretold_share(right.fit, rate)[0] == pytest.approx(0.0, abs=0.02)
-        assert not foresees(right.fit, base.fit)
+        assert look_ahead_share(right.fit, rate)[0] == pytest.approx(0.0, abs=0.02)
+        assert not looks_ahead(right.fit, base.fit)
         # A row ahead, with a shaft so soft that its twist is all there is.
         soft = {"backlash.width": 2e-4, "backlash.torque": 1.0, "backlash.load_inertia": 30.0}
         wrong = self.fitted(base, workspace, "backlash", {**soft, "drive_offset": -0.005})
         assert wrong.log_likelihood > right.log_likelihood
-        assert foretold_share(wrong.fit, rate)[0] > 2.0 * FORESEEN
-        assert foresees(wrong.fit, base.fit)
+        assert look_ahead_share(wrong.fit, rate)[0] > 2.0 * LOOKED_AHEAD
+        assert looks_ahead(wrong.fit, base.fit)
 
     def test_too_few_rows_say_nothing(self, base: FullFit) -> None:
         segment = base.fit.problem.segments[0]
         short = replace(segment, time=segment.time[:60], measured=segment.measured[:60])
         few = replace(base.fit, problem=replace(base.fit.problem, segments=(short,)))
-        assert foretold_share(few, 1) == (0.0, np.inf)
+        assert look_ahead_share(few, 1) == (0.0, np.inf)

@@ -195,8 +195,8 @@ def test_nothing_is_missing_but_a_random_torque_about_a_frequency() -> None:
     assert holds(found, MONOCAB.narrow_band)
     assert "about 2.0" in to_within(found)
     assert "about 2.0" in disturbance_sentences(found)
-    assert found.repaired is not None
-    assert found.repaired.base_states == NOMINAL.base_states
+    assert found.revised is not None
+    assert found.revised.base_states == NOMINAL.base_states
 
 
 @pytest.mark.patient
@@ -266,8 +266,8 @@ def test_an_error_of_the_gyro_is_told_and_takes_nothing_else_s_place(tmp_path: P
     assert told.channel == "roll_rate"
     (shaking,) = found.disturbance
     assert held_by(shaking.std, shaking.std_error or 0.0, 8.0)
-    assert found.repaired is not None
-    assert [each.expression for each in found.repaired.outputs] == [each.expression for each in NOMINAL.outputs]
+    assert found.revised is not None
+    assert [each.expression for each in found.revised.outputs] == [each.expression for each in NOMINAL.outputs]
     assert "roll_rate" in disturbance_sentences(found)
     assert found.to_json()["sensor_errors"]["roll_rate"]["unit"] == "rad/s"
     if sensor == "wander":

@@ -70,8 +70,10 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(vehicle
     others = [word for name in OTHERS for word in ("--held-out", recorded(name, vehicle))]
     square = ["--recording", recorded("square", vehicle)]
     output = ["--output", tmp_path / "repaired.toml"]
-    repair = upright("model", "add", "twsbr", "input_delay", "--vehicle", vehicle, *output, *square, *others)["repair"]
-    assert repair["needed"]
+    revision = upright("model", "add", "twsbr", "input_delay", "--vehicle", vehicle, *output, *square, *others)[
+        "repair"
+    ]
+    assert revision["needed"]
     for channel in ("tilt", "tilt_rate"):
-        before, after = (repair[when]["held_out"][channel][-1] for when in ("before", "after"))
+        before, after = (revision[when]["held_out"][channel][-1] for when in ("before", "after"))
         assert 1.0 - (after / before) ** 2 > CLOSED

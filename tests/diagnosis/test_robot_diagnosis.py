@@ -100,12 +100,12 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_pat
     square, model = recorded("square", tmp_path, name), tmp_path / "repaired.toml"
     others = [recorded(experiment, tmp_path, name) for experiment in ("sine", "doublet", "sine_stream")]
     held_out = [each for other in others for each in ("--held-out", other)]
-    repair = upright(
+    revision = upright(
         "model", "add", "twsbr", name, "--at", place, "--vehicle", "twsbr", "--output", model,
         "--recording", square, *held_out,
     )["repair"]  # fmt: skip
-    assert repair["needed"]
-    closed, left = repair["budget"]["effect"], repair["budget"]["unexplained"]
+    assert revision["needed"]
+    closed, left = revision["budget"]["effect"], revision["budget"]["unexplained"]
     assert closed > CLOSED * (closed + left)
 
 
@@ -120,9 +120,9 @@ def test_friction_that_is_added_explains_another_experiment_as_well(tmp_path: Pa
         "model", "add", "twsbr", hide, "--at", "wheels", "--vehicle", "twsbr", "--output", model,
         "--recording", square, "--held-out", sine,
     )  # fmt: skip
-    cad, repaired = upright("compare", sine, "--vehicle", "twsbr", "--model", model)["models"]
+    cad, revised = upright("compare", sine, "--vehicle", "twsbr", "--model", model)["models"]
     assert cad["innovation_ratio"] > 10.0
-    assert repaired["innovation_ratio"] < 1.2
+    assert revised["innovation_ratio"] < 1.2
 
 
 @pytest.mark.parametrize(
@@ -132,9 +132,9 @@ def test_a_torque_is_asked_for_where_there_is_one(hidden: tuple[str, ...], least
     """Its size is known to a third only, with the mass of the body; that there is one, beyond doubt, in still air by
     the square root of a log likelihood ratio of thousands. Held out is the last third of the recording itself."""
     square = recorded("square", tmp_path, *hidden)
-    repair = upright(
+    revision = upright(
         "model", "add", "twsbr", "static_torque", "--at", "tilt", "--vehicle", "twsbr",
         "--output", tmp_path / "repaired.toml", "--recording", square,
     )["repair"]  # fmt: skip
-    assert repair["needed"] is (least is not None)
-    assert least is None or repair["surety"] > least
+    assert revision["needed"] is (least is not None)
+    assert least is None or revision["surety"] > least

@@ -262,9 +262,9 @@ class TestCandidates:
         apart = replace(recording, values={**recording.values, "roll": recording["roll"] + noise})
         model = MODEL.add("sensor_scale")
         assert as_recorded(model, [recording]).sensors == model.sensors
-        freed = as_recorded(model, [apart])
-        assert freed.sensors[0].filter is None
-        assert freed.states == as_recorded(MODEL, [apart]).states
+        released = as_recorded(model, [apart])
+        assert released.sensors[0].filter is None
+        assert released.states == as_recorded(MODEL, [apart]).states
 
 
 def found_in(hide: Sequence[str], seed: int) -> Diagnosis:

@@ -41,7 +41,7 @@ DIVERGES = {
     # The score test sees a drag, and no step of a fit from there has a finite value.
     "a_trap": "size * rate * exp(1e9 * size**2)",
 }
-RUNAWAY = "1e6 * size * rate**3"
+DIVERGED = "1e6 * size * rate**3"
 
 
 @cache
@@ -90,7 +90,7 @@ def test_bounds_that_cross_end_a_fit_and_a_mistake_of_the_program_ends_all() -> 
 
 
 def test_a_model_that_runs_away_by_itself_is_said_to() -> None:
-    model = BODY.model(1e-3, 0.3).add(pushing("a_runaway", RUNAWAY)).change({"a_runaway.size": 1.0})
+    model = BODY.model(1e-3, 0.3).add(pushing("a_runaway", DIVERGED)).change({"a_runaway.size": 1.0})
     held = model.change(estimated=[each.name for each in model.base_parameters if each.estimated])
     found = diagnose(held, [BODY.by_encoder(4096)], candidates=OTHERS)
     assert found.verdict is Verdict.UNKNOWN

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diagnosis.diagnose import Diagnosis, Verdict, diagnose
-from diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_STRUCK, SHAPED, Adequacy
+from diagnosis.lack_of_fit.adequacy import CHANCE, LEFT_BY_IMPACTS, SHAPED, Adequacy
 from diagnosis.lack_of_fit.shapes import Shape
 from diagnosis.lack_of_fit.where_it_fails import VIEWS, Views
 from estimators.identify.run import with_values
@@ -97,9 +97,9 @@ class TestNames:
         assert found.verdict is Verdict.MISSING_EFFECT
 
 
-def adequacy(gain: float, p_value: float, gained: float = 100.0) -> Adequacy:
+def adequacy(gain: float, p_value: float, log_ratio: float = 100.0) -> Adequacy:
     fine = Views((), (), (), (), (), dict.fromkeys(VIEWS, ()))
-    return Adequacy(1.5, 1.0, fine, Shape("roll", "roll_rate", gain, p_value), gained)
+    return Adequacy(1.5, 1.0, fine, Shape("roll", "roll_rate", gain, p_value), log_ratio)
 
 
 class TestWhatIsLeft:
@@ -110,10 +110,10 @@ class TestWhatIsLeft:
 
     def test_where_parts_strike_each_other_more_of_the_energy_may_be_left(self) -> None:
         fails = Views((), (), (), (), (), dict.fromkeys(VIEWS, ({"from": 0.0},)))
-        rest = replace(adequacy(0.0, 1.0), left=fails, before=11.0, after=1.0 + 10.0 * 0.9 * LEFT_STRUCK)
+        rest = replace(adequacy(0.0, 1.0), left=fails, before=11.0, after=1.0 + 10.0 * 0.9 * LEFT_BY_IMPACTS)
         assert not rest.adequate
-        assert replace(rest, struck=True).adequate
-        assert not replace(rest, struck=True, after=1.0 + 10.0 * 1.1 * LEFT_STRUCK).adequate
+        assert replace(rest, impacts=True).adequate
+        assert not replace(rest, impacts=True, after=1.0 + 10.0 * 1.1 * LEFT_BY_IMPACTS).adequate
 
     def test_where_more_is_left_than_was_found_nothing_is_named(self) -> None:
         assert adequacy(50.0, 0.1 * CHANCE).named

@@ -485,6 +485,10 @@ def test_an_effect_from_a_toml_file_joins_the_others(tmp_path: Path) -> None:
     assert load_effect(tmp_path / "own.toml") == effect
 
 
+def test_a_key_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+    assert load_effect(_file(tmp_path, "strikes = true\n" + GOOD)).impacts
+
+
 def test_the_example_in_the_manual_is_one(tmp_path: Path) -> None:
     example = markdown().split("```toml\n")[1].split("```")[0]
     assert load_effect(_file(tmp_path, example)).name == "rail_bump"

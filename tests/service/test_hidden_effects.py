@@ -30,10 +30,10 @@ from service.hidden_effects.cases import QUICK, Case, Grid, Kind
 from service.hidden_effects.methods.answers import MISSING, UNKNOWN, Answer, of_diagnosis
 from service.hidden_effects.methods.baselines import BASELINES
 from service.hidden_effects.methods.terms import measured, regression
-from service.hidden_effects.repair import closed, fitted
 from service.hidden_effects.results import trials as results
 from service.hidden_effects.results.confusion_picture import save_confusion
 from service.hidden_effects.results.summary import middle, share, summarise
+from service.hidden_effects.revision import closed, fitted
 from service.hidden_effects.sizes import NotDetectableError, levels, plant_sizes, right_model
 from service.hidden_effects.spread import SchedulerError, Spread, machines, processes
 from service.hidden_effects.trial import SUBJECT, Bench, run, virtual
@@ -527,7 +527,7 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
     )
     shaken = DisturbanceEstimate("roll", "N m", 8.0, 0.4, 0.3, 0.03)
     found = SimpleNamespace(
-        verdict=MISSING, findings=(finding,), repaired=None, minimum_detectable={"x": 1.0}, disturbance=(shaken,)
+        verdict=MISSING, findings=(finding,), revised=None, minimum_detectable={"x": 1.0}, disturbance=(shaken,)
     )
     answer = of_diagnosis(found)
     assert answer.disturbance == {"rms": (8.0, 0.4), "correlation_time": (0.3, 0.03)}
@@ -590,9 +590,9 @@ def test_the_least_bic_of_output_error_is_dry_friction(dry: Recording) -> None:
     few = ("static_torque", "coulomb_friction", "cubic_stiffness")
     answer = BASELINES["exhaustive_bic"](NOMINAL, [dry], SUPPORT, few)
     assert [each.effect for each in answer.found] == ["coulomb_friction"]
-    assert answer.repaired is not None
+    assert answer.revised is not None
     # The model's tanh is wider than the plant's bristles, so the size is near, not equal.
-    assert answer.repaired.values["coulomb_friction.torque"] == pytest.approx(120.0, rel=0.25)
+    assert answer.revised.values["coulomb_friction.torque"] == pytest.approx(120.0, rel=0.25)
 
 
 def test_the_right_model_leaves_less_than_the_nominal_one(dry: Recording) -> None:

@@ -170,7 +170,7 @@ def test_what_is_suggested_for_a_tied_pair_tells_it_apart(first: Recording, riva
         held_out=None,
         odds={PAIR[0]: 1.0, PAIR[1]: 0.5},
     )
-    tied = Diagnosis(Verdict.MISSING_EFFECT, "", (finding,), repaired=rivals[0].model)
+    tied = Diagnosis(Verdict.MISSING_EFFECT, "", (finding,), revised=rivals[0].model)
     found = suggest_for(VEHICLE, tied, vehicle_model(), [first])
     assert found is not None
     assert found["experiment"] in VEHICLE.experiments

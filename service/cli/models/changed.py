@@ -12,7 +12,7 @@ import typer
 from service.output import page, print_json
 
 if TYPE_CHECKING:
-    from diagnosis.revise.result import Repair
+    from diagnosis.revise.result import Revision
     from models.effect import Effect
     from models.file.document import ModelFile
     from telemetry.recording import Recording
@@ -88,11 +88,11 @@ def add(
     own_file = effect.endswith((".toml", ".py"))
     wanted: Effect | str = load_effect(Path(effect)) if own_file else effect
     entry: dict[str, Any] = {"action": "add", "effect": before.model.add(wanted, at).effects[-1].name, "date": _now()}
-    found: Repair | None = None
+    found: Revision | None = None
     if recording:
         from service.cli.models.history_entry import rounded, told
 
-        found = _repair(before, wanted, at, recording, held_out or [], vehicle)
+        found = _revise(before, wanted, at, recording, held_out or [], vehicle)
         changed = rounded(found)
         entry |= told(found, before.model, changed, recording, held_out or [])
     else:
@@ -101,9 +101,9 @@ def add(
     if own_file:
         files[added.name] = os.path.relpath(effect, target.resolve().parent)
     if found is not None and picture is not None:
-        from diagnosis.report.figures.repair import save_repair
+        from diagnosis.report.figures.revision import save_revision
 
-        save_repair(found, picture)
+        save_revision(found, picture)
     write(replace(before, model=changed, history=(*before.history, entry), effect_files=files), target)
     if json:
         document = {
@@ -113,7 +113,7 @@ def add(
             "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in added.parameters},
         }
         if found is not None:
-            from diagnosis.report.repair_words import in_words
+            from diagnosis.report.revision_words import in_words
 
             document["repair"] = {**found.to_json(), "words": in_words(found)}
         print_json(document)
@@ -124,9 +124,9 @@ def add(
     if found is None:
         print_parameters(added.parameters)
         return
-    from service.cli.pages.repair import print_repair
+    from service.cli.pages.revision import print_revision
 
-    print_repair(found)
+    print_revision(found)
     page.print(f"\nTake it back with `upright model undo {target}`.", markup=False, soft_wrap=True)
     if picture is not None:
         page.print(f"Picture: {picture}", markup=False, soft_wrap=True)
@@ -171,7 +171,7 @@ def drop_test(
     if json:
         print_json({"file": str(file), "effects": [each.to_json() for each in tests]})
         return
-    from service.cli.pages.repair import print_drop_tests
+    from service.cli.pages.revision import print_drop_tests
 
     print_drop_tests(tests, str(file))
 
@@ -218,22 +218,22 @@ def _from(target: Path, path: Path) -> str:
     return os.path.relpath(path, target.resolve().parent)
 
 
-def _repair(
+def _revise(
     file: ModelFile,
     effect: Effect | str,
     at: str,
     recordings: Sequence[Path],
     held_out: Sequence[Path],
     vehicle: str | None,
-) -> Repair:
-    from diagnosis.revise.revision import repair
+) -> Revision:
+    from diagnosis.revise.revision import revise
     from models.file.history import before_fits
     from service.cli.inputs import working
 
     support = _support(vehicle)
     training, tried = ([_load(path, vehicle) for path in paths] for paths in (recordings, held_out))
     with working() as step:
-        return repair(
+        return revise(
             before_fits(file),
             effect,
             training,

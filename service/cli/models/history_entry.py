@@ -7,13 +7,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from diagnosis.revise.result import Repair
+from diagnosis.revise.result import Revision
 from estimators.numbers import significant
 from models.file.history import values_of
 from models.model import Model
 
 
-def rounded(found: Repair) -> Model:
+def rounded(found: Revision) -> Model:
     """The fitted model, its numbers with as many digits as mean something, and two more."""
     own = {name: each for name, each in found.after.parameters.items() if name in found.model.values}
     digits = {name: significant(each.std) + 2 for name, each in own.items()}
@@ -24,7 +24,7 @@ def rounded(found: Repair) -> Model:
 
 
 def told(
-    found: Repair, before: Model, after: Model, recordings: Sequence[Path], held_out: Sequence[Path]
+    found: Revision, before: Model, after: Model, recordings: Sequence[Path], held_out: Sequence[Path]
 ) -> Mapping[str, Any]:
     """What the history keeps of a fit. Errors are those of the budget's horizon."""
 

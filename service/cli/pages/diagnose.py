@@ -40,7 +40,7 @@ def print_diagnosis(found: Diagnosis, seconds: float) -> None:
             page.print("\n[bold]Negligible: what shows, and makes less than 1 % of the error[/]")
         _print_finding(number, finding)
     page.print(f"\nNext: {escape(told.next_step)}")
-    if found.minimum_detectable and found.repaired is not None:
+    if found.minimum_detectable and found.revised is not None:
         page.print()
         page.print(_detectable(found))
     for why, names in _reasons(found.left_out or {}).items():

@@ -44,7 +44,7 @@ class Answer:
 
     verdict: str
     found: tuple[Found, ...] = ()
-    repaired: Model | None = None
+    revised: Model | None = None
     detectable: Mapping[str, float] = field(default_factory=dict)
     disturbance: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -100,7 +100,7 @@ def of_diagnosis(found: Any) -> Answer:
         for each in found.findings
     ]
     detectable = dict(found.minimum_detectable or {})
-    return Answer(str(found.verdict), tuple(findings), found.repaired, detectable, _disturbance(found.disturbance))
+    return Answer(str(found.verdict), tuple(findings), found.revised, detectable, _disturbance(found.disturbance))
 
 
 def _disturbance(found: Sequence[DisturbanceEstimate]) -> dict[str, tuple[float, float]]:

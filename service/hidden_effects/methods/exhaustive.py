@@ -37,11 +37,11 @@ def exhaustive_bic(
         except ModelError:
             continue  # this model cannot have the effect, or has it
         try:
-            repaired, score = _fitted(problem(with_it, recordings, support=support, longest=window))
+            revised, score = _fitted(problem(with_it, recordings, support=support, longest=window))
         except ArithmeticError:
             continue  # with this effect the simulation runs away
         if np.isfinite(score):
-            scores.append((score, with_it.effects[-1].effect.name, repaired))
+            scores.append((score, with_it.effects[-1].effect.name, revised))
     best = min(scores, key=lambda each: each[0], default=None)
     if best is None or best[0] >= nothing:
         return Answer(ADEQUATE)

@@ -53,9 +53,9 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
     for candidate in workspace.others(model):
         if candidate.name in known:
             continue
-        if candidate.effect.strikes:
+        if candidate.effect.impacts:
             try:
-                found += _struck(base, candidate, workspace)
+                found += _with_impacts(base, candidate, workspace)
             except OutOfTime:
                 workspace.leave(candidate.name)
             continue
@@ -74,7 +74,7 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
     return found
 
 
-def _struck(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
+def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
     """The full fit with the candidate, from its shapes on, that predicts its record best, of those that explain almost
     as much as the likeliest; none where none is possible.
 
@@ -166,12 +166,12 @@ def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Mo
 
 def surprise(base: FullFit, other: FullFit) -> float:
     """p-value of what `other` gains over `base`, were its gain a walk of independent blocks."""
-    gained, task = [], base.fit.problem
+    log_ratio, task = [], base.fit.problem
     block = max(1, round(BLOCK * time_scale(task.model, task.segments) / _spacing(base)))
     for one, more in zip(_densities(base), _densities(other), strict=True):
         rows = len(one) // max(1, len(one) // block)
-        gained.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
-    blocks = np.concatenate(gained)
+        log_ratio.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
+    blocks = np.concatenate(log_ratio)
     spread = float(np.sqrt(len(blocks)) * np.std(blocks, ddof=1))
     return float(norm.sf(np.sum(blocks) / spread)) if spread > 0.0 else 1.0
 

@@ -163,14 +163,14 @@ def test_the_history_says_what_the_error_did_and_on_what(mine: Path, recordings:
 
 def test_the_document_tells_the_whole_repair(added: tuple[str, dict[str, Any], bytes]) -> None:
     _, document, picture = added
-    repair = document["repair"]
-    assert document["effect"] == repair["effect"] == "coulomb_friction"
-    assert repair["needed"]
-    assert sum(repair["budget"].values()) == pytest.approx(1.0)
-    left = [repair[when]["disturbance"]["axis"]["rms"] for when in ("before", "after")]
+    revision = document["repair"]
+    assert document["effect"] == revision["effect"] == "coulomb_friction"
+    assert revision["needed"]
+    assert sum(revision["budget"].values()) == pytest.approx(1.0)
+    left = [revision[when]["disturbance"]["axis"]["rms"] for when in ("before", "after")]
     assert left[0] > left[1]
-    assert repair["after"]["held_out"]["position"][-1] < repair["before"]["held_out"]["position"][-1]
-    assert "the held-out error 1.25 s ahead falls by" in repair["words"][0]
+    assert revision["after"]["held_out"]["position"][-1] < revision["before"]["held_out"]["position"][-1]
+    assert "the held-out error 1.25 s ahead falls by" in revision["words"][0]
     assert picture == b"\x89PNG\r\n\x1a\n"
 
 

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from diagnosis.report.repair_words import in_words, odds_text, readable
+from diagnosis.report.revision_words import in_words, odds_text, readable
 from diagnosis.report.sentences import disturbance_text
 from diagnosis.revise.drop_tests import DropTest
-from diagnosis.revise.result import Budget, FittedParameter, Repair
+from diagnosis.revise.result import Budget, FittedParameter, Revision
 from estimators.numbers import significant
 from service.output import page
 
@@ -19,22 +19,22 @@ BAR = 60
 SHADES = (("sensors", "░"), ("effect", "█"), ("unexplained", "▒"))
 
 
-def print_repair(repair: Repair) -> None:
+def print_revision(revision: Revision) -> None:
     """The whole page."""
-    page.print(f"Fitted: {', '.join(repair.recordings)}. Held out: {', '.join(repair.held_out)}.", markup=False)
+    page.print(f"Fitted: {', '.join(revision.recordings)}. Held out: {', '.join(revision.held_out)}.", markup=False)
     page.print()
-    page.print(_errors(repair))
+    page.print(_errors(revision))
     page.print()
-    page.print(_parameters(repair))
-    for when, side in (("before", repair.before), ("after", repair.after)):
+    page.print(_parameters(revision))
+    for when, side in (("before", revision.before), ("after", revision.after)):
         if told := disturbance_text(side.disturbance):
             page.print(f"Disturbance {when}: {told}", markup=False)
-    last = repair.horizons[-1]
-    page.print(f"\nHeld-out error energy {last:g} s ahead, before {repair.effect} was there", style="bold")
-    for line in budget_lines(repair.budget, repair.effect):
+    last = revision.horizons[-1]
+    page.print(f"\nHeld-out error energy {last:g} s ahead, before {revision.effect} was there", style="bold")
+    for line in budget_lines(revision.budget, revision.effect):
         page.print(line, markup=False)
     page.print()
-    for sentence in in_words(repair):
+    for sentence in in_words(revision):
         page.print(sentence, markup=False)
 
 
@@ -73,29 +73,29 @@ def print_drop_tests(tests: Sequence[DropTest], file: str) -> None:
             break
 
 
-def _errors(repair: Repair) -> Table:
+def _errors(revision: Revision) -> Table:
     rows = []
     kinds = (
-        repair.before.training,
-        repair.after.training,
-        repair.before.held_out,
-        repair.after.held_out,
-        repair.floor_held_out,
+        revision.before.training,
+        revision.after.training,
+        revision.before.held_out,
+        revision.after.held_out,
+        revision.floor_held_out,
     )
-    for channel, unit in repair.units.items():
+    for channel, unit in revision.units.items():
         shown, factor = readable(unit)
         name = f"{channel}, {shown}"
-        for place, horizon in enumerate(repair.horizons):
+        for place, horizon in enumerate(revision.horizons):
             rows.append((name, f"{horizon:g} s", *(f"{factor * errors[channel][place]:.3g}" for errors in kinds)))
             name = ""
     headings = ("RMS error", "ahead", "fitted\nbefore", "\nafter", "held out\nbefore", "\nafter", "sensors\nalone")
     return _table(headings, rows)
 
 
-def _parameters(repair: Repair) -> Table:
+def _parameters(revision: Revision) -> Table:
     rows = []
-    for name, after in repair.after.parameters.items():
-        before, moved = repair.before.parameters.get(name), repair.moved.get(name)
+    for name, after in revision.after.parameters.items():
+        before, moved = revision.before.parameters.get(name), revision.moved.get(name)
         cad = ("", "") if moved is None else (f"{moved.cad:.5g}", f"{moved.before:+.1f} → {moved.after:+.1f}")
         note = "" if after.status == "ok" else f"{after.status.replace('_', ' ')}"
         rows.append((name, "" if before is None else _value(before), _value(after), after.unit, *cad, note))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from estimators.fit.gauss_newton import minimise
 from estimators.fit.maximum_likelihood import fit
 from estimators.fit.problem import problem
-from estimators.fit.released import freed
+from estimators.fit.released import released
 from models.model import Model
 from telemetry.recording import Recording
 
@@ -57,7 +57,7 @@ class Yardstick:
 def fitted(model: Model, recordings: Sequence[Recording], support: float) -> tuple[Model, Yardstick]:
     """`model` with the values of a prediction-error fit, and its filter. Raises EstimationError and ArithmeticError."""
     found = fit(problem(model, recordings, support=support))
-    if (with_more := freed(model, found)) is not model:
+    if (with_more := released(model, found)) is not model:
         found = fit(problem(with_more, recordings, support=support))
     values = dict(zip(found.problem.kernel.parameters, found.values.tolist(), strict=True))
     gain = dict(zip(found.problem.kernel.states, found.gain, strict=True))

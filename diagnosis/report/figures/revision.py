@@ -12,55 +12,58 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from diagnosis.report.repair_words import readable
-from diagnosis.revise.result import Repair
+from diagnosis.report.revision_words import readable
+from diagnosis.revise.result import Revision
 
 BEFORE, AFTER, FLOOR, LEFT = "#D55E00", "#0072B2", "0.75", "#E69F00"
 NARROWEST = 0.06
 """Share of the bar from which on its name fits inside."""
 
 
-def save_repair(repair: Repair, path: Path) -> None:
+def save_revision(revision: Revision, path: Path) -> None:
     """Write `repair_figure` to `path`; its suffix (.png, .svg, .pdf) is the format."""
-    repair_figure(repair).savefig(path, dpi=130)
+    revision_figure(revision).savefig(path, dpi=130)
 
 
-def repair_figure(repair: Repair) -> Figure:
+def revision_figure(revision: Revision) -> Figure:
     """Errors by horizon, a panel a channel, and the budget below."""
-    channels = repair.units
+    channels = revision.units
     figure = Figure(figsize=(max(7.0, 3.6 * len(channels)), 5.2), layout="constrained")
     grid = figure.add_gridspec(2, len(channels), height_ratios=(3.2, 1.0))
     for place, (channel, unit) in enumerate(channels.items()):
         axes = figure.add_subplot(grid[0, place])
-        _draw_errors(axes, repair, channel, unit)
+        _draw_errors(axes, revision, channel, unit)
         if place == 0:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
-    _draw_budget(figure.add_subplot(grid[1, :]), repair)
+    _draw_budget(figure.add_subplot(grid[1, :]), revision)
     return figure
 
 
-def _draw_errors(axes: Axes, repair: Repair, channel: str, unit: str) -> None:
+def _draw_errors(axes: Axes, revision: Revision, channel: str, unit: str) -> None:
     shown, factor = readable(unit)
-    sides = ((repair.before, BEFORE, f"without {repair.effect}"), (repair.after, AFTER, f"with {repair.effect}"))
-    floor = [factor * each for each in repair.floor_held_out[channel]]
+    sides = (
+        (revision.before, BEFORE, f"without {revision.effect}"),
+        (revision.after, AFTER, f"with {revision.effect}"),
+    )
+    floor = [factor * each for each in revision.floor_held_out[channel]]
     lowest = 0.5 * min(*floor, *(factor * e for side, _, _ in sides for e in side.held_out[channel]))
-    axes.fill_between(repair.horizons, floor, lowest, color=FLOOR, linewidth=0.0, label="sensors alone")
+    axes.fill_between(revision.horizons, floor, lowest, color=FLOOR, linewidth=0.0, label="sensors alone")
     for side, colour, label in sides:
         held_out, training = ([factor * each for each in kind[channel]] for kind in (side.held_out, side.training))
-        axes.plot(repair.horizons, held_out, "o-", color=colour, label=f"{label}, held out")
-        axes.plot(repair.horizons, training, "--", color=colour, linewidth=0.9, label=f"{label}, fitted")
+        axes.plot(revision.horizons, held_out, "o-", color=colour, label=f"{label}, held out")
+        axes.plot(revision.horizons, training, "--", color=colour, linewidth=0.9, label=f"{label}, fitted")
     axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel=f"RMS error of {channel}, {shown}")
-    axes.set_xticks(repair.horizons, [f"{each:g}" for each in repair.horizons])
+    axes.set_xticks(revision.horizons, [f"{each:g}" for each in revision.horizons])
     axes.minorticks_off()
     axes.set_ylim(bottom=lowest)
 
 
-def _draw_budget(axes: Axes, repair: Repair) -> None:
-    budget, start = repair.budget, 0.0
+def _draw_budget(axes: Axes, revision: Revision) -> None:
+    budget, start = revision.budget, 0.0
     parts = (
         ("sensors", budget.sensors, FLOOR),
-        (repair.effect, budget.effect, AFTER),
+        (revision.effect, budget.effect, AFTER),
         ("unexplained", budget.unexplained, LEFT),
     )
     for name, share, colour in parts:
@@ -71,5 +74,5 @@ def _draw_budget(axes: Axes, repair: Repair) -> None:
             axes.text(start + 0.5 * share, 0.0, text, ha="center", va="center", color=shade, fontsize=9)
         start += share
     axes.set(xlim=(0.0, 1.0), yticks=(), xticks=())
-    axes.set_xlabel(f"held-out error energy {repair.horizons[-1]:g} s ahead, before {repair.effect} was there")
+    axes.set_xlabel(f"held-out error energy {revision.horizons[-1]:g} s ahead, before {revision.effect} was there")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.5), ncols=3, fontsize=8, frameon=False)

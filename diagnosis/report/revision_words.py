@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 
-from diagnosis.evidence import LEVEL, SURE
-from diagnosis.revise.result import Neighbour, Repair
+from diagnosis.evidence import LEVEL, SIGNIFICANT
+from diagnosis.revise.result import Neighbour, Revision
 
 MOST_ODDS = 1e4
 WORTH_TELLING = 0.05
@@ -15,9 +15,9 @@ SHOWN = {"rad": ("deg", degrees(1.0)), "rad/s": ("deg/s", degrees(1.0)), "m": ("
 """By SI unit: the one in which people read a small error, and its number in it."""
 
 
-def in_words(repair: Repair) -> list[str]:
+def in_words(revision: Revision) -> list[str]:
     """The outcome first, then what it is worth, then what would tell look-alikes apart."""
-    return list(_sentences(repair))
+    return list(_sentences(revision))
 
 
 def readable(unit: str) -> tuple[str, float]:
@@ -34,73 +34,74 @@ def odds_text(odds: float) -> str:
     return f"{odds:.0f} to 1" if odds >= 1.0 else f"1 to {1.0 / odds:.0f}"
 
 
-def _sentences(repair: Repair) -> Iterator[str]:
-    budget, horizon = repair.budget, repair.horizons[-1]
+def _sentences(revision: Revision) -> Iterator[str]:
+    budget, horizon = revision.budget, revision.horizons[-1]
     moves = "stays as it is"
     if abs(budget.fall) > 5e-4:
         moves = f"{'falls' if budget.fall > 0.0 else 'rises'} by {_percent(abs(budget.fall))}"
     closed = budget.closed_percent
     of = "" if closed is None or closed < 0.5 else f" ({min(closed, 100.0):.0f} % of what exceeds the sensors' floor)"
-    yield f"With {repair.effect} the held-out error {horizon:g} s ahead {moves}{of}."
-    if not repair.needed:
-        chance = f"chance alone gains as much in {_percent(repair.p_value)} of records (less than {_percent(LEVEL)}"
-        size = f"its size is {repair.surety:.1f} standard deviations from zero ({SURE:.0f} are wanted)"
+    yield f"With {revision.effect} the held-out error {horizon:g} s ahead {moves}{of}."
+    if not revision.needed:
+        chance = f"chance alone gains as much in {_percent(revision.p_value)} of records (less than {_percent(LEVEL)}"
+        size = f"its size is {revision.t_ratio:.1f} standard deviations from zero ({SIGNIFICANT:.0f} are wanted)"
         yield f"The records do not ask for it: {chance} is wanted), and {size}."
-    elif budget.fall <= 0.0 and (near := _falls_near(repair)):
+    elif budget.fall <= 0.0 and (near := _falls_near(revision)):
         channels = " and ".join(f"{channel} by {_percent(share)}" for channel, share in near.items())
-        yield f"{repair.horizons[0]:g} s ahead it falls: {channels}. What is left of it grows on the way from there on."
+        first = revision.horizons[0]
+        yield f"{first:g} s ahead it falls: {channels}. What is left of it grows on the way from there on."
     elif budget.fall <= 0.0:
         yield "It explains the records it was fitted to and no others: the model may lack something else."
-    elif repair.odds > 1.0:
-        yield f"By BIC the odds for it are {odds_text(repair.odds)}."
+    elif revision.odds > 1.0:
+        yield f"By BIC the odds for it are {odds_text(revision.odds)}."
     else:
-        yield f"Chance alone gains as much in {_percent(repair.p_value)} of records."
-    if repair.uses_time and not all(each.startswith("last third") for each in repair.held_out):
+        yield f"Chance alone gains as much in {_percent(revision.p_value)} of records."
+    if revision.uses_time and not all(each.startswith("last third") for each in revision.held_out):
         yield "It depends on the time since a record's first row, so another recording says little about it."
     if budget.unexplained > max(budget.sensors, 0.02):
         yield (
             f"{_percent(budget.unexplained)} of the error energy is still unexplained: "
             "`upright diagnose` looks for what else is missing."
         )
-    back = [name for name, each in repair.moved.items() if each.back and abs(each.before) > 2.0 > abs(each.after)]
+    back = [name for name, each in revision.moved.items() if each.back and abs(each.before) > 2.0 > abs(each.after)]
     if back:
         yield f"Back within two standard deviations of its CAD value: {', '.join(back)}."
-    yield from _about_neighbours(repair)
-    if repair.needed and repair.separated_by and any(each.tied or each.better for each in repair.neighbours):
-        yield f"What would separate {repair.effect} from its neighbours: {repair.separated_by}"
+    yield from _about_neighbours(revision)
+    if revision.needed and revision.separated_by and any(each.tied or each.better for each in revision.neighbours):
+        yield f"What would separate {revision.effect} from its neighbours: {revision.separated_by}"
 
 
-def _falls_near(repair: Repair) -> dict[str, float]:
+def _falls_near(revision: Revision) -> dict[str, float]:
     """Shares by which held-out errors fall at the shortest horizon, of the channels that show more than the sensors'
     there; empty where one of these rises.
 
     A vehicle that falls over makes much of little: where a blow comes a row late, some rows later nothing is right.
     """
-    floor = repair.floor_held_out
-    before, after = repair.before.held_out, repair.after.held_out
+    floor = revision.floor_held_out
+    before, after = revision.before.held_out, revision.after.held_out
     falls = {name: 1.0 - after[name][0] / errors[0] for name, errors in before.items() if errors[0] > floor[name][0]}
     return falls if falls and min(falls.values()) > WORTH_TELLING else {}
 
 
-def _about_neighbours(repair: Repair) -> Iterator[str]:
-    told = [each for each in repair.neighbours if each.fall > WORTH_TELLING] if repair.needed else []
+def _about_neighbours(revision: Revision) -> Iterator[str]:
+    told = [each for each in revision.neighbours if each.fall > WORTH_TELLING] if revision.needed else []
     for each in told:
         falls = f"With {each.effect} instead it falls by {_percent(each.fall)}"
         if each.better:
             yield (
-                f"{falls}, and the odds are {odds_text(each.odds)} for {each.effect}{_alike(each)}: {repair.effect} "
-                "stands in for it, or for a part of it, and its falling error proves little."
+                f"{falls}, and the odds are {odds_text(each.odds)} for {each.effect}{_confusable(each)}: "
+                f"{revision.effect} stands in for it, or for a part of it, and its falling error proves little."
             )
         elif each.tied:
-            yield f"{falls} too, so the falling error proves little: the two are tied{_alike(each)}."
+            yield f"{falls} too, so the falling error proves little: the two are tied{_confusable(each)}."
     others = [each for each in told if not (each.better or each.tied)]
     if others:
-        names = ", ".join(f"{each.effect} (by {_percent(each.fall)}{_alike(each, ', ')})" for each in others)
+        names = ", ".join(f"{each.effect} (by {_percent(each.fall)}{_confusable(each, ', ')})" for each in others)
         odds = odds_text(max(each.odds for each in others))
         yield f"With a neighbour in its place it falls as well, but the odds are {odds} at best: {names}."
 
 
-def _alike(neighbour: Neighbour, before: str = "; ") -> str:
+def _confusable(neighbour: Neighbour, before: str = "; ") -> str:
     if neighbour.correlation is None:
         return ""
     return f"{before}score directions correlate {neighbour.correlation:.2f}"

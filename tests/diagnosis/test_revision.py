@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from diagnosis.prediction.ahead import errors, on, sensor_floors
-from diagnosis.report.figures.repair import repair_figure
-from diagnosis.report.repair_words import in_words, odds_text
+from diagnosis.report.figures.revision import revision_figure
+from diagnosis.report.revision_words import in_words, odds_text
 from diagnosis.revise.drop_tests import drop_tests
-from diagnosis.revise.result import Budget, Neighbour, Repair
-from diagnosis.revise.revision import horizons_of, repair
+from diagnosis.revise.result import Budget, Neighbour, Revision
+from diagnosis.revise.revision import horizons_of, revise
 from diagnosis.revise.split import split
 from diagnosis.revise.with_and_without import Estimated, alone
 from diagnosis.revise.with_and_without import training as samples
@@ -82,16 +82,16 @@ def hidden() -> tuple[Recording, Recording]:
 
 
 @pytest.fixture(scope="module")
-def right(base: Model, hidden: tuple[Recording, Recording]) -> Repair:
-    return repair(base, "coulomb_friction", [hidden[0]], [hidden[1]])
+def right(base: Model, hidden: tuple[Recording, Recording]) -> Revision:
+    return revise(base, "coulomb_friction", [hidden[0]], [hidden[1]])
 
 
 @pytest.fixture(scope="module")
-def wrong(base: Model, hidden: tuple[Recording, Recording]) -> Repair:
-    return repair(base, "viscous_friction", [hidden[0]], [hidden[1]])
+def wrong(base: Model, hidden: tuple[Recording, Recording]) -> Revision:
+    return revise(base, "viscous_friction", [hidden[0]], [hidden[1]])
 
 
-def test_the_missing_effect_makes_the_held_out_error_fall(right: Repair) -> None:
+def test_the_missing_effect_makes_the_held_out_error_fall(right: Revision) -> None:
     # Measured: 91 %. The plant's friction is LuGre and the model's a tanh, so some per cent stay.
     assert right.budget.fall > 0.8
     assert right.budget.effect > 0.95
@@ -105,7 +105,7 @@ def test_the_missing_effect_makes_the_held_out_error_fall(right: Repair) -> None
     assert right.after.innovation_ratio - 1.0 < 0.1 * (right.before.innovation_ratio - 1.0)
 
 
-def test_the_values_are_the_plants(right: Repair) -> None:
+def test_the_values_are_the_plants(right: Revision) -> None:
     torque = right.after.parameters["coulomb_friction.torque"]
     assert torque.status == Status.OK
     # 60 N m of bristles; the tanh of the model is flatter near zero and makes up for it by some per cent.
@@ -117,7 +117,7 @@ def test_the_values_are_the_plants(right: Repair) -> None:
     assert right.model.parameter("coulomb_friction.torque").std == torque.std
 
 
-def test_what_stood_in_for_it_moves_back(right: Repair) -> None:
+def test_what_stood_in_for_it_moves_back(right: Revision) -> None:
     """Without friction in the model its disturbance stands in for most of it, and the drives' offset for the rest."""
     offset = right.moved["drive_offset"]
     assert offset.back
@@ -126,7 +126,7 @@ def test_what_stood_in_for_it_moves_back(right: Repair) -> None:
     assert before.std > 2.0 * after.std
 
 
-def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Repair) -> None:
+def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Revision) -> None:
     assert 0.1 < wrong.budget.fall < 0.6
     assert wrong.needed, "by itself it looks well founded"
     dry = next(each for each in wrong.neighbours if each.effect == "coulomb_friction")
@@ -139,7 +139,7 @@ def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Repair) 
     assert "score directions correlate 0." in text
 
 
-def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(right: Repair) -> None:
+def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(right: Revision) -> None:
     """As with play in the gear of a robot: each blow that comes late is another robot half a second later."""
     rising = Budget.of(right.budget.before, 1.2 * right.budget.before)
     text = " ".join(in_words(replace(right, budget=rising)))
@@ -149,7 +149,7 @@ def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(ri
     assert "and no others" in " ".join(in_words(replace(right, budget=rising, after=worse)))
 
 
-def test_the_right_one_is_told_from_the_wrong(right: Repair) -> None:
+def test_the_right_one_is_told_from_the_wrong(right: Revision) -> None:
     viscous = next(each for each in right.neighbours if each.effect == "viscous_friction")
     assert not viscous.better
     assert not viscous.tied
@@ -160,7 +160,7 @@ def test_the_right_one_is_told_from_the_wrong(right: Repair) -> None:
     assert "viscous_friction (by" in " ".join(in_words(right))
 
 
-def test_the_budget_adds_up(right: Repair) -> None:
+def test_the_budget_adds_up(right: Revision) -> None:
     budget = right.budget
     assert budget.sensors + budget.effect + budget.unexplained == pytest.approx(1.0)
     assert min(budget.sensors, budget.effect, budget.unexplained) >= 0.0
@@ -182,7 +182,7 @@ def test_shares_of_the_budget(before: float, after: float, expected: tuple[float
     assert budget.fall == pytest.approx(1.0 - np.sqrt(after / before))
 
 
-def test_the_document_is_json(right: Repair) -> None:
+def test_the_document_is_json(right: Revision) -> None:
     document = json.loads(json.dumps(right.to_json(), allow_nan=False))
     assert document["effect"] == "coulomb_friction"
     assert document["held_out_error_closed_percent"] > 80.0
@@ -192,8 +192,8 @@ def test_the_document_is_json(right: Repair) -> None:
     assert document["before"]["parameters"].keys() < document["after"]["parameters"].keys()
 
 
-def test_the_picture_has_a_panel_a_channel_and_the_budget(right: Repair) -> None:
-    roll, rate, budget = repair_figure(right).axes
+def test_the_picture_has_a_panel_a_channel_and_the_budget(right: Revision) -> None:
+    roll, rate, budget = revision_figure(right).axes
     assert "roll, deg" in roll.get_ylabel()
     assert "roll_rate, deg/s" in rate.get_ylabel()
     assert sum(bar.get_width() for bar in budget.patches) == pytest.approx(1.0)
@@ -219,7 +219,7 @@ def test_with_one_recording_its_last_third_is_held_out() -> None:
     assert not known[0][-1]
     # Time goes on counting from the first row, as a step or a drift of the model asks for.
     assert problem(bare(), tried).segments[0].time[0] == pytest.approx(2.0 / 3.0 * recording.duration, abs=0.02)
-    answer = repair(bare().add("viscous_friction"), "coulomb_friction", [recording])
+    answer = revise(bare().add("viscous_friction"), "coulomb_friction", [recording])
     assert answer.held_out == ("last third of carriage 1",)
     assert answer.after.parameters["coulomb_friction.torque"].value == pytest.approx(4.0, rel=0.02)
     assert answer.budget.fall > 0.9
@@ -227,7 +227,7 @@ def test_with_one_recording_its_last_third_is_held_out() -> None:
 
 def test_an_effect_that_is_not_there_is_not_asked_for() -> None:
     recording = carriage(coulomb=0.0, seed=5)
-    answer = repair(bare().add("viscous_friction"), "coulomb_friction", [recording])
+    answer = revise(bare().add("viscous_friction"), "coulomb_friction", [recording])
     assert not answer.needed
     assert "do not ask for it" in " ".join(in_words(answer))
     assert answer.budget.effect < 0.2
@@ -274,15 +274,15 @@ def test_the_initial_state_of_held_out_data_is_fitted() -> None:
 def test_what_cannot_be_is_said() -> None:
     recording = carriage(coulomb=0.0, seed=5, seconds=4.0)
     with pytest.raises(ModelError, match="none of this name"):
-        repair(bare(), "no_such_effect", [recording])
+        revise(bare(), "no_such_effect", [recording])
     stuck = Recording(CHANNELS, recording.timestamp_ns, {**recording.values, "position": np.zeros(len(recording))})
     with pytest.raises(DataError, match="position"):
-        repair(bare(), "coulomb_friction", [stuck])
+        revise(bare(), "coulomb_friction", [stuck])
 
 
 def test_better_needs_held_out_data_and_tied_does_not() -> None:
-    def neighbour(bic_difference: float, surety: float) -> Neighbour:
-        return Neighbour("other", bic_difference, 0.5, surety, None, "")
+    def neighbour(bic_difference: float, t_ratio: float) -> Neighbour:
+        return Neighbour("other", bic_difference, 0.5, t_ratio, None, "")
 
     assert neighbour(-50.0, 5.0).better
     assert not neighbour(-50.0, 1.0).better
@@ -297,7 +297,7 @@ def test_better_needs_held_out_data_and_tied_does_not() -> None:
 @pytest.mark.measured
 def test_emps_dry_friction_explains_most_of_the_error(measured_data: Path) -> None:
     recording, model = _emps(measured_data)
-    answer = repair(model.add("static_torque"), "coulomb_friction", [recording])
+    answer = revise(model.add("static_torque"), "coulomb_friction", [recording])
     # Measured: 71 %, and what is left is no sensor noise: the axis has more than the four terms of the benchmark.
     assert 0.6 < answer.budget.fall < 0.8
     assert answer.budget.effect > 0.85
@@ -310,7 +310,7 @@ def test_emps_dry_friction_explains_most_of_the_error(measured_data: Path) -> No
 def test_emps_without_its_offset_asks_for_an_asymmetric_friction(measured_data: Path) -> None:
     """With the constant force left out, dry friction takes 30 % away, and the record says that there is more to it."""
     recording, model = _emps(measured_data)
-    answer = repair(model, "coulomb_friction", [recording])
+    answer = revise(model, "coulomb_friction", [recording])
     assert 0.2 < answer.budget.fall < 0.4
     assert next(each.effect for each in answer.neighbours if each.better) == "asymmetric_friction"
     assert answer.budget.unexplained > 0.3
