@@ -1,4 +1,5 @@
-"""A finding in words: what it is, how large, why this and not its neighbours, and what would tell them apart."""
+"""A finding in words: what it is, how large, why this effect and not its neighbours, and what would distinguish
+them."""
 
 from __future__ import annotations
 
@@ -14,8 +15,9 @@ from models.effect import Role
 if TYPE_CHECKING:
     from diagnosis.findings import Finding
 
-WORTH_A_WORD = 0.2
-"""Share of the gain from which on a neighbour's is told: it explains a part that one may take for the whole."""
+MENTIONED = 0.2
+"""Share of the finding's log-likelihood ratio above which that of its nearest neighbour is mentioned: a neighbour that
+explains a part may be mistaken for the whole."""
 
 
 def explain(finding: Finding, score: Score) -> str:
@@ -24,51 +26,56 @@ def explain(finding: Finding, score: Score) -> str:
     prefix = f"{candidate.name}."
     sizes = _sizes(finding.parameters, prefix)
     formula = effect.with_parameters(name.removeprefix(prefix) for name in finding.parameters)
-    told = [f"{effect.name}: {effect.title} ({formula.equation})" + (f"; {sizes}" if sizes else "") + "."]
-    told.append(effect.signature)
+    sentences = [f"{effect.name}: {effect.title} ({formula.equation})" + (f"; {sizes}" if sizes else "") + "."]
+    sentences.append(effect.signature)
     for name in candidate.attached.of_role(Role.INSTANT):
         instant = finding.parameters.get(name)
         if instant is not None and instant.value is not None:
-            told.append(f"It sets in at {instant.value:.1f} s: an event, no property of the vehicle.")
+            sentences.append(f"It sets in at {instant.value:.1f} s: an event, not a property of the vehicle.")
     if all(finding.parameters[name].value is None for name in candidate.amplitudes if name in finding.parameters):
-        told.append("How large it is, these data do not tell.")
+        sentences.append("These data do not determine its amplitude.")
     first = candidate.amplitudes[0]
-    chance = f"chance explains it with a probability of {_probability(finding.p_value)}."
-    # What a little of it does, from which the size that a record shows is told, says nothing where parts strike.
+    chance = f"chance explains the finding with a probability of {_probability(finding.p_value)}."
+    # The detectable amplitude follows from the derivative at amplitude zero, which says nothing of impacts.
     shown = f"This record would have shown {score.detectable:.2g} {_unit(candidate, first)} of {first.split('.')[-1]}; "
-    told.append(chance.capitalize() if effect.impacts else shown + chance)
+    sentences.append(chance.capitalize() if effect.impacts else shown + chance)
     others = [name for name in finding.odds if name != finding.effect]
     if finding.tied_with:
         tied = ", ".join(finding.tied_with)
-        told.append(f"Tied with {tied}: under this excitation they do almost the same. {effect.separated_by}")
+        sentences.append(f"Tied with {tied}: this excitation hardly distinguishes them. {effect.separated_by}")
     if others:
         nearest = max(others, key=lambda name: (finding.odds[name], finding.gains[name]))
         if nearest not in finding.tied_with:
-            told.append(f"Its nearest neighbour, {nearest}, is {_odds(finding.odds[nearest])} times less likely.")
+            sentences.append(f"Its nearest neighbour, {nearest}, is {_odds(finding.odds[nearest])} times less likely.")
         share = finding.gains[nearest]
-        if share > WORTH_A_WORD:
-            told.append(f"{nearest} instead gains {100.0 * share:.0f} % as much: a falling error proves little.")
+        if share > MENTIONED:
+            sentences.append(
+                f"With {nearest} instead, the log-likelihood rises by {100.0 * share:.0f} % as much: a smaller error "
+                "alone proves little."
+            )
     if finding.made_of is not None:
         two, gain = finding.made_of, finding.made_of.log_likelihood_gain
-        told.append(
-            f"Told as the two that it is made of, {_sizes(two.parameters)}; the log likelihood is {abs(gain):.3g} "
+        sentences.append(
+            f"Expressed as the two effects that it combines, {_sizes(two.parameters)}; "
+            f"the log-likelihood is {abs(gain):.3g} "
             f"{'higher' if gain > 0.0 else 'lower'} with these."
         )
     if finding.relevance is not None:
-        told.append(str(finding.relevance))
+        sentences.append(str(finding.relevance))
     if finding.held_out is not None:
         gain, std = finding.held_out.gain, finding.held_out.std
-        told.append(f"On data that the fit had not seen the log likelihood rises by {gain:.3g} ± {std:.2g}.")
+        sentences.append(f"On held-out data the log-likelihood rises by {gain:.3g} ± {std:.2g}.")
     else:
-        told.append("No part of these data tells enough of it to be held against another: record once more.")
-    return " ".join(told)
+        sentences.append("No part of these data determines it well enough for a check on the rest: record once more.")
+    return " ".join(sentences)
 
 
 def together(findings: Sequence[Finding]) -> str:
-    """Several as one reason: those that matter as they are explained, in a sentence each those that are negligible."""
+    """Several findings as one reason: those that matter with their explanation, those that are negligible in one
+    sentence each."""
     matter = [each.explanation for each in findings if not each.negligible] or ["nothing is missing that matters."]
     return "; ".join(matter) + "".join(
-        f" {each.effect} shows, and is negligible: {str(each.relevance).removesuffix(': negligible.').lower()}."
+        f" {each.effect} is detectable but negligible: {str(each.relevance).removesuffix(': negligible.').lower()}."
         for each in findings
         if each.negligible
     )
@@ -102,5 +109,5 @@ def _odds(value: float) -> str:
 
 
 def explained_by_none(untried: Collection[str]) -> str:
-    """The words after "something that": nothing is said of the whole catalogue while some of it is `untried`."""
+    """The words after "something that": they do not refer to the whole catalogue while some of it is `untried`."""
     return "no effect tried so far explains" if untried else "no known effect explains"

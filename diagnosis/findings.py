@@ -1,4 +1,4 @@
-"""What a diagnosis ends with: the verdict, the effects that are missing, and how it came to them."""
+"""The result of a diagnosis: the verdict, the missing effects, and how they were found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MadeOf:
-    """What was found, told as the two effects that it is made of.
+    """A finding expressed as the two effects that it combines.
 
     `parameters` of both, by name; `log_likelihood_gain` of the model with the two over that with the one.
     """
@@ -43,14 +43,12 @@ class MadeOf:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """An effect that the model lacks.
+    """An effect that the model lacks. If there are several, each is estimated with the others in the model.
 
-    `probability` among all candidates and none; `p_value` with all candidates looked at; `log_likelihood_gain` over the
-    model before; `held_out` what data say that the fit had not seen, None where there are none;
-    `odds` of every effect that got a full fit, relative to this one, and what each `gains`, as a share of what this one
-    does; `score_test` is the one that it was found in. `made_of`, where it is made of two;
-    `relevance`: the share of the errors that it makes. Where there are several, each is
-    told as it is beside the others.
+    `probability` among all candidates and none; `p_value` corrected for all candidates; `log_likelihood_gain` over the
+    model before; `held_out`: the result on held-out data, None if there is none; `odds` of every effect that got a full
+    fit, relative to this one, and their log-likelihood `gains`, as shares of this one's; `score_test`: the one in which
+    it was found. `made_of`, if it combines two effects; `relevance`: the share of the errors that it causes.
     """
 
     effect: str
@@ -70,17 +68,17 @@ class Finding:
 
     @property
     def negligible(self) -> bool:
-        """Whether it makes no error that matters, as far as that is known."""
+        """Whether it causes no error that matters, as far as that is known."""
         return self.relevance is not None and self.relevance.negligible
 
     @property
     def held_out_error_closed_percent(self) -> float | None:
-        """Of the error energy on unseen data that exceeds the sensors', what the effect closes."""
+        """Of the error energy on held-out data that exceeds the sensors', the share that the effect removes."""
         return self.held_out.closed_percent if self.held_out else None
 
     @property
     def definition(self) -> Effect:
-        """The effect, from the score test that it was found in."""
+        """The effect, from the score test in which it was found."""
         assert self.score_test is not None
         return self.score_test.score(self.effect).candidate.effect
 
@@ -114,14 +112,15 @@ def _to_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The verdict with its `reason`, what was found, and `repaired`, the model with it; `score_tests` of the model
-    alone and after each effect that was added.
+    """The verdict with its `reason`, the findings, and `revised`, the model with them; `score_tests` of the model alone
+    and after each effect that was added.
 
-    `steps`: the fit of the model alone, then that after each of `findings`. `disturbance`: the random force that the
-    last of them leaves at each joint, which no effect explains, and `prediction_limit` what it costs; `events`: where
-    it changes, which is left out of all else. `sensor_errors`: what sensors err by beside the white noise of outputs.
-    `untried`: what was left for want of time. `parts`: those of a vehicle and of its actuators that this one is made of
-    (diagnosis.parts), none where it is of one model. `rounds`: what was decided about each effect that was fitted.
+    `steps`: the fit of the model alone, then the fit after each of `findings`. `disturbance`: the random force at each
+    joint in the last of these fits, which no effect explains, and `prediction_limit` the error that it causes;
+    `events`: times at which the disturbance changes, excluded from all else. `sensor_errors`: errors of sensors other
+    than the white noise of outputs. `untried`: what was left for lack of time. `parts`: the diagnoses of a vehicle and
+    of its actuators that this one combines (diagnosis.parts), none if it is of one model. `rounds`: what was decided
+    about each effect that was fitted.
     """
 
     verdict: Verdict

@@ -1,10 +1,11 @@
-"""What decides about effects that were fitted, one more each in the same model: their numbers alone, through gates.
+"""Decides about effects that were fitted, each added to the same model, from their numbers alone, through gates.
 
-Each of GATES has one threshold and refuses with one reason. What passes all of them is asked once more as a whole,
-because what chance may have made is the likeliest of all that were looked at (LEVEL); then comes the simplest of the
-likeliest, as long as data that its fit has not seen do not refuse it; then what the record does not tell from it.
+Each of GATES has one threshold and rejects with one reason. The effects that pass all of them are then tested as a
+whole, because the likeliest of all that were considered may be due to chance (LEVEL). Next, the simplest of the
+likeliest is named unless held-out data reject it. Last come its ties, the effects that the record cannot distinguish
+from it.
 
-No fit is asked anything here, so that a table of these numbers can be decided about again (benchmarks/decisions.py).
+Nothing is fitted here, so that a table of these numbers can be decided again (benchmarks/decisions.py).
 """
 
 from __future__ import annotations
@@ -17,20 +18,21 @@ from diagnosis.evidence import LEVEL, SIGNIFICANT, by_chance, likelier
 from models.effect import Effect
 
 DOUBT = 0.05
-"""p-value of the likelihood ratio below which an effect of more parameters is tied with a simpler one that is named."""
+"""p-value of the likelihood ratio below which an effect with more parameters is tied with a simpler one that is
+named."""
 CHECKED = 3
-"""Effects, the likeliest first, that are tried on held-out data before none is named."""
+"""Number of effects, the likeliest first, that are checked on held-out data before none is named."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """What held-out data say of one effect more.
+    """What held-out data say of one further effect.
 
-    `gain`: rise of the log likelihood, nats; `std`: standard deviation of the part of it that the fit did not predict;
+    `gain`: rise of the log-likelihood, nats; `std`: standard deviation of the part of it that the fit did not predict;
     `known`: rise of the log prior of the parameters, nats. `closed_percent`: share of the excess error energy (over
     that of the sensors' noise, one horizon ahead) that the effect removes, with its standard deviation `closed_std`;
-    None where there is no excess. `closing_percent`: what it would remove if it were right, and add if there were none
-    of it. `struck`: parts of the model collide.
+    None if there is no excess. `closing_percent`: the share that it would remove if it were right, and add if it were
+    absent. `impacts`: parts of the model collide.
     """
 
     gain: float
@@ -43,11 +45,11 @@ class HeldOut:
 
     @property
     def stands(self) -> bool:
-        """Whether the log likelihood rises by more than its standard deviation, and no error clearly grows.
+        """Whether the log-likelihood rises by more than its standard deviation, and no error clearly grows.
 
-        The error ahead does not count where the effect changes it by less than it scatters, because other errors of the
-        model, which add up on the way, would decide. Nor does it count where parts collide: how well the motion after
-        an impact is predicted depends on the filter that the impacts of one record have made.
+        The error ahead does not count if the effect changes it by less than its scatter, because then other errors of
+        the model, which accumulate over the horizon, would decide. Nor does it count if parts collide: how well the
+        motion after an impact is predicted depends on the filter, which the impacts of one record have shaped.
         """
         return (self.impacts or not self._grows) and self.gain + self.known >= self.std
 
@@ -60,15 +62,15 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """One effect more in a model, in the numbers that decide about it.
+    """One further effect in a model, in the numbers that decide about it.
 
-    `log_likelihood` above that of the model without it (nats), with `parameters` more, fitted to `rows` samples;
-    `usual`: these two by its usual formula, where a finer one is likelier. `converged`: its fit did; `inside_bounds`:
-    no amplitude ends at a bound; `t_ratio`: the largest of its amplitudes'. `p_value` of it or of what is easily
-    confused with it, with all effects looked at. `among`: instants of which its own was picked. `held_out`: what data
-    say that its fit has not seen, None where they say nothing. `in_usual_shape`: the log likelihood with its shape held
-    at the usual one, None where nobody asked. `refused`: why it is not named; empty where it passed all that it was
-    asked.
+    `log_likelihood`: rise over the model without it (nats), with `parameters` more, fitted to `rows` samples; `usual`:
+    these two with its usual formula, if a finer one is likelier. `converged`: whether its fit did; `inside_bounds`: no
+    amplitude ends at a bound; `t_ratio`: the largest of its amplitudes'. `p_value` of it or of an effect confusable
+    with it, corrected for all effects. `among`: number of change points from which its own was chosen. `held_out`: the
+    result on data that its fit has not used, None if there is none. `in_usual_shape`: the log-likelihood with its shape
+    held at the usual one, None if it was not needed. `refused`: why it is not named; empty if it passed all checks that
+    were made.
     """
 
     name: str
@@ -88,40 +90,40 @@ class Tried:
 
     @property
     def cost(self) -> float:
-        """What its parameters have to gain (Schwarz), nats."""
+        """Price of its parameters (Schwarz), nats: the log-likelihood has to rise by more."""
         return 0.5 * self.parameters * math.log(self.rows)
 
     @property
     def evidence(self) -> float:
-        """Logarithm of the posterior odds for it, against the model without."""
+        """Logarithm of the posterior odds for it, against the model without it."""
         return self.log_likelihood - self.cost
 
 
 Gate = Callable[[Tried, int], str]
-"""An effect, as one of so many that were tried, to the reason for which it is refused, empty where it passes."""
+"""From an effect, as one of so many that were tried, to the reason for its rejection, empty if it passes."""
 
 
 def converges(tried: Tried, tries: int) -> str:
-    """Where a fit does not converge, nothing is known of its likelihood."""
+    """The likelihood of a fit that does not converge is unknown."""
     return "" if tried.converged else "its fit does not converge"
 
 
 def is_inside_its_bounds(tried: Tried, tries: int) -> str:
-    """What physics stops short of what the record asks for stands in for another cause."""
+    """An amplitude that the record drives to the limit of what is physical imitates another cause."""
     return "" if tried.inside_bounds else "its amplitude ends at a bound"
 
 
 def is_significant(tried: Tried, tries: int) -> str:
-    """An amplitude that may as well be zero leaves all that was gained to the other parameters."""
+    """If the amplitude may as well be zero, the other parameters explain the rise of the log-likelihood."""
     if tried.t_ratio > SIGNIFICANT:
         return ""
     return f"its t-ratio is {tried.t_ratio:.2g}, and more than {SIGNIFICANT:g} is needed"
 
 
 def is_beyond_chance(tried: Tried, tries: int) -> str:
-    """Chance alone makes the best of many gain something."""
-    gain, parameters = tried.usual or (tried.log_likelihood, tried.parameters)
-    chance = tries * by_chance(gain, parameters)
+    """The best of many effects raises the log-likelihood by chance alone."""
+    log_ratio, parameters = tried.usual or (tried.log_likelihood, tried.parameters)
+    chance = tries * by_chance(log_ratio, parameters)
     return "" if chance < LEVEL else f"chance explains as much in {100.0 * min(1.0, chance):.2g} % of records"
 
 
@@ -129,14 +131,14 @@ GATES: tuple[Gate, ...] = (converges, is_inside_its_bounds, is_significant, is_b
 
 
 def gated(tried: Tried, tries: int) -> Tried:
-    """`tried` with the reason of the first gate that refuses it."""
+    """`tried` with the reason of the first gate that rejects it."""
     return replace(tried, refused=next(filter(None, (gate(tried, tries) for gate in GATES)), ""))
 
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One effect more was looked for `beside` the effects of a model, as one of so many `tries`: all that were fitted,
-    which is `named`, empty for none, and what it is `tied_with`."""
+    """A search for one more effect `beside` those of a model, as one of `tries`: all that were fitted, which of them is
+    `named`, empty for none, and what it is `tied_with`."""
 
     beside: tuple[str, ...]
     tries: int
@@ -147,69 +149,70 @@ class Round:
 
     @property
     def finding(self) -> Tried | None:
-        """The one that is named."""
+        """The effect that is named."""
         return next((each for each in self.tried if each.name == self.named), None)
 
     @property
     def passed(self) -> list[Tried]:
-        """Those that no gate refused, nor held-out data, the one with most evidence first."""
+        """The effects that neither a gate nor held-out data rejected, the one with most evidence first."""
         return sorted((each for each in self.tried if not each.refused), key=lambda each: -each.evidence)
 
 
 def decide(
-    asked: Round,
+    undecided: Round,
     on_held_out: Callable[[Tried], Tried],
     in_usual_shape: Callable[[Tried], float | None],
 ) -> Round:
-    """`asked`, whose effects went through GATES, with the one that is named and its ties.
+    """`undecided`, whose effects went through GATES, with the effect that is named and its ties.
 
-    `on_held_out` gives an effect with what held-out data say of it, or with why it is refused; `in_usual_shape` the log
-    likelihood of one whose shape is held.
+    `on_held_out` returns an effect with its result on held-out data, or with the reason for its rejection;
+    `in_usual_shape` the log-likelihood of an effect whose shape is held at the usual one.
     """
-    if asked.p_value >= LEVEL:
-        return asked
-    known, doubted = {each.name: each for each in asked.tried}, False
+    if undecided.p_value >= LEVEL:
+        return undecided
+    known, doubted = {each.name: each for each in undecided.tried}, False
     for _ in range(CHECKED):
-        now = replace(asked, tried=tuple(known.values()))
+        now = replace(undecided, tried=tuple(known.values()))
         if not now.passed:
             break
         best = on_held_out(simplest(now.passed))
-        # What explains the same as a refused effect is not named without a check of its own.
+        # An effect that explains the same as a rejected one is not named without a check of its own.
         stands = best.held_out.stands if best.held_out is not None else not doubted
         if not best.refused and not stands:
-            why = "does not hold on held-out data" if best.held_out else "cannot be tried on held-out data"
+            why = "does not hold on held-out data" if best.held_out else "cannot be checked on held-out data"
             best = replace(best, refused=why)
         known[best.name] = best
         if not best.refused:
-            now = replace(asked, tried=tuple(known.values()), named=best.name)
+            now = replace(undecided, tried=tuple(known.values()), named=best.name)
             return tie(now, in_usual_shape)
         doubted = True
-    return replace(asked, tried=tuple(known.values()))
+    return replace(undecided, tried=tuple(known.values()))
 
 
 def simplest(passed: Sequence[Tried]) -> Tried:
     """The first of `passed`, or one with fewer parameters that explains almost as much.
 
-    Between formulas that are exact, the one with more parameters where the record asks for them.
+    Between exact formulas, the one with more parameters if the record requires them.
     """
     best = passed[0]
-    asked = [
+    needed = [
         each
         for each in passed
-        if each.parameters > best.parameters and exact(each, best) and needless(each, best) < LEVEL
+        if each.parameters > best.parameters and exact(each, best) and ratio_p_value(each, best) < LEVEL
     ]
-    if asked:
-        return asked[0]
-    simple = [each for each in passed if each.cost < best.cost and as_much(each, best)]
+    if needed:
+        return needed[0]
+    simple = [each for each in passed if each.cost < best.cost and explains_as_much(each, best)]
     return min(simple, key=lambda each: (each.cost, -each.log_likelihood)) if simple else best
 
 
 def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
-    """`named` with which of those that passed may as well be it: by the odds or, where they are easily confused with
-    it, by the likelihood.
+    """`named` with its ties: those that passed and are as plausible, by the odds or, if they are confusable with it, by
+    the likelihood.
 
-    The odds contain the price of parameters, which tells no neighbours apart. A simpler one is tied where it gains
-    almost as much, one with more parameters where the record asks for them, or would not tell it in its usual shape.
+    The odds contain the price of parameters, which does not distinguish neighbours. A simpler effect is tied if it
+    explains almost as much; one with more parameters is tied if the record requires them, or if it is as likely in its
+    usual shape.
     """
     best, passed = named.finding, named.passed
     assert best is not None
@@ -219,24 +222,24 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
     for each in sorted(passed, key=lambda each: each.cost):
         if each is best:
             continue
-        gain, other = best.log_likelihood, each.log_likelihood
+        its_own, other = best.log_likelihood, each.log_likelihood
         likely = not likelier(likeliest - each.evidence)
         if exact(best, each) and each.parameters < best.parameters:
-            likely = as_much(each, best)
+            likely = explains_as_much(each, best)
         elif confusable(best.effect, each.effect):
             if each.cost < best.cost:
-                likely = likely or as_much(each, best)
+                likely = likely or explains_as_much(each, best)
             elif each.cost > best.cost:
-                # One that can be like the one that is named is an alternative only in what it does otherwise.
-                asked = by_chance(other - gain, each.parameters - best.parameters) < DOUBT
-                likely = asked and (likely or not as_much(best, each))
-                if not likely and not likelier(gain - other):
-                    # Where it is as likely in its usual shape, the record says nothing of its shape.
+                # An effect that can imitate the named one is an alternative only by what it does differently.
+                needed = by_chance(other - its_own, each.parameters - best.parameters) < DOUBT
+                likely = needed and (likely or not explains_as_much(best, each))
+                if not likely and not likelier(its_own - other):
+                    # If it is as likely in its usual shape, the record does not determine its shape.
                     held = in_usual_shape(each)
                     known[each.name] = replace(each, in_usual_shape=held)
-                    likely = held is not None and not likelier(gain - held)
-            # Of one that contains a tied one only what it gains beyond that would count.
-            likely = likely and not any(one.cost < each.cost and as_much(one, each) for one in found)
+                    likely = held is not None and not likelier(its_own - held)
+            # Of an effect that contains a tied one, only what it explains beyond that would count.
+            likely = likely and not any(one.cost < each.cost and explains_as_much(one, each) for one in found)
         if likely:
             found.append(each)
     names = {each.name for each in found}
@@ -248,38 +251,40 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
 
 
 def exact(one: Tried, other: Tried) -> bool:
-    """Whether the two are easily confused, and the formulas of both are exact: then the likelihood ratio decides alone
+    """Whether the two are confusable, and the formulas of both are exact: then the likelihood ratio alone decides
     between them, at LEVEL."""
     return confusable(one.effect, other.effect) and not formula_error(one.effect, other.effect)
 
 
-def as_much(less: Tried, more: Tried) -> bool:
-    """Whether `less` explains as much as `more`, but for what formulas may leave; where these are exact, but for
+def explains_as_much(less: Tried, more: Tried) -> bool:
+    """Whether `less` explains as much as `more`, apart from what formulas may leave; if these are exact, apart from
     chance.
 
-    Real friction is no formula, and what a further parameter gains by bending a little towards it is no evidence for
-    another effect: friction with bristles gains 7 % more by one formula than by its own.
+    Real friction follows no formula exactly, and what a further parameter adds by bending a formula towards it is no
+    evidence for another effect: the log-likelihood ratio of friction with bristles is 7 % higher with one other formula
+    than with its own.
     """
     error = formula_error(less.effect, more.effect)
     if not error and more.parameters > less.parameters:
-        return needless(more, less) >= LEVEL
+        return ratio_p_value(more, less) >= LEVEL
     return less.log_likelihood >= (1.0 - error) * more.log_likelihood
 
 
 def formula_error(*effects: Effect) -> float:
-    """Of the least exact of `effects`."""
+    """The formula error of the least exact of `effects`."""
     return max(each.formula_error for each in effects)
 
 
-def needless(more: Tried, less: Tried) -> float:
-    """p-value of the likelihood ratio of `more`, which has more parameters: how well chance alone explains its gain.
+def ratio_p_value(more: Tried, less: Tried) -> float:
+    """p-value of the likelihood ratio of `more`, which has more parameters: how well chance alone explains the
+    difference.
 
-    An instant that was picked among many has the price of these.
+    A change point chosen from many is corrected for their number.
     """
-    gain, further = more.log_likelihood - less.log_likelihood, more.parameters - less.parameters
-    return min(1.0, more.among * by_chance(gain, further))
+    log_ratio, further = more.log_likelihood - less.log_likelihood, more.parameters - less.parameters
+    return min(1.0, more.among * by_chance(log_ratio, further))
 
 
 def confusable(one: Effect, other: Effect) -> bool:
-    """Whether the two are easily confused, by the catalogue's own word."""
+    """Whether the two are easily confused, according to the catalogue."""
     return one.family is other.family or other.name in one.confused_with or one.name in other.confused_with

@@ -1,10 +1,10 @@
-"""Which experiment would tell rival models apart, and how long it takes.
+"""Which experiment would distinguish rival models, and how long it takes.
 
-Each rival in turn is taken as the truth and run through the experiment in closed loop, without noise. Every other rival
-is fitted to that record; what it still fails to predict, weighted by the innovations' covariance, is half a squared
-norm E of innovations: the logarithm of the odds, in nats, that noise would leave on average to the truth. It grows with
-time, and scatters by sqrt(2 E). The experiment with the largest E a second is chosen, for the pair of rivals that it
-tells apart the worst; experiments under which any rival would come too near to a limit are refused.
+Each rival in turn is taken as the truth and simulated through the experiment in closed loop, without noise. Every other
+rival is fitted to that record. What it still fails to predict, weighted by the innovations' covariance, is half a
+squared norm E of innovations: the logarithm of the odds, in nats, that noise would leave on average to the truth. It
+grows with time, and scatters by sqrt(2 E). The experiment with the largest E a second is chosen, for the pair of rivals
+that it distinguishes worst; experiments under which any rival would come too near to a limit are refused.
 Sources: Hunter and Reiner, "Designs for discriminating between two rival models", Technometrics 7 (1965) 307; Atkinson
 and Fedorov, Biometrika 62 (1975) 57 (T-optimality).
 """
@@ -31,21 +31,21 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 ENOUGH = 10.0
-"""nats: odds of 1:100 are 4.6, and of a mean of 10 with its scatter of 4.5 nine records of ten leave as much."""
+"""nats: odds of 1:100 are 4.6; with a mean of 10 and its scatter of 4.5, nine records of ten leave as much."""
 SHORTEST, LONGEST = 15.0, 600.0
-"""s in all, of experiments that a vehicle file describes in seconds: what is shorter no diagnosis of a shipped vehicle
-takes; what takes longer is not told apart by this experiment."""
+"""s in all, of experiments that a vehicle file describes in seconds: no diagnosis of a shipped vehicle accepts a
+shorter record; rivals that need a longer one are not distinguished by this experiment."""
 ITERATIONS = 15
 IMITATED = 0.01
-"""Share of the odds the other way round below which a rival can be all that its rival is, and more: what it cannot be
-without is then what the other fails to predict, and where that is not there, having fewer parameters decides."""
+"""Ratio of the odds in the two directions below which one rival contains the other: what the richer rival cannot do
+without is then what the other fails to predict, and if that is absent, having fewer parameters decides."""
 WIDENING = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-"""Factors by which a rival that is wrong may make its process noise larger."""
+"""Factors by which a wrong rival may enlarge its process noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What an experiment would tell: nats a second by pair of rivals, or why it is `refused`."""
+    """What an experiment would show: nats a second by pair of rivals, or why it is `refused`."""
 
     experiment: Experiment
     rates: Mapping[tuple[str, str], float]
@@ -54,9 +54,9 @@ class Outlook:
 
 @dataclass(frozen=True, slots=True)
 class Suggestion:
-    """`seconds` of `experiment`, in runs of its duration, tell `separates` apart at `rate` nats a second.
+    """`seconds` of `experiment`, in runs of its duration, distinguish `separates` at `rate` nats a second.
 
-    `together`: rivals that no experiment tells from another in a reasonable time.
+    `together`: pairs of rivals that no experiment distinguishes in a reasonable time.
     """
 
     experiment: Experiment
@@ -75,10 +75,10 @@ class Suggestion:
         several = f" ({self.runs} runs of {self.experiment.duration:g} s)" if self.runs > 1 else ""
         first, *others = self.separates
         record = f"{self.seconds:.0f} s of {self.experiment.name}{several}"
-        told = f"{record} separates {first} from {' and '.join(others)}"
+        text = f"{record} separates {first} from {' and '.join(others)}"
         if others == [NOTHING_MORE]:
-            told = f"{record} would show {first} of a size that is still too small to show here"
-        return "; ".join((told, *(f"nothing here separates {one} from {other}" for one, other in self.together)))
+            text = f"{record} would show {first} at an amplitude that is still too small to show here"
+        return "; ".join((text, *(f"nothing here separates {one} from {other}" for one, other in self.together)))
 
     def to_json(self) -> dict[str, Any]:
         """`suggested_experiment` in `diagnose --json`."""
@@ -94,18 +94,20 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The `best` experiment, None where none tells anything in a reasonable time, and the `outlooks` of all."""
+    """The `best` experiment, None if no experiment distinguishes any pair in a reasonable time, and the `outlooks` of
+    all."""
 
     best: Suggestion | None
     outlooks: tuple[Outlook, ...]
 
 
 def suggest(rivals: Sequence[Rival], experiments: Sequence[Experiment], progress: Progress | None = None) -> Choice:
-    """The experiment that tells `rivals` apart soonest. `progress` is told what is being done and the share done."""
-    tell = progress or (lambda text, share: None)
+    """The experiment that distinguishes `rivals` soonest. `progress` is called with the current step and the share
+    done."""
+    report = progress or (lambda text, share: None)
     outlooks = []
     for number, experiment in enumerate(experiments):
-        tell(f"predicting experiment {experiment.name}", number / (len(experiments) + 1))
+        report(f"predicting experiment {experiment.name}", number / (len(experiments) + 1))
         outlooks.append(outlook(rivals, experiment))
     safe = [each for each in outlooks if not each.refused]
     pairs = list(combinations((rival.name for rival in rivals), 2))
@@ -116,11 +118,11 @@ def suggest(rivals: Sequence[Rival], experiments: Sequence[Experiment], progress
     chosen = max(safe, key=lambda each: min(each.rates[pair] for pair in apart))
     rate = min(chosen.rates[pair] for pair in apart)
     if rate * LONGEST < ENOUGH:
-        # No single experiment tells all pairs: then the pair that is told soonest.
+        # No single experiment distinguishes all pairs: then the pair that is distinguished soonest.
         apart = [max(apart, key=lambda pair: max(each.rates[pair] for each in safe))]
         chosen = max(safe, key=lambda each: each.rates[apart[0]])
         rate = chosen.rates[apart[0]]
-    tell(f"how much of {chosen.experiment.name} is needed", len(experiments) / (len(experiments) + 1))
+    report(f"how much of {chosen.experiment.name} is needed", len(experiments) / (len(experiments) + 1))
     names = tuple(rival.name for rival in rivals if any(rival.name in pair for pair in apart))
     shorter = _shortened([rival for rival in rivals if rival.name in names], chosen.experiment, rate, apart)
     experiment, rate = shorter or (chosen.experiment, rate)
@@ -129,7 +131,7 @@ def suggest(rivals: Sequence[Rival], experiments: Sequence[Experiment], progress
 
 
 def outlook(rivals: Sequence[Rival], experiment: Experiment) -> Outlook:
-    """What `experiment` would tell about `rivals`."""
+    """What `experiment` would show about `rivals`."""
     courses: dict[str, Course] = {}
     for rival in rivals:
         courses[rival.name] = course = simulate(rival.model, experiment)
@@ -148,22 +150,22 @@ def outlook(rivals: Sequence[Rival], experiment: Experiment) -> Outlook:
 
 
 def expected_log_odds(truth: Rival, rows: Segment, other: Rival) -> float:
-    """nats by which `truth` is more likely than `other` on average, once `other` is fitted to `rows` that it made.
+    """nats by which `truth` is more likely than `other` on average, once `other` is fitted to `rows` that `truth` made.
 
-    A fit of `other` also calls noise what it fails to predict: it lets its state be moved by more noise, and its
-    innovations be larger. So it may choose here by how much, and the least odds count.
+    A fit of `other` also takes for noise what it fails to predict: its process noise and its innovations become larger.
+    So here it may choose by how much, and the least odds count.
     """
     task = problem(other.model, (), rows=[rows])
     noise, values = NoiseModel.of(task), task.kernel.vector()
     start, best, least = task.start, np.inf, 0.0
-    told = truth.logarithms(noise)
+    nominal = truth.logarithms(noise)
     for factor in WIDENING:
-        logarithms = told.copy()
+        logarithms = nominal.copy()
         logarithms[sorted(set(noise.process_place))] += np.log(factor)
         gain = noise.gain(values, logarithms)
         if gain is None:
             break
-        covariance = truth.covariance(noise, values, told, gain)
+        covariance = truth.covariance(noise, values, nominal, gain)
         if factor == 1.0:
             least = float(np.linalg.slogdet(covariance)[1])
         weights = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
@@ -181,7 +183,7 @@ def expected_log_odds(truth: Rival, rows: Segment, other: Rival) -> float:
 
 
 def _fit(task: Problem, start: Array, weights: Array, gain: Array) -> Minimum | None:
-    # What is known without any record: the new one decides by itself.
+    # The priors are what is known without any record: the new one decides by itself.
     deviations = np.array([parameter.std for parameter in task.parameters])
     weight = np.where(deviations > 0.0, 1.0 / np.where(deviations > 0.0, deviations, 1.0), 0.0)
 
@@ -208,15 +210,15 @@ def _fit(task: Problem, start: Array, weights: Array, gain: Array) -> Minimum | 
 def _shortened(
     rivals: Sequence[Rival], experiment: Experiment, rate: float, apart: Sequence[tuple[str, str]]
 ) -> tuple[Experiment, float] | None:
-    """The experiment in the time that is needed, where less than its whole duration does; and its rate."""
+    """The experiment in the time that is needed, and its rate, if less than the whole duration is enough."""
     for seconds in (ENOUGH / rate, 1.5 * ENOUGH / rate):
         seconds = float(ceil(max(seconds, SHORTEST)))
         shorter = experiment.shorter(seconds) if seconds < experiment.duration else None
         if shorter is None:
             return None
-        told = outlook(rivals, shorter)
-        if not told.refused:
-            least = min(told.rates[pair] for pair in apart)
+        predicted = outlook(rivals, shorter)
+        if not predicted.refused:
+            least = min(predicted.rates[pair] for pair in apart)
             if least * shorter.duration >= ENOUGH:
                 return shorter, least
     return None

@@ -1,12 +1,13 @@
-"""A vehicle diagnosed part by part: the chain from setpoint to motion is measured in between, so each link has a model.
+"""Diagnoses a vehicle in two parts: the chain from setpoint to motion is measured in between, so each link has a model.
 
-The vehicle's own model is driven by the measured motion of its actuators, and does not see what a command meets on its
-way; a model of the actuators alone sees nothing else. Both are diagnosed, and the findings are one list, the one with
-most evidence first. Effects of an input are candidates in both: of the setpoint in the actuators' model, and of the
-measured motion in the vehicle's, where they act between the motor, at which it is measured, and the vehicle.
+The vehicle's own model is driven by the measured motion of its actuators, and does not see what happens to a command on
+its way to them; a model of the actuators alone sees nothing else. Both are diagnosed, and the findings form one list,
+the one with most evidence first. Effects of an input are candidates in both: of the setpoint in the actuators' model,
+and of the measured motion in the vehicle's, if they act between the motor, at which the motion is measured, and the
+vehicle.
 
-An actuator's speed loop is not known beforehand (diagnosis.fits.speed_loop_choice). Where none is adequate nothing is
-said of the command, and the whole is not adequate either.
+An actuator's speed loop is not known beforehand (diagnosis.fits.speed_loop_choice). If no known speed loop is adequate,
+nothing is said of the command, and the whole is not adequate either.
 """
 
 from __future__ import annotations
@@ -31,14 +32,15 @@ from models.parts import Place
 from telemetry.recording import Recording
 
 FITS = 2.0
-"""Times its sensor's noise that the innovations of the actuators' rate have with what was found, beyond which the speed
-loop is none that is known.
+"""Ratio of the innovations of the actuators' rate, with the findings in the model, to its sensor's noise above which no
+known speed loop fits.
 
-It was 1.32 beside a delay of 24 ms, with which the vehicle swings, and 3 and more with play."""
+It was 1.32 beside a delay of 24 ms, with which the vehicle swings, and 3 and more with backlash.
+"""
 MOST = 2
 """Effects of a command, at most."""
 SHARE = 0.6
-"""Of the time that both diagnoses take, for the vehicle's own."""
+"""Share of the time of both diagnoses for the vehicle's own."""
 
 
 def diagnose_parts(
@@ -55,10 +57,11 @@ def diagnose_parts(
 ) -> Diagnosis:
     """What `vehicle`, driven by measured motion, and the one of `actuators` that fits lack to explain `recordings`.
 
-    As diagnosis.diagnose.diagnose. The result is that of the vehicle, with the findings and detectable sizes of both;
-    its `parts` are the two alone. Where the actuators' effect comes first, the innovation ratios are theirs.
+    As diagnosis.diagnose.diagnose. The result is that of the vehicle, with the findings and the minimum detectable
+    effects of both; its `parts` are the two alone. If the actuators' effect comes first, the innovation ratios are
+    theirs.
     """
-    began, tell = stopwatch(), progress or (lambda text, share: None)
+    began, report = stopwatch(), progress or (lambda text, share: None)
     looked_for = [find(each) if isinstance(each, str) else each for each in (candidates or CATALOGUE)]
     own = diagnose(
         vehicle,
@@ -68,7 +71,7 @@ def diagnose_parts(
         most=most,
         budget=None if budget is None else SHARE * budget,
         loops=loops,
-        progress=lambda text, share: tell(text, SHARE * share),
+        progress=lambda text, share: report(text, SHARE * share),
     )
     commanded = [each for each in looked_for if each.place is Place.ACTUATOR]
     if not commanded or own.verdict is Verdict.INSUFFICIENT_DATA:
@@ -81,7 +84,7 @@ def diagnose_parts(
         candidates=commanded,
         most=most,
         budget=left,
-        progress=lambda text, share: tell(f"actuators: {text}", SHARE + (1.0 - SHARE) * share),
+        progress=lambda text, share: report(f"actuators: {text}", SHARE + (1.0 - SHARE) * share),
     )
     return merged(own, other, commanded)
 
@@ -96,7 +99,7 @@ def diagnose_actuators(
     budget: float | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """What the one of `actuators` that fits `recordings` lacks of `candidates`."""
+    """Which of `candidates` the one of `actuators` that fits lacks to explain `recordings`."""
     began = stopwatch()
     if progress is not None:
         progress("choosing the speed loop", 0.0)
@@ -116,7 +119,7 @@ def diagnose_actuators(
         candidates=candidates,
         most=most,
         confounded=hidden,
-        unasked=model.values,
+        not_required=model.values,
         budget=left,
         progress=progress,
     )
@@ -131,9 +134,9 @@ def diagnose_actuators(
 
 
 def quiet(found: Diagnosis) -> Diagnosis:
-    """`found`, but unknown where process noise explains innovations that are not near the sensor's own.
+    """`found`, but unknown if process noise explains innovations that are not near the sensor's own noise.
 
-    Where they are near it, what was found is what is missing: no formula of a speed loop is exact at all frequencies.
+    If they are near it, the findings are what is missing: no formula of a speed loop is exact at all frequencies.
     """
     if not found.steps:
         return found
@@ -151,17 +154,17 @@ def quiet(found: Diagnosis) -> Diagnosis:
 def _further(
     found: Diagnosis, recordings: Sequence[Recording], candidates: Sequence[Effect], budget: float | None
 ) -> Diagnosis:
-    """`found` and one effect more, where there is one that chance does not explain.
+    """`found` and one more effect, if there is one that chance does not explain.
 
-    Of a vehicle a further effect has to gain a share of what the first did, for no formula is exact. That of a speed
-    loop is: beside delays that gained 5000 to 7000 nothing else had more than 0.5 to gain, and a dead band of 0.1
-    mrad/s had 10.
+    In a vehicle a further effect must raise the log-likelihood by a share of what the first did, since no formula is
+    exact. That of a speed loop is: beside delays with log-likelihood ratios of 5000 to 7000 nothing else had more than
+    0.5, and a dead band of 0.1 mrad/s had 10.
     """
     model = found.revised
     assert model is not None
     there = {each.effect.name for each in model.effects}
     others = [each for each in candidates if each.name not in there]
-    more = diagnose(model, recordings, candidates=others, most=1, unasked=model.values, budget=budget)
+    more = diagnose(model, recordings, candidates=others, most=1, not_required=model.values, budget=budget)
     if not more.findings:
         return found
     steps = (*found.steps, more.steps[-1])
@@ -182,10 +185,10 @@ def _further(
 
 
 def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
-    """`found` but for what is no more than the formula's own error: a lag below that share of the speed loop's.
+    """`found` without what is no more than the formula's own error: a lag below that share of the speed loop's.
 
-    That is how far off a lag may be beyond what its fit says, at two standard deviations. A delay shows beyond what bus
-    and drive may take anyway: the bound of the setpoint's own offset.
+    A lag may be off by that much beyond what its fit says, at two standard deviations. A delay shows only beyond what
+    bus and drive may take anyway: the bound of the setpoint's own offset.
     """
     if found.minimum_detectable is None:
         return found
@@ -201,7 +204,7 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
     lags = {name for name, effect in effects.items() if effect.lag}
     with_possible_noise = 0.5 * lag_error(model)
     findings = tuple(
-        _less_sure(each, with_possible_noise) if each.effect in lags else each
+        _less_certain(each, with_possible_noise) if each.effect in lags else each
         for each in found.findings
         if not (below and each.effect in lags)
     )
@@ -211,8 +214,8 @@ def beyond_formula(model: Model, found: Diagnosis) -> Diagnosis:
     return replace(found, minimum_detectable=sizes, findings=findings, verdict=verdict)
 
 
-def _less_sure(finding: Finding, std: float) -> Finding:
-    """`finding` with a further error, of standard deviation `std`, of its sizes."""
+def _less_certain(finding: Finding, std: float) -> Finding:
+    """`finding` with a further error, of standard deviation `std`, of its amplitudes."""
     parameters = {
         name: each if each.std is None else replace(each, std=math.hypot(each.std, std))
         for name, each in finding.parameters.items()
@@ -223,7 +226,7 @@ def _less_sure(finding: Finding, std: float) -> Finding:
 def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) -> Diagnosis:
     """One diagnosis of two parts. `effects`: those of the actuators.
 
-    Where these follow no known speed loop the whole is not adequate.
+    If the actuators follow no known speed loop, the whole is not adequate.
     """
     left_out = {name: why for name, why in (vehicle.left_out or {}).items() if name not in {e.name for e in effects}}
     left_out |= actuators.left_out or {}
@@ -231,10 +234,10 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
     vehicle = replace(vehicle, left_out=left_out, untried=untried, parts=(vehicle, actuators))
     verdict, reason = vehicle.verdict, vehicle.reason
     if actuators.verdict in (Verdict.UNKNOWN, Verdict.INSUFFICIENT_DATA):
-        why = f"the actuators' speed loop is none that is known: {actuators.reason}"
+        why = f"the actuators follow no known speed loop: {actuators.reason}"
         vehicle = replace(vehicle, left_out=left_out | {each.name: why for each in effects})
         if actuators.verdict is Verdict.UNKNOWN:
-            # What was found in the vehicle's motion needs no command; but nothing else is said to be all right.
+            # The findings in the vehicle's motion need no command; but the rest is not called adequate.
             reason = why if verdict is Verdict.ADEQUATE else f"{reason}; {why}"
             verdict = Verdict.UNKNOWN if verdict is Verdict.ADEQUATE else verdict
         return replace(vehicle, verdict=verdict, reason=reason)
@@ -243,8 +246,8 @@ def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) 
     first = actuators if findings and findings[0] in actuators.findings else vehicle
     if actuators.findings:
         verdict = Verdict.MISSING_EFFECT if verdict is Verdict.ADEQUATE else verdict
-        told = together(findings)
-        reason = f"{reason}; {told}" if vehicle.verdict is Verdict.UNKNOWN else told
+        text = together(findings)
+        reason = f"{reason}; {text}" if vehicle.verdict is Verdict.UNKNOWN else text
     return replace(
         vehicle,
         verdict=verdict,

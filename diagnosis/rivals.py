@@ -1,4 +1,4 @@
-"""Models between which a record could not decide, each with the noise that its predictor counts with."""
+"""Models between which a record could not decide, each with the noise that its predictor assumes."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 NOTHING_MORE = "nothing more"
-"""Name of the rival that has no further effect."""
+"""Name of the rival without a further effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """`model` has its values and says what is estimated.
+    """`model` has its values and states which parameters are estimated.
 
-    `noise`: natural logarithms of its process and sensor noise against what it states, by ("state" or "output", name),
-    as in a fit (estimators.fit.innovations); `scale`, by output: variance of its innovations over what that makes of
-    it.
+    `noise`: natural logarithms of its process and sensor noise relative to what it states, by ("state" or "output",
+    name), as in a fit (estimators.fit.innovations); `scale`, by output: ratio of the variance of its innovations to
+    that which follows from this noise.
     """
 
     name: str
@@ -42,17 +42,17 @@ class Rival:
 
     @classmethod
     def of(cls, name: str, fitted: FullFit) -> Rival:
-        """What a fit ended with."""
+        """The rival with the result of a fit."""
         task, known = fitted.fit.problem, fitted.fit.values
         model = causal(fitted.model.change(dict(zip(task.kernel.parameters, known.tolist(), strict=True))))
         logarithms = fitted.fit.minimum.common[len(task.free) :]
         noise = NoiseModel.of(task)
         expected = innovation_covariance(noise, known, logarithms, fitted.fit.gain)
-        told = {each: float(logarithms[place]) for each, place in _noisy(noise)}
-        # The fit's noises are ratios, and it counts with more noise of what it takes for known.
+        fitted_noise = {each: float(logarithms[place]) for each, place in _noisy(noise)}
+        # The fit's noises are ratios, and it assumes more noise for outputs whose noise it takes as known.
         shown = np.diag(fitted.fit.covariance) - counted_with(model)
         scale = np.maximum(shown, 0.0) / np.diag(expected)
-        return cls(name, model, told, dict(zip(task.kernel.outputs, scale.tolist(), strict=True)))
+        return cls(name, model, fitted_noise, dict(zip(task.kernel.outputs, scale.tolist(), strict=True)))
 
     @classmethod
     def assumed(cls, name: str, model: Model) -> Rival:
@@ -60,15 +60,15 @@ class Rival:
         return cls(name, causal(model))
 
     def covariance(self, noise: NoiseModel, values: Array, logarithms: Array, gain: Array) -> Array:
-        """Of the innovations as a fit counts with them, (ny, ny); arguments as of `innovation_covariance`."""
+        """Covariance of the innovations as a fit assumes it, (ny, ny); arguments as of `innovation_covariance`."""
         model = noise.problem.model
         factor = np.sqrt([self.scale.get(output.name, 1.0) for output in model.outputs])
         expected = innovation_covariance(noise, values, logarithms, gain)
         return np.asarray(np.outer(factor, factor) * expected + np.diag(counted_with(model)))
 
     def logarithms(self, noise: NoiseModel) -> Array:
-        """Its noise as `noise` has it, (q,): outputs that read alike in one record have one noise there, in another
-        each has its own."""
+        """Its noise in the order of `noise`, (q,): outputs whose readings are identical in one record share one noise
+        there, in another each has its own."""
         found = np.zeros(noise.size)
         for name, place in _noisy(noise):
             found[place] = self.noise.get(name, 0.0)
@@ -95,7 +95,8 @@ def with_named(model: Model, name: str) -> Model:
 
 
 def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, gain: Array) -> Array:
-    """Covariance (ny, ny) of the innovations of a predictor with `gain` (nx, ny), not the best one for its noise."""
+    """Covariance (ny, ny) of the innovations of a predictor with `gain` (nx, ny), which need not be optimal for its
+    noise."""
     transition, output, process, sensor, across = noise.covariances(values, logarithms)
     ahead = transition @ gain
     driven = process + ahead @ sensor @ ahead.T - across @ ahead.T - ahead @ across.T
@@ -104,7 +105,7 @@ def innovation_covariance(noise: NoiseModel, values: Array, logarithms: Array, g
 
 
 def fitted(model: Model, recordings: Sequence[Recording], support: float | None, budget: Budget = UNLIMITED) -> Rival:
-    """`model` as it is, fitted to `recordings`. Raises DataError where these cannot be used, OutOfTime."""
+    """`model` as it is, fitted to `recordings`. Raises DataError if these cannot be used, OutOfTime."""
     workspace = Workspace.of(model, after_settling(model, recordings, support), support, ())
     workspace = replace(workspace, budget=budget)
     return Rival.of(NOTHING_MORE, full(model, workspace))
@@ -118,22 +119,22 @@ def fitted_rivals(
     budget: Budget = UNLIMITED,
 ) -> list[Rival]:
     """`model` with each of `effects` (EFFECT, or EFFECT@PLACE as a finding names it), fitted to `recordings`; an effect
-    under which it runs away is left out.
+    with which it diverges is left out.
 
-    All count with the noise of the one that explains them best: what the others have more is what they fail to explain.
-    Raises DataError where the recordings cannot be used, OutOfTime after `budget`.
+    All assume the noise of the rival that explains them best: the excess of the others is what they fail to explain.
+    Raises DataError if the recordings cannot be used, OutOfTime after `budget`.
     """
-    asked = [with_named(model, name).effects[-1].name for name in effects]
+    names = [with_named(model, name).effects[-1].name for name in effects]
     recordings = after_settling(model, recordings, support)
-    workspace = Workspace.of(model, recordings, support, tuple(dict.fromkeys(name.split("@")[0] for name in asked)))
-    wanted = tuple(each for each in workspace.candidates if each.name in asked)
-    workspace = replace(workspace, candidates=wanted, budget=budget)
+    workspace = Workspace.of(model, recordings, support, tuple(dict.fromkeys(name.split("@")[0] for name in names)))
+    chosen = tuple(each for each in workspace.candidates if each.name in names)
+    workspace = replace(workspace, candidates=chosen, budget=budget)
     base = full(model, workspace)
     fits = each_fitted(base, look(base, workspace), workspace)
-    if workspace.untried:  # fewer rivals would ask another question
+    if workspace.untried:  # with fewer rivals it would be another comparison
         raise OutOfTime(f"no time was left for {workspace.untried[0]}")
     if not fits:
         return []
     best = max(fits, key=lambda name: fits[name].log_likelihood)
     known = Rival.of(best, fits[best])
-    return [replace(Rival.of(name, fits[name]), noise=known.noise, scale=known.scale) for name in asked if name in fits]
+    return [replace(Rival.of(name, fits[name]), noise=known.noise, scale=known.scale) for name in names if name in fits]

@@ -1,4 +1,4 @@
-"""Independent pieces of one diagnosis side by side: compiled passes and products of matrices let another thread run."""
+"""Runs independent pieces of one diagnosis in parallel: compiled passes and matrix products let other threads run."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ THREADS = 2
 
 
 def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
-    """`work(item)` of each of `items`, in their order. What is not begun when one raises, or when the caller stops, is
-    left."""
+    """`work(item)` of each of `items`, in their order. If one raises, or the caller stops, items that have not been
+    started are skipped."""
     pool = ThreadPoolExecutor(THREADS)
     try:
         yield from pool.map(work, items)

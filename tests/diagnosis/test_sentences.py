@@ -80,9 +80,9 @@ def test_what_is_untried_has_its_remedy() -> None:
 def test_what_matters_is_said_first_and_whole() -> None:
     large, small = finding("viscous_friction", 10.0, 43.0), finding("sensor_lag", 90.0, 0.2)
     assert together([large, small]) == (
-        "viscous_friction explained sensor_lag shows, and is negligible: it makes 0.2 % of the error 0.5 s ahead."
+        "viscous_friction explained sensor_lag is detectable but negligible: it makes 0.2 % of the error 0.5 s ahead."
     )
-    assert together([small]).startswith("nothing is missing that matters. sensor_lag shows")
+    assert together([small]).startswith("nothing is missing that matters. sensor_lag is detectable")
     assert mattering(Diagnosis(Verdict.MISSING_EFFECT, "", (large, small))) == [large]
     assert (percent(43.2), percent(0.34), percent(0.0)) == ("43 %", "0.3 %", "nothing")
 
@@ -94,7 +94,7 @@ def test_of_two_parts_the_one_that_matters_comes_first_and_all_that_is_untried_i
     actuators = Diagnosis(Verdict.MISSING_EFFECT, "", (large,), untried=("actuator_lag",))
     found = merged(vehicle, actuators, [])
     assert [each.effect for each in found.findings] == ["input_gain", "sensor_lag"]
-    assert found.reason.startswith("input_gain explained sensor_lag shows")
+    assert found.reason.startswith("input_gain explained sensor_lag is detectable")
     assert found.untried == ("hysteresis", "actuators: actuator_lag")
     unknown = Diagnosis(Verdict.UNKNOWN, "swings", untried=("actuator_lag",))
     assert merged(vehicle, unknown, []).untried == found.untried

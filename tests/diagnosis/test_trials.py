@@ -72,7 +72,7 @@ def test_what_ends_a_fit_is_told(error: Exception) -> None:
 
     failed: dict[str, str] = {}
     assert tried(fails, "an_effect", failed) is None
-    assert failed == {"an_effect": "no fit with it ends: a"}
+    assert failed == {"an_effect": "its fit fails: a"}
     assert tried(lambda: 1, "an_effect", failed) == 1
     assert failed == {}
 
