@@ -122,7 +122,7 @@ def _answer(
 
     report("fitting the model as it is", 0.05)
     try:
-        base = _fit_alone(model, workspace.unhurried)
+        base = _fit_alone(model, workspace.unlimited)
     except FAILURES as error:
         return Diagnosis(Verdict.UNKNOWN, f"the model alone cannot be fitted: {error}", left_out=workspace.left_out), []
     if lacking := unidentified(base, request.not_required):

@@ -222,7 +222,7 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
     for each in sorted(passed, key=lambda each: each.cost):
         if each is best:
             continue
-        its_own, other = best.log_likelihood, each.log_likelihood
+        named_ratio, other = best.log_likelihood, each.log_likelihood
         likely = not likelier(likeliest - each.evidence)
         if exact(best, each) and each.parameters < best.parameters:
             likely = explains_as_much(each, best)
@@ -231,13 +231,13 @@ def tie(named: Round, in_usual_shape: Callable[[Tried], float | None]) -> Round:
                 likely = likely or explains_as_much(each, best)
             elif each.cost > best.cost:
                 # An effect that can imitate the named one is an alternative only by what it does differently.
-                needed = by_chance(other - its_own, each.parameters - best.parameters) < DOUBT
+                needed = by_chance(other - named_ratio, each.parameters - best.parameters) < DOUBT
                 likely = needed and (likely or not explains_as_much(best, each))
-                if not likely and not likelier(its_own - other):
+                if not likely and not likelier(named_ratio - other):
                     # If it is as likely in its usual shape, the record does not determine its shape.
                     held = in_usual_shape(each)
                     known[each.name] = replace(each, in_usual_shape=held)
-                    likely = held is not None and not likelier(its_own - held)
+                    likely = held is not None and not likelier(named_ratio - held)
             # Of an effect that contains a tied one, only what it explains beyond that would count.
             likely = likely and not any(one.cost < each.cost and explains_as_much(one, each) for one in found)
         if likely:

@@ -1,3 +1,3 @@
-"""Fits of a model alone and with one effect more: refit from the score test on, masked from elsewhere, finer by more
-physics, random_parts with random signals in place of effects. look_ahead excludes fits that use future samples;
-speed_loop_choice is the actuators' own."""
+"""Fits of a model alone and with one more effect: refit starting from the score test, confounded from other starts,
+finer with more physics, random_parts with random signals in place of effects. look_ahead excludes fits that use future
+samples; speed_loop_choice is for the actuators alone."""

@@ -1,13 +1,14 @@
-"""Effects that the score test does not see, or sees as what they are not: fitted from the model's own values on,
-whatever it says.
+"""Effects that the score test does not see, or mistakes for others: fitted from the model's own values, whatever it
+says.
 
 A further lag makes the lag of a speed loop grow, until what is left of it no longer looks like a lag: the derivative
-there points elsewhere. How surprising such an effect's gain is, is told by blocks of time: innovations of a
-model without it are not white.
+there points elsewhere. The significance of such an effect's log-likelihood ratio is computed from blocks of time,
+because innovations of a model without the effect are not white.
 
-Parts that strike each other do so at other instants with each size of the play between them, so that the derivative at
-none of it says nothing. Where the model alone ended, its parameters and its noise take in what the blows do, and fits
-of play from there stayed at a tenth of it, with 5 % of what it gains from the values that were known before.
+Parts with backlash between them collide at other instants with each width of the gap, so the derivative at zero width
+says nothing. In the fit of the model alone, parameters and noise have absorbed what the impacts do. Fits of backlash
+that started there stayed at a tenth of its width, with 5 % of the log-likelihood ratio that they reach from the prior
+values.
 """
 
 from __future__ import annotations
@@ -36,19 +37,19 @@ from models.parts import Place
 Array = NDArray[np.float64]
 
 START = 2
-"""Of the starts of an effect: between the smallest and the largest that are usual."""
+"""Index among the starts of an effect: between the smallest and the largest usual value."""
 TRIED = 10
-"""Steps of a fit from each shape of an effect whose parts strike each other, and"""
+"""Steps of the first fit from each shape of an effect whose parts collide."""
 FITTED = 2
-"""how many of them, the likeliest, go on."""
+"""Number of these fits, the likeliest, that are continued."""
 ALMOST = 0.9
-"""Share of the best fit's gain from which on fits are compared by how well they predict: so far apart fits of one model
-end (docs/decisions.md, of fits with play)."""
+"""Share of the best fit's log-likelihood ratio above which fits are compared by how well they predict: fits of one
+model end that far apart (docs/decisions.md, of fits with play)."""
 
 
 def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
-    """Full fits of the model of `base` with each of the candidates `names` and of those whose parts strike each other,
-    but for the `known`, whose fits are."""
+    """Full fits of the model of `base` with each of the candidates `names` and of those whose parts collide, except the
+    `known` ones, whose fits exist."""
     model, found = base.model, list[FullFit]()
     for candidate in workspace.others(model):
         if candidate.name in known:
@@ -75,14 +76,14 @@ def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Col
 
 
 def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> list[FullFit]:
-    """The full fit with the candidate, from its shapes on, that predicts its record best, of those that explain almost
-    as much as the likeliest; none where none is possible.
+    """The full fit with the candidate that predicts its record best, among the fits from its shapes that explain almost
+    as much as the likeliest; empty if no fit succeeds.
 
-    An impact that comes a row early or late costs as much as one that nobody expected, so fits end hundreds apart of
-    thousands that they gain, and some of them with a filter that each impact throws off.
+    An impact that comes a sample early or late costs as much as one that was not predicted at all. So fits end hundreds
+    of nats apart, of thousands that they explain, and some of them with a filter that each impact throws off.
     """
     starts = [with_effect(base.model, candidate, shape) for shape in candidate.variants]
-    workspace.problem(starts[0])  # compiled before two threads ask for it
+    workspace.problem(starts[0])  # compiled before two threads need it
 
     def tried(start: Model) -> tuple[float, Begin] | None:
         try:
@@ -106,8 +107,8 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
 
 
 def _off_ahead(fitted: FullFit, other: FullFit) -> float:
-    """Energy of the error a horizon ahead on the record that was fitted, over that of the `other` fit; infinite where
-    the model diverges."""
+    """Energy of the error a horizon ahead on the record that was fitted, over that of the `other` fit; infinite if the
+    model diverges."""
     with np.errstate(all="ignore"):
         reach = horizon(other.fit.problem.model, other.fit.problem.segments)
         energy, least = (np.nanmean(errors(each.fit, (reach,))[0] ** 2, axis=0) for each in (fitted, other))
@@ -116,8 +117,8 @@ def _off_ahead(fitted: FullFit, other: FullFit) -> float:
 
 
 def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:
-    """`one`, or the fit with the two lags that it has in a row changed about, where that is nearer to what is known of
-    the first from before: a record hardly tells which of them comes first."""
+    """`one`, or the fit with its two lags in series exchanged, if that is nearer to the prior of the first: a record
+    hardly determines which of them comes first."""
     candidate = one.candidate
     first = speed_loop_lag(one.model)
     if candidate is None or not candidate.effect.lag or not first:
@@ -134,7 +135,7 @@ def _other_way_round(one: FullFit, workspace: Workspace) -> FullFit:
 
 
 def speed_loop_lag(model: Model) -> str:
-    """The parameter of `model` that is the lag of its actuators; empty where it has none."""
+    """The parameter of `model` that is the lag of its actuators; empty if it has none."""
     return next((each.lag for each in model.actuators if each.lag), "")
 
 
@@ -143,7 +144,7 @@ def _bounds(model: Model, name: str) -> tuple[float, float]:
 
 
 def together(model: Model, workspace: Workspace, names: Collection[str]) -> list[FullFit]:
-    """One full fit with all of the candidates `names` in the model, none where there are none or none is possible."""
+    """One full fit with all of the candidates `names` in the model; empty if there are none or the fit fails."""
     chosen = [each for each in workspace.others(model) if each.effect.name in names]
     if not chosen:
         return []
@@ -155,7 +156,7 @@ def together(model: Model, workspace: Workspace, names: Collection[str]) -> list
 
 
 def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Model:
-    """`model` with the effect; an offset of the input that it delays is held, since the two are one and the same."""
+    """`model` with the effect; an offset of the input that it delays is held, since the two are identical."""
     wider = with_effect(model, candidate, values)
     if not (candidate.effect.delay and candidate.effect.place is Place.ACTUATOR):
         return wider
@@ -165,7 +166,7 @@ def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Mo
 
 
 def surprise(base: FullFit, other: FullFit) -> float:
-    """p-value of what `other` gains over `base`, were its gain a walk of independent blocks."""
+    """p-value of the log-likelihood ratio of `other` to `base`, if it were a random walk of independent blocks."""
     log_ratio, task = [], base.fit.problem
     block = max(1, round(BLOCK * time_scale(task.model, task.segments) / _spacing(base)))
     for one, more in zip(_densities(base), _densities(other), strict=True):
@@ -181,7 +182,7 @@ def _spacing(fitted: FullFit) -> float:
 
 
 def _densities(fitted: FullFit) -> list[Array]:
-    """By stretch, the log density of each row (n,) but for a constant; 0 where nothing was measured."""
+    """By segment, the log density of each sample (n,) up to a constant; 0 where nothing was measured."""
     covariance = fitted.fit.covariance
     _, logarithm = np.linalg.slogdet(covariance)
     found = []

@@ -1,8 +1,8 @@
-"""Effects by a finer formula where the record asks for it, before any further name is looked for.
+"""Effects with a finer formula if the record requires it, before any further effect is looked for.
 
-What the usual formula of an effect leaves looks like another effect beside it. Dry friction whose contact bends before
-it slides, drawn as the sign of the rate, leaves what looks like play, like friction that falls with the rate, or like
-something without a name (tests/diagnosis/test_finer.py).
+What the usual formula of an effect leaves looks like another effect. Dry friction whose contact bends before it slides,
+modelled as the sign of the rate, leaves what looks like backlash, like friction that falls with the rate, or like
+something that no effect explains (tests/diagnosis/test_finer.py).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from models.model import Model
 
 
 def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
-    """`fits`, the one with most evidence first, each by the formula of its effect that has more evidence.
+    """`fits`, the one with most evidence first, each with the formula of its effect that has more evidence.
 
-    The likeliest of those that have a finer one tells whether the record asks for any: all of these say the same of
-    what is finer in them.
+    The likeliest of those that have a finer formula decides whether the record requires any: what is finer in them is
+    the same physics.
     """
     able = max((each for each in fits if _attached(each).effect.finer), key=lambda each: each.evidence, default=None)
     if able is None or (first := _likelier(able, workspace)) is able:
@@ -36,7 +36,7 @@ def finest(fits: Sequence[FullFit], workspace: Workspace) -> list[FullFit]:
 
 
 def is_finer(model: Model, workspace: Workspace) -> bool:
-    """Whether `model` has an effect of `workspace` by its finer formula."""
+    """Whether `model` has an effect of `workspace` with its finer formula."""
     return any(each.effect is usual.effect.finer for each in model.effects for usual in workspace.candidates)
 
 
@@ -52,7 +52,7 @@ def _likelier(fitted: FullFit, workspace: Workspace) -> FullFit:
 
 
 def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:
-    """`fitted` with the effect that was added last by its finer formula; None where it has none."""
+    """`fitted` with the finer formula of the effect that was added last; None if it has none."""
     attached = _attached(fitted)
     if attached.effect.finer is None:
         return None
@@ -60,7 +60,7 @@ def _finer(fitted: FullFit, workspace: Workspace) -> FullFit | None:
     candidate = candidate_of(model, model.add(attached.effect.finer, attached.at).effects[-1])
     own = {parameter.name: values[parameter.name] for parameter in attached.parameters}
     begun = with_effect(model, candidate, {**candidate.variants[0], **own})
-    # The noise is begun afresh: beside the coarser formula another kind of it may have stood in for what this explains.
+    # The noise starts afresh: with the coarser formula another noise may have accounted for what this one explains.
     return full(begun, workspace, candidate, longer=FURTHER_FITS)
 
 

@@ -1,15 +1,16 @@
-"""Random parts: does a record ask for a random force of a narrow band at a joint, or a random error of a sensor?
+"""Random parts: does a record require a narrow-band random force at a joint, or a random error of a sensor?
 
-A random part is a hypothesis as an effect is: model states, here driven by white noise, that have to gain more in log
-likelihood than their parameters cost (diagnosis.fits.refit). One that wins is absorbed: it joins the disturbance of the
-model alone, beside which effects are then looked for anew, and is no finding about the vehicle. Where effects explain
-more without it there is none: what is periodic, and goes on as it began, takes fewer numbers as an effect.
+A random part is a hypothesis like an effect: model states, here driven by white noise, that have to raise the
+log-likelihood by more than their parameters cost (diagnosis.fits.refit). One that wins is absorbed: it joins the
+disturbance of the model alone, with which effects are then looked for anew, and is not a finding about the vehicle. If
+effects explain more without it, it is rejected: a periodic signal that continues as it began needs fewer parameters as
+an effect.
 
-The noise of a measured input is one, too: a share of it, which does not act (diagnosis.fits.input_noise).
+Noise of a measured input is a random part, too: a share of the noise that does not act (diagnosis.fits.input_noise).
 
-The likelihood's derivative by the RMS is zero where that is zero, so that no score test sees it. It takes full fits of
-its own, of the signals that the spectrum of the innovations says (diagnosis.lack_of_fit.colour), from their numbers on;
-where these are white nothing is fitted.
+The derivative of the likelihood with respect to the RMS is zero at RMS zero, so the score test cannot see a random
+part. It needs full fits, of the signals that the spectrum of the innovations shows (diagnosis.lack_of_fit.colour),
+starting from their values there; if the innovations are white, nothing is fitted.
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ from models.random.input_noise import InputNoise, with_input_noise
 from models.random.sensor_error import at_outputs, with_error
 
 RANDOM = "random parts beside the disturbance"
-"""What they are called where there was no time for them."""
+"""Their name in `untried` if no time is left for them."""
 MOST = 2
 """Signals that get a full fit, of those with most evidence."""
 NEAR = 1.5
-"""By which one may be off what the spectrum says: another signal beyond that is another one."""
+"""Factor by which a frequency may deviate from that of the spectrum: beyond it, it would be another signal."""
 
 
-def promised(fitted: FullFit) -> float:
-    """By how much the log likelihood would rise by the best one, by the spectrum alone; 0 where none is asked for."""
+def expected_log_ratio(fitted: FullFit) -> float:
+    """Expected rise of the log-likelihood by the best random part, from the spectrum alone; 0 if none is required."""
     return max((each.gain for each in tried(partial(signals, fitted.fit)) or []), default=0.0)
 
 
 def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | None:
-    """The fit of `base`, the model alone, with the random part that is likelier beside the effects of `last` than none
-    is, or alone than these are; None where there is none. `last` is `base` where there is no effect."""
+    """The fit of `base`, the model alone, with the random part that is likelier with the effects of `last` than without
+    a random part, or alone than these effects are; None if there is none. `last` is `base` if there is no effect."""
     beside = _likeliest(last, workspace)
     if beside is not None and beside.evidence > last.evidence:
         if base is last:
@@ -61,26 +62,26 @@ def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | No
 
 
 def _likeliest(fitted: FullFit, workspace: Workspace) -> FullFit | None:
-    """The fit with one random part more than `fitted` has that has most evidence."""
-    asked: list[Signal | InputNoise] = [*_distinct(tried(partial(signals, fitted.fit)) or [])]
-    asked += tried(partial(not_acting, fitted.fit)) or []
-    fits = [tried(partial(_with, fitted, each, workspace)) for each in asked]
+    """The fit with one random part more than `fitted` that has most evidence."""
+    candidates: list[Signal | InputNoise] = [*_distinct(tried(partial(signals, fitted.fit)) or [])]
+    candidates += tried(partial(not_acting, fitted.fit)) or []
+    fits = [tried(partial(_with, fitted, each, workspace)) for each in candidates]
     settled = [each for each in fits if each is not None and each.fit.minimum.converged and _lasts(each)]
     return max(settled, key=lambda each: each.evidence, default=None)
 
 
-def _distinct(asked: list[Signal]) -> list[Signal]:
-    """The first of `asked`, of which no two are one."""
+def _distinct(candidates: list[Signal]) -> list[Signal]:
+    """The first of `candidates`, no two of which are the same signal."""
     found: list[Signal] = []
-    for each in asked:
+    for each in candidates:
         if len(found) < MOST and not any(same(each, other) for other in found):
             found.append(each)
     return found
 
 
 def _lasts(fitted: FullFit) -> bool:
-    """Whether each random part lasts: what ends at the shortest time for which it may swing on, is no swing, and what
-    fades within two rows is white."""
+    """Whether each random part lasts: an oscillation whose correlation time ends at its lower bound is not an
+    oscillation, and a signal that decays within two samples is white."""
     model = fitted.model
     places = [place for _, place in (*narrow_at_joints(model), *at_outputs(model))]
     times = {model.base_states[place].correlation_time for place in places}
@@ -100,7 +101,7 @@ def _with(fitted: FullFit, part: Signal | InputNoise, workspace: Workspace) -> F
 
 
 def with_signal(model: Model, signal: Signal, workspace: Workspace) -> Model:
-    """`model` with what `signal` says, for the record of `workspace`; its estimation starts there."""
+    """`model` with the random part of `signal`, for the record of `workspace`; its estimation starts there."""
     longest = max(each.duration for each in workspace.segments)
     if signal.of_sensor:
         step = float(np.median(np.diff(workspace.segments[0].time)))
@@ -127,7 +128,7 @@ def with_signal(model: Model, signal: Signal, workspace: Workspace) -> Model:
 
 
 def _begin(fitted: Fit, wider: Problem) -> Begin:
-    """Where `fitted` ended, with what `wider` has beside as its model says."""
+    """The end of `fitted`; what `wider` has in addition starts at its model's values."""
     before, noise = NoiseModel.of(fitted.problem), NoiseModel.of(wider)
     logarithms, ended = np.zeros(noise.size), fitted.end
     for place, number in zip(noise.noisy, noise.process_place, strict=True):

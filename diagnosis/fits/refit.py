@@ -1,8 +1,9 @@
-"""Fits of the model with one more effect, first quickly for every candidate, then fully for those in question.
+"""Fits of the model with one more effect, first a quick fit of every candidate, then full fits of the most promising
+ones.
 
 The quick fit holds the filter gain and the innovations' covariance of the model alone and moves parameters, amplitudes
-and shapes together, from the score test's sizes at its best shapes. The full fit estimates the noise again, too: with
-the effect in the model less noise is needed, which is what makes the difference between neighbours.
+and shapes together, from the score test's amplitudes at its best shapes. The full fit estimates the noise again, too:
+with the effect in the model less noise is needed, which is what distinguishes neighbours.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ from models.sensing import delayed
 Array = NDArray[np.float64]
 
 STARTS = 2
-"""Shapes that a quick fit starts from: those that the score test likes best."""
+"""Shapes from which a quick fit starts: the best of the score test."""
 ELSEWHERE = 1.3
-"""And the best of those whose first number is by this factor another: the score test is a line, and may like the wrong
-end of a valley twice. A mode of 5 Hz was begun at 10.7 and at 10 Hz, and ended at 11.7 with less than half of its
-gain."""
+"""And the best of those whose first parameter differs by this factor: the score test is linear, and its two best shapes
+may lie at the wrong end of a valley. A mode of 5 Hz was started at 10.7 and at 10 Hz, and ended at 11.7 with less than
+half of its log-likelihood ratio."""
 ITERATIONS = 8
 LONGER = 24
-"""The same from none of the effect, where these ended above what the model alone leaves: that it is a line is true near
-zero, and there the first step moves all parameters as the score test has it."""
+"""Iterations of a further fit from amplitude zero, if the first ended above the cost of the model alone: the linear
+model holds near zero, and there the first step moves all parameters as in the score test."""
 FURTHER_FITS = 2
-"""Times that a fit which does not settle goes on."""
+"""Times that a fit which does not converge is continued."""
 CREEPING = 1.0
-"""Fall of the cost, of unit variance, over half of a fit's steps that is too little to decide anything."""
+"""Fall of the cost, of unit variance, over half of a fit's steps that is too small to decide anything."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuickFit:
-    """`values` of the effect's parameters; `gain`: rise of the log likelihood at the noise of the model alone; `end`:
-    where all parameters are with it, and that noise."""
+    """`values` of the effect's parameters; `gain`: rise of the log-likelihood at the noise of the model alone; `end`:
+    the values of all parameters with it, and that noise."""
 
     candidate: Candidate
     values: Mapping[str, float]
@@ -59,8 +60,8 @@ class QuickFit:
 
 @dataclass(frozen=True, slots=True)
 class FullFit:
-    """`log_likelihood` at its own noise; `count`, of its effects' estimated parameters and of what tells a
-    random part; `rows` that were fitted."""
+    """`log_likelihood` at its own noise; `count` of the estimated parameters of its effects and random parts; `rows`:
+    number of samples that were fitted."""
 
     candidate: Candidate | None
     model: Model
@@ -71,17 +72,17 @@ class FullFit:
 
     @property
     def name(self) -> str:
-        """Of the effect that was added last; empty for the model alone."""
+        """Name of the effect that was added last; empty for the model alone."""
         return self.candidate.name if self.candidate else ""
 
     @property
     def cost(self) -> float:
-        """What its effects' parameters have to gain (Schwarz)."""
+        """Price of its effects' parameters (Schwarz): the log-likelihood has to rise by more."""
         return 0.5 * self.count * math.log(self.rows)
 
     @property
     def evidence(self) -> float:
-        """Logarithm of the model's posterior odds, but for a constant."""
+        """Logarithm of the model's posterior odds, up to a constant."""
         return self.log_likelihood - self.cost
 
     @property
@@ -105,7 +106,7 @@ def quick(base: Fit, model: Model, score: Score, workspace: Workspace) -> QuickF
 
 
 def _elsewhere(score: Score) -> list[Mapping[str, float]]:
-    """The best of the starts beyond the first STARTS that is far from these; none where there is none."""
+    """The best of the starts beyond the first STARTS that is far from these; empty if there is none."""
     if not score.candidate.shapes:
         return []
     first = score.candidate.shapes[0]
@@ -143,7 +144,7 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
     sizes = [size + place for place, p in enumerate(further) if p.name in candidate.amplitudes]
     alone[sizes] = 0.0
     before = evaluate(np.clip(alone, lower, upper), own)
-    # What a delay of the command is to take over begins where it was known to be: two of them do not add up.
+    # An offset that a delay of the command replaces starts at its prior value: the two must not add up.
     commands = delayed(task.model, task.model.effects[-1]) if candidate.effect.place is Place.ACTUATOR else ()
     same = {name for each in model.inputs if each.name in commands for name in each.delays}
     taken = [place for place, p in enumerate(base.problem.parameters) if p.name in same]
@@ -177,7 +178,7 @@ def _quick(base: Fit, model: Model, candidate: Candidate, start: Mapping[str, fl
 
 
 def shape_spread(value: float, typical: float) -> float:
-    """How far a shape may be from where it started: an order of magnitude is no surprise."""
+    """How far a shape may plausibly be from where it started: within an order of magnitude."""
     return max(abs(value), typical)
 
 
@@ -188,8 +189,9 @@ def full(
     begin: Begin | None = None,
     longer: int = 0,
 ) -> FullFit:
-    """The fit of `model` with its noise, from its values on, or from `begin`. `candidate` is the effect that was added
-    last. One that does not settle goes on where it ended, as often as `longer`, as long as that makes a difference."""
+    """The fit of `model` with its noise, starting from its values, or from `begin`. `candidate` is the effect that was
+    added last. A fit that does not converge is continued from its end, up to `longer` times, as long as that makes a
+    difference."""
     fitted = fit(workspace.problem(model), begin=begin)
     for _ in range(longer):
         if fitted.minimum.converged or _creeps(fitted):
@@ -201,15 +203,15 @@ def full(
 def remembered(
     model: Model, workspace: Workspace, candidate: Candidate | None = None, begin: Begin | None = None
 ) -> FullFit:
-    """The likeliest fit of the hypothesis `model` that was made so far, wherever it began; a new one where there is
+    """The likeliest fit of the hypothesis `model` that was made so far, wherever it started; a new one if there is
     none, with arguments as of `full`."""
     found: FullFit | None = workspace.memory.get(_hypothesis(model))
     return full(model, workspace, candidate, begin) if found is None else replace(found, candidate=candidate)
 
 
 def _hypothesis(model: Model) -> Hashable:
-    """What two variants of one model have in common of which fits estimate the same: their own parts, their effects,
-    and what of these is held at which value."""
+    """What two variants of one model have in common if fits estimate the same: their own parts, their effects, and
+    which parameters of these are held at which value."""
     effects = ((each.name, each.effect, tuple(map(_held_at, each.parameters))) for each in model.effects)
     return model.base_states, model.inputs, model.outputs, model.base_parameters, frozenset(effects)
 
@@ -219,8 +221,8 @@ def _held_at(parameter: Parameter) -> float | None:
 
 
 def settled(model: Model, workspace: Workspace) -> FullFit:
-    """The fit of `model` alone, which all others are held against: it is begun again where it ended until that changes
-    nothing. In a narrow valley steps grow short, and from there on with fresh ones it has gone on by 1,200 nats."""
+    """The fit of `model` alone, with which all others are compared: it is restarted from its end until that changes
+    nothing. In a narrow valley steps become short, and with fresh ones it has improved by another 1,200 nats."""
     found = full(model, workspace, longer=FURTHER_FITS)
     for _ in range(FURTHER_FITS):
         fitted = fit(workspace.problem(model), near=found.fit, begin=found.fit.end)
@@ -232,7 +234,7 @@ def settled(model: Model, workspace: Workspace) -> FullFit:
 
 
 def _full(model: Model, fitted: Fit, workspace: Workspace, candidate: Candidate | None = None) -> FullFit:
-    # What is looked at later is looked at whatever time the fit had.
+    # Later evaluations are not limited by the time of the fit.
     fitted = replace(fitted, problem=replace(fitted.problem, budget=UNLIMITED))
     own = {p.name for each in model.effects for p in each.parameters}
     count = sum(p.estimated for p in model.parameters if p.name in own) + random_count(model)
@@ -252,19 +254,19 @@ def _creeps(fitted: Fit) -> bool:
 
 
 def log_ratio(fitted: FullFit, base: FullFit) -> tuple[float, int]:
-    """By how much the log likelihood of `fitted` is above that of `base` (nats), whose model lacks some of its effects,
+    """By how much the log-likelihood of `fitted` is above that of `base` (nats), whose model lacks some of its effects,
     and by how many parameters."""
     return fitted.log_likelihood - base.log_likelihood, fitted.count - base.count
 
 
 def t_ratio(fitted: FullFit, effect: str) -> float:
-    """By how many standard deviations the surest amplitude of `effect` is away from zero, of its own, or of those that
-    it would scatter by were there none of it.
+    """The largest t-ratio of an amplitude of `effect`: its distance from zero in standard deviations, of its own
+    estimate or of the estimate that would result if it were zero.
 
-    One that is not leaves all that was gained to the others, which another start would have brought there, too. Its
-    shape is taken for known: of a creep whose end the record does not show, the torque it settles at is anything, and
-    that there is one beyond doubt. Likewise where parts strike each other: derivatives through many blows grow until
-    they tell nothing of how large the play is, which gained thousands.
+    If it is small, the rise of the log-likelihood comes from the other parameters, which another start would have
+    brought there, too. The shape is taken as known: of a creep whose end the record does not show, the final torque is
+    undetermined, but its existence is beyond doubt. The same holds if parts collide: derivatives through many impacts
+    grow until they no longer determine the width of the backlash, although it raised the log-likelihood by thousands.
     """
     attached = next(each for each in fitted.model.effects if each.name == effect)
     names = [p.name for p in fitted.fit.problem.parameters]
@@ -278,13 +280,13 @@ def t_ratio(fitted: FullFit, effect: str) -> float:
     if not places:
         return 0.0
     own = np.array([std[place] for place in places])
-    scatter = np.minimum(own, scatter_of_none(fitted.fit, places, given))
+    scatter = np.minimum(own, std_at_zero(fitted.fit, places, given))
     return float(np.max(np.abs(fitted.fit.minimum.common[places]) / np.maximum(scatter, 1e-300)))
 
 
-def possible(fitted: FullFit) -> bool:
-    """Whether the amplitudes of the effect that was added last are inside their bounds, or absent: one that physics
-    stops short of what the record asks for stands in for another cause."""
+def inside_bounds(fitted: FullFit) -> bool:
+    """Whether the amplitudes of the effect that was added last are inside their bounds, or zero: an amplitude that the
+    record drives to the limit of what is physical imitates another cause."""
     assert fitted.candidate is not None
     minimum = fitted.fit.minimum
     return not any(
@@ -293,9 +295,9 @@ def possible(fitted: FullFit) -> bool:
     )
 
 
-def scatter_of_none(fitted: Fit, places: Sequence[int], given: Sequence[int] = ()) -> Array:
-    """Standard deviations that the amplitudes at `places` among the parameters would have, were they zero, with those
-    at `given` known; infinite where they would show nothing."""
+def std_at_zero(fitted: Fit, places: Sequence[int], given: Sequence[int] = ()) -> Array:
+    """Standard deviations that the amplitudes at `places` among the parameters would have if they were zero, with those
+    at `given` known; infinite if they would show nothing."""
     task, size = fitted.problem, len(fitted.problem.free)
     common = fitted.minimum.common[:size].copy()
     common[list(places)] = 0.0
@@ -316,14 +318,14 @@ def scatter_of_none(fitted: Fit, places: Sequence[int], given: Sequence[int] = (
 
 
 def off_prior(fitted: Fit) -> float:
-    """What the parameters, which are known to their standard deviations before, cost where they are off."""
+    """Cost of the deviation of the parameters from their priors."""
     size = len(fitted.problem.free)
     off = fitted.minimum.common[:size] - fitted.problem.start
     return 0.5 * float(np.sum(fitted.prior[:size] * off**2))
 
 
 def log_likelihood(fitted: Fit) -> float:
-    """Of the innovations under their own covariance, less the constant that all models share."""
+    """Log-likelihood of the innovations under their own covariance, without the constant that all models share."""
     _, logarithm = np.linalg.slogdet(fitted.covariance)
     total = 0.0
     for innovations in fitted.innovations():

@@ -1,3 +1,3 @@
-"""What a diagnosis works on: usable refuses records that cannot tell; ready and time_offsets make a model ready for
-them; candidates are the effects that it may lack; workspace holds the samples on which all are judged, actuator_samples
-those of the actuators alone."""
+"""The input of a diagnosis: usable refuses records that cannot distinguish effects; ready and time_offsets prepare a
+model for the recordings; candidates are the effects that it may lack; workspace holds the samples on which all models
+are judged, actuator_samples those of the actuators alone."""

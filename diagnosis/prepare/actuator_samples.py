@@ -1,7 +1,7 @@
-"""The rows from which actuators are diagnosed: at the instants at which the drives were sampled, off the support.
+"""The samples from which actuators are diagnosed: at the times at which the drives were sampled, off the support.
 
-Read between two samples by a straight line, a rate would lose what is fastest in it: that passed for a further lag of
-2 ms, and for a noise that is not white. So rows are the drives' samples, and setpoints are as much later.
+Interpolated linearly between two samples, a rate would lose its fastest content, which was mistaken for a further lag
+of 2 ms and for noise that is not white. So the drives' own samples are used, and setpoints are shifted to them.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ AGE = "drive_age"
 SETPOINT_AGE = "setpoint_age"
 """Channels, s."""
 AWAY = 5.0
-"""Natural times (models.natural_time; 2 s of the MONOCAB) after the vehicle has left its support from which on its
+"""Natural times (models.natural_time; 2 s of the MONOCAB) after the vehicle has left its support, after which its
 actuators are no longer at their limits."""
 ENOUGH = 50.0
-"""Natural times of each recording that the actuators are diagnosed from: their sensors hardly have noise."""
+"""Natural times of each recording that are used to diagnose the actuators: their sensors hardly have noise."""
 
 
 def of_actuators(model: Model) -> bool:
@@ -33,22 +33,24 @@ def of_actuators(model: Model) -> bool:
 
 
 def looked_at(model: Model, recordings: Sequence[Recording], support: float | None) -> list[Recording]:
-    """What of `recordings` the diagnosis of an actuator's `model` rests on, its setpoints later by the drives' age.
+    """The part of `recordings` from which an actuator's `model` is diagnosed, its setpoints shifted by the drives' age.
 
-    Without `support` (rad), that of the recording's metadata, where it has one.
+    Without `support` (rad), that of the recording's metadata, if it has one.
     """
     enough = ENOUGH * (natural_time(model) or USUAL)
     return [_setpoints_later(middle(away_from_support(each, model, support), model, enough)) for each in recordings]
 
 
 def at_samples(model: Model) -> Model:
-    """`model` with a row where the drives are sampled, and its setpoints as much later as the samples are older."""
+    """`model` with one sample for each time at which the drives are sampled, and its setpoints as much later as the
+    samples are older."""
     inputs = tuple(replace(each, age=SETPOINT_AGE) for each in model.inputs)
     return replace(model, inputs=inputs, outputs=tuple(replace(each, age="") for each in model.outputs))
 
 
 def as_recorded_rows(model: Model, at_rows: Model) -> Model:
-    """`at_rows`, which at_samples made of `model` and to which effects and values came, for recorded rows."""
+    """`at_rows`, which at_samples made of `model` and to which effects and values were added, for the samples as
+    recorded."""
     inputs = {each.name: each.age for each in model.inputs}
     outputs = {each.name: each.age for each in model.outputs}
     return replace(
@@ -59,10 +61,10 @@ def as_recorded_rows(model: Model, at_rows: Model) -> Model:
 
 
 def on_time(recordings: Sequence[Recording], model: Model) -> list[Recording]:
-    """`recordings` with the readings of sensors that `model` has as late where they belong.
+    """`recordings` with readings that are late according to the sensors of `model` shifted to their correct time.
 
-    What a vehicle does to its actuators would else come too late for them: with a gyro 18 ms late that looked like a
-    wrong gain of their command, by 0.06 %.
+    Otherwise the vehicle's reaction on its actuators would come too late for them: with a gyro 18 ms late that looked
+    like a wrong gain of their command, by 0.06 %.
     """
     late: dict[str, float] = {}
     for attached in model.effects:
@@ -84,7 +86,7 @@ def _earlier(recording: Recording, late: Mapping[str, float]) -> Recording:
 
 
 def _setpoints_later(recording: Recording) -> Recording:
-    """`recording` with ages that are those of the setpoints, as seen from the drives' samples: negative."""
+    """`recording` with the ages of the setpoints relative to the drives' samples: negative."""
     if AGE not in recording.values:
         return recording
     sent = recording[SETPOINT_AGE] if SETPOINT_AGE in recording.values else 0.0
@@ -92,7 +94,7 @@ def _setpoints_later(recording: Recording) -> Recording:
 
 
 def away_from_support(recording: Recording, model: Model, support: float | None) -> Recording:
-    """`recording` with the model's outputs known only where the vehicle has been free for AWAY."""
+    """`recording` with the model's outputs known only when the vehicle has been free for AWAY."""
     support = support if support is not None else recorded_support(recording)
     lean = recording.channels.lean
     if support is None or not lean:
@@ -107,7 +109,7 @@ def away_from_support(recording: Recording, model: Model, support: float | None)
 
 
 def middle(recording: Recording, model: Model, span: float) -> Recording:
-    """`recording` with the model's outputs known for `span` s in the middle of what is."""
+    """`recording` with the model's outputs known for `span` s in the middle of what is known."""
     there = [each for each in channels_of(model) if each in recording.values]
     known = np.all([np.isfinite(recording[each]) for each in there], axis=0)
     if len(there) < len(channels_of(model)) or not known.any():

@@ -1,7 +1,8 @@
-"""The effects that a model may lack: those of the catalogue that it can have and that its recordings can tell.
+"""The effects that a model may lack: those of the catalogue that it can have and for which its recordings are
+sufficient.
 
-An effect's amplitudes are zero where it is absent; its shape (a frequency, a width) is anything then. So each candidate
-comes as one or several variants, the same amplitudes at different shapes, to be scored side by side.
+An effect's amplitudes are zero if it is absent; its shape (a frequency, a width) is then undetermined. So each
+candidate comes as one or several variants, the same amplitudes at different shapes, to be scored side by side.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from models.sensing import learned
 from telemetry.recording import Recording
 
 MOST_VARIANTS = 24
-"""Of one effect."""
+"""Variants of one effect, at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """An effect as it would be in the model. `variants`: values of its shape parameters by name, at least one.
 
-    The last `picked` of them were picked by looking at the data, among `among` that could have been.
+    The last `picked` of them were picked from the data, among `among` possible ones.
     """
 
     attached: AttachedEffect
@@ -50,17 +51,18 @@ class Candidate:
 
     @property
     def shapes(self) -> tuple[str, ...]:
-        """Names in the model of the parameters that are no amplitude."""
+        """Names in the model of the parameters that are not amplitudes."""
         return tuple(p.name for p in self.attached.parameters if p.name not in self.amplitudes)
 
 
 def candidates_for(
     model: Model, recordings: Sequence[Recording], effects: Iterable[str | Effect] | None = None
 ) -> tuple[list[Candidate], dict[str, str]]:
-    """The candidates among `effects` (default: the catalogue), each at every place that can have it, and by name why
-    others are none.
+    """The candidates among `effects` (default: the catalogue), each at every place that can have it, and, by name, why
+    others are excluded.
 
-    Without recordings all that may set in later is one: a constant error is learned by a filter, but not at once.
+    Without recordings every effect that may set in later is a candidate: a filter learns a constant error, but not at
+    once.
     """
     there = {attached.name for attached in model.effects}
     found: list[Candidate] = []
@@ -86,7 +88,7 @@ def candidates_for(
                 left_out[name] = f"needs channel {', '.join(lacking)}, which is not recorded"
                 continue
             if recordings and any(s.name == place and learned(s, effect) for s in model.sensors):
-                left_out[name] = f"is there before the record begins, when the filter of {place} has learned it"
+                left_out[name] = f"the filter of {place} has learned it before the record begins"
                 continue
             attached = with_it.effects[-1]
             found.append(Candidate(attached, _variants(model, attached)))
@@ -102,9 +104,9 @@ def candidate_of(model: Model, attached: AttachedEffect) -> Candidate:
 
 
 def at_frequencies(candidates: Sequence[Candidate], frequencies: Sequence[float], among: int) -> list[Candidate]:
-    """`candidates`, those that have a frequency (Hz) as their shape with further variants at `frequencies`.
+    """`candidates`, those whose shape is a frequency (Hz) with further variants at `frequencies`.
 
-    `among` is how many they were picked from.
+    `among` is the number from which these were picked.
     """
     found = []
     for each in candidates:
@@ -124,7 +126,7 @@ def _variants(model: Model, attached: AttachedEffect) -> tuple[Mapping[str, floa
     names = [p.name for p in attached.effect.parameters if not p.amplitude]
     values = [starts(model, attached, name) for name in names]
     first = tuple(each[0] for each in values)
-    # All combinations where these are few, else one parameter moved at a time.
+    # All combinations if these are few, else one parameter is varied at a time.
     combinations: list[tuple[float, ...]] = list(product(*values))
     if len(combinations) > MOST_VARIANTS:
         combinations = [first]

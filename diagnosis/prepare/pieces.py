@@ -1,4 +1,4 @@
-"""Pieces of a recording's time, and a recording without what was measured in some of them."""
+"""Pieces of a recording's time, and a recording with the measurements in some of them hidden."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Pieces = tuple[tuple[float, float], ...]
 
 
 def inside(time: NDArray[np.float64], pieces: Pieces) -> NDArray[np.bool_]:
-    """Which of the rows at `time` (n,) are in `pieces`."""
+    """Which of the samples at `time` (n,) are in `pieces`."""
     return np.asarray(np.any([(time >= begin) & (time < end) for begin, end in pieces], axis=0))
 
 
@@ -25,7 +25,7 @@ def hidden(model: Model, recording: Recording, pieces: Pieces) -> Recording:
 
 
 def only(model: Model, recording: Recording, kept: NDArray[np.bool_]) -> Recording:
-    """`recording` with the outputs of `model` known where `kept` (n,) alone: time goes on counting from its first row,
-    as effects that depend on it ask for."""
+    """`recording` with the outputs of `model` known only at the samples `kept` (n,): its time still starts at its first
+    sample, as effects that depend on it require."""
     values = {each.name: np.where(kept, recording[each.name], np.nan) for each in model.outputs}
     return replace(recording, values={**recording.values, **values})

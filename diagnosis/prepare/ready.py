@@ -1,4 +1,4 @@
-"""What a model is given before it meets recordings: what no recording lacks, whoever wrote the model."""
+"""Completes a model before it is fitted to recordings: with what every recording has, whoever wrote the model."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from telemetry.recording import Recording
 
 
 def ready(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with the sensors that `recordings` show, a disturbance at its joints, and inputs whose time is not known
-    exactly."""
+    """`model` with the sensors that `recordings` show, a disturbance at its joints, and inputs with an unknown time
+    offset."""
     return timed(disturbed(as_recorded(model, recordings), recordings), recordings)
 
 
 def unready(model: Model, fitted: Model) -> Model:
-    """`fitted`, which came of what `ready` made of `model`, without what is the recordings' and not the machine's."""
+    """`fitted`, which derives from what `ready` made of `model`, without the parts that belong to the recordings and
+    not to the machine."""
     return untimed(model, undisturbed(model, without_input_noise(model, fitted)))

@@ -1,9 +1,10 @@
-"""A model whose inputs are on time to the instant is given an offset: no recording is known that well.
+"""Adds a time offset to a model whose inputs are exactly on time: no recording is known that well.
 
-Half a sample between a command as it was held and the row that it was written to makes an error as large as what a
-small effect does: on a table without noise to speak of, a twentieth of one looks like a spring. So where a model says
-nothing of its inputs' time, they may be off by half a step of the rows. What is later than that is an effect, a delay.
-None is early, though: a table whose readings are of the row after their command is off by a whole step.
+Half a sample between a command as it was held and the sample to which it was written makes an error as large as a small
+effect: on a table with practically no noise, a twentieth of a sampling step looks like a spring. So if a model states
+nothing about its inputs' time, they may be off by half a sampling step. A larger delay is an effect. Inputs never act
+early, but a table may make them seem so: if its readings belong to the sample after their command, it is off by a whole
+step.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from telemetry.recording import Recording
 
 OFFSET = "input_offset"
 EARLIEST, LATEST = -1.5, 0.5
-"""Steps of the rows by which the inputs act after what their rows say."""
+"""Sampling steps by which the inputs act later than their time stamps."""
 
 
 def timed(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with one offset (s) of all its inputs, of the order of half a step of the rows of `recordings`, to be
-    estimated. One that has a delay already, or a parameter of that name, is as it was."""
+    """`model` with one offset (s) of all its inputs, of the order of half a sampling step of `recordings`, to be
+    estimated. A model that already has a delay, or a parameter of that name, is unchanged."""
     steps = [float(np.median(np.diff(each.timestamp_ns))) * 1e-9 for each in recordings if len(each.timestamp_ns) > 1]
-    told = any(each.delays or each.age for each in model.inputs) or any(each.effect.delay for each in model.effects)
-    if told or OFFSET in model.values or not model.inputs or not steps:
+    known = any(each.delays or each.age for each in model.inputs) or any(each.effect.delay for each in model.effects)
+    if known or OFFSET in model.values or not model.inputs or not steps:
         return model
     step = max(steps)
     offset = Parameter(
@@ -39,7 +40,7 @@ def timed(model: Model, recordings: Sequence[Recording]) -> Model:
         scale=step / math.sqrt(12.0),
         lower=EARLIEST * step,
         upper=LATEST * step,
-        meaning="by which the inputs act later than their rows say",
+        meaning="by which the inputs act later than their time stamps",
     )
     return replace(
         model,
@@ -49,8 +50,8 @@ def timed(model: Model, recordings: Sequence[Recording]) -> Model:
 
 
 def untimed(model: Model, fitted: Model) -> Model:
-    """`fitted`, which came of what `timed` made of `model`, without the offset, which is the recordings' and not
-    the machine's, and with the parameters estimated that `model` says."""
+    """`fitted`, which derives from what `timed` made of `model`, without the offset, which belongs to the recordings
+    and not to the machine, and with those parameters estimated that `model` states."""
     own = {each.name: each for each in model.base_parameters}
     return replace(
         fitted,

@@ -1,8 +1,9 @@
-"""Can these recordings tell effects apart at all? What cannot is refused here, in words, before any number looks valid.
+"""Can these recordings distinguish effects at all? If not, they are refused here, in words, before any number looks
+valid.
 
-A channel that is missing, stuck, clipped or in degrees is refused by estimators.data.segments. Here it is about what
-moved: too short a record holds too few of the slow motions, and a motion at a single frequency makes dry, viscous and
-quadratic friction one and the same (the correlation of sgn v with v is 0.90, that of v |v| with v 0.98).
+A channel that is missing, stuck, clipped or in degrees is refused by estimators.data.segments. Here it is about the
+motion: too short a record contains too few of the slow motions, and in a motion at a single frequency dry, viscous and
+quadratic friction are indistinguishable (the correlation of sgn v with v is 0.90, that of v |v| with v 0.98).
 """
 
 from __future__ import annotations
@@ -25,34 +26,35 @@ Array = NDArray[np.float64]
 
 SHORTEST = 20.0
 """Times the time scale of the model (estimators.data.time_scale) of free motion in all recordings together, at least: 8
-s of the MONOCAB. What takes as long has not been seen often enough to be told from another."""
+s of the MONOCAB. In less, a slow motion has not been observed often enough to distinguish effects."""
 MOTIONS = 94.0
-"""Motion times that are as good: those that a multisine of the MONOCAB has in 15 s. A record of 14.7 s with a thousand
-periods of a resonance is long."""
+"""Motion times that are sufficient instead: those that a multisine of the MONOCAB has in 15 s. A record of 14.7 s with
+a thousand periods of a resonance is long."""
 FEWEST = 500
-"""Rows of free motion, at least."""
+"""Samples of free motion, at least."""
 MOVING = 5.0
 """Times the noise of the joint's rate, both averaged over AVERAGE, above which the vehicle counts as moving."""
 AVERAGE = 0.25
-"""Of the time scale, in which a rate is much the same, whatever the sampling rate."""
+"""Share of the time scale over which a rate hardly changes, whatever the sampling rate."""
 WINDOW = 20
-"""Such averages in a window."""
+"""Number of such averages in a window."""
 ONE_LINE = 0.97
-"""Share of the motion's power in one line of its spectrum, harmonics counted in, above which it is a single sine."""
+"""Share of the motion's power in one spectral line, including its harmonics, above which it is a single sine."""
 LINE = 0.02
-"""Over the time scale, Hz, half width of a line; wider where the record is short."""
+"""Divided by the time scale, Hz, half width of a spectral line; wider in short records."""
 
 
 HELD = 2.0
-"""Rows for which a sensor shows a value to the last bit, on average, from which on it is slower than its rows."""
+"""Average number of samples for which a sensor shows the identical value, from which on it is slower than the
+sampling."""
 COARSE = 4.0
-"""Counts by which a value in steps usually moves, where it does; one that moves by fewer repeats of itself."""
+"""Counts by which a quantised value usually moves when it moves; one that moves by fewer repeats of itself."""
 BEYOND = 3.0
-"""Times the angle of its supports that no vehicle can be at: they carry it, whatever it weighs."""
+"""Ratio to the angle of the supports that no vehicle can reach: they carry it, whatever its weight."""
 
 
 def _in_radians(model: Model, recordings: Sequence[Recording], support: float | None) -> None:
-    """Raises DataError where the angle that the supports bound is far beyond them."""
+    """Raises DataError if the angle that the supports bound is far beyond them."""
     name = model.joints[0].coordinate if model.joints else ""
     for recording in recordings:
         if support is None or name not in recording.values:
@@ -62,17 +64,17 @@ def _in_radians(model: Model, recordings: Sequence[Recording], support: float | 
             raise DataError(
                 Status.BAD_DATA,
                 f"channel {name}",
-                f"goes up to {largest:.2g}, and its supports carry the vehicle at {support:.2g} rad",
+                f"goes up to {largest:.2g}, but the supports carry the vehicle at {support:.2g} rad",
                 remedy="convert degrees to rad, or correct the angle of the supports in the vehicle file.",
             )
 
 
 def check(model: Model, recordings: Sequence[Recording], support: float | None = None) -> None:
-    """Raises DataError where `recordings` cannot tell what `model` lacks."""
+    """Raises DataError if `recordings` are not sufficient to determine what `model` lacks."""
     try:
         _check(model, recordings, support)
     except DataError:
-        _in_radians(model, recordings, support)  # a better reason, where it is one
+        _in_radians(model, recordings, support)  # a better reason, if it applies
         raise
 
 
@@ -83,21 +85,21 @@ def _check(model: Model, recordings: Sequence[Recording], support: float | None)
             _not_held(output.name, [segment.measured[:, place] for segment in rows])
     span = sum(segment.duration for segment in rows)
     scale = time_scale(model, rows)
-    asked, size = needed(model, rows), sum(map(len, rows))
-    best = f"best a multisine of {2.0 * asked:.3g} s"
-    if span < asked:
+    required, size = needed(model, rows), sum(map(len, rows))
+    best = f"preferably a multisine of {2.0 * required:.3g} s"
+    if span < required:
         raise DataError(
             Status.TOO_FEW_SAMPLES,
             "recordings",
-            f"{span:.3g} s of free motion cannot tell effects apart",
-            remedy=f"record {asked:.3g} s or more, {best}.",
+            f"{span:.3g} s of free motion cannot distinguish effects",
+            remedy=f"record {required:.3g} s or more, {best}.",
         )
     if size < FEWEST:
         raise DataError(
             Status.TOO_FEW_SAMPLES,
             "recordings",
-            f"{size} rows of free motion cannot tell effects apart",
-            remedy=f"record {FEWEST} rows or more, at a higher rate or for longer.",
+            f"{size} samples of free motion cannot distinguish effects",
+            remedy=f"record {FEWEST} samples or more, at a higher rate or for longer.",
         )
     moving = {name for joint in model.joints for name in names_in(joint.rate)}
     measured = [place for place, each in enumerate(model.outputs) if each.name in moving]
@@ -105,14 +107,14 @@ def _check(model: Model, recordings: Sequence[Recording], support: float | None)
         return
     rates = [[(segment.measured[:, place], segment.time) for segment in rows] for place in measured]
     moved = max(sum(moving_time(rate, time, scale) for rate, time in each) for each in rates)
-    if moved < asked:
+    if moved < required:
         raise DataError(
             Status.TOO_LITTLE_EXCITATION,
             "recordings",
             f"the vehicle moves by more than {MOVING:g} times its sensor's noise for {moved:.3g} s only",
-            remedy=f"excite it for {asked:.3g} s or more, {best}.",
+            remedy=f"excite it for {required:.3g} s or more, {best}.",
         )
-    # What one rate does not tell, another may that moves otherwise: wheels coast where the body only swings.
+    # If one rate is a single sine, another one may not be: wheels coast while the body only swings.
     lines = [line_share(rate, time, scale) for each in rates for rate, time in each]
     frequencies = {round(0.5 * scale * frequency / LINE) for share, frequency in lines if share > ONE_LINE}
     if len(frequencies) == 1 and all(share > ONE_LINE for share, _ in lines):
@@ -120,41 +122,42 @@ def _check(model: Model, recordings: Sequence[Recording], support: float | None)
         raise DataError(
             Status.TOO_LITTLE_EXCITATION,
             "recordings",
-            f"the motion is a single sine of {frequency:.2g} Hz, under which most effects look alike",
+            f"the motion is a single sine of {frequency:.2g} Hz, in which most effects are indistinguishable",
             remedy="record a multisine or a sweep, or sines of several frequencies and amplitudes.",
         )
 
 
-def _not_held(name: str, stretches: Sequence[Array]) -> None:
-    """Raises DataError where channel `name` holds each of its values for several rows, as a camera's in faster rows.
+def _not_held(name: str, readings: Sequence[Array]) -> None:
+    """Raises DataError if channel `name` holds each of its values for several samples, like a camera sampled faster
+    than its frame rate.
 
-    What is held is late by up to a frame, and its error the same from row to row: neither a noise nor a lag.
+    A held value is late by up to a frame, and its error is identical from sample to sample: neither a noise nor a lag.
     """
-    moves = np.abs(np.concatenate([np.diff(each) for each in stretches]))
+    moves = np.abs(np.concatenate([np.diff(each) for each in readings]))
     moves = moves[np.isfinite(moves)]
     fresh = moves[moves > 0.0]
     if not len(fresh) or len(moves) < HELD * len(fresh):
         return
-    if float(np.median(fresh)) < COARSE * step_of(np.concatenate(stretches)):
+    if float(np.median(fresh)) < COARSE * step_of(np.concatenate(readings)):
         return
     raise DataError(
         Status.BAD_DATA,
         f"channel {name}",
-        f"holds each value for {len(moves) / len(fresh):.2g} rows: its sensor is slower than the rows",
-        remedy="record a row a frame of it, each when it was taken.",
+        f"holds each value for {len(moves) / len(fresh):.2g} samples: its sensor is slower than the sampling",
+        remedy="record one sample per frame of the sensor, at the time when it was taken.",
     )
 
 
 def needed(model: Model, rows: Sequence[Segment]) -> float:
-    """s of motion that `rows` have to have, by how fast `model` is and by how fast it moved."""
+    """s of motion that `rows` must have, given the time scales of `model` and of its motion."""
     moves = motion_time(model, rows)
-    asked = SHORTEST * time_scale(model, rows)
-    return asked if moves is None else min(asked, MOTIONS * moves)
+    required = SHORTEST * time_scale(model, rows)
+    return required if moves is None else min(required, MOTIONS * moves)
 
 
 def moving_time(signal: Array, time: Array, scale: float) -> float:
-    """s for which `signal` (n,) moves by more than its own white noise, of which fourth differences have 70 times the
-    variance. `scale` s is the time scale."""
+    """s for which `signal` (n,) moves by more than its own white noise. The variance of fourth differences is 70 times
+    that of the noise. `scale` s is the time scale."""
     known = np.where(np.isfinite(signal), signal, 0.0)
     spacing = float(np.median(np.diff(time)))
     rows, size = max(1, round(AVERAGE * scale / spacing)), WINDOW
@@ -163,13 +166,13 @@ def moving_time(signal: Array, time: Array, scale: float) -> float:
     noise = 1.4826 * float(np.median(np.abs(np.diff(known, 4)))) / np.sqrt(70.0 * rows)
     means = known[: len(known) // (size * rows) * size * rows].reshape(-1, size, rows).mean(axis=2)
     moves = np.std(means, axis=1) > MOVING * noise
-    # What swings faster than that is seen row by row.
+    # Faster oscillations show in the individual samples.
     moves |= np.std(known[: means.size * rows].reshape(len(means), -1), axis=1) > MOVING * noise * np.sqrt(rows)
     return float(np.sum(moves) * size * rows * spacing)
 
 
 def line_share(signal: Array, time: Array, scale: float) -> tuple[float, float]:
-    """The share of the signal's power at its strongest frequency and the harmonics of it, and that frequency, Hz."""
+    """The share of the signal's power at its strongest frequency and its harmonics, and that frequency, Hz."""
     known = np.where(np.isfinite(signal), signal, 0.0)
     window = np.hanning(len(known))
     power = np.abs(np.fft.rfft((known - np.mean(known)) * window)) ** 2
@@ -178,5 +181,5 @@ def line_share(signal: Array, time: Array, scale: float) -> tuple[float, float]:
     width = max(LINE / scale, 2.5 / (time[-1] - time[0]))
     harmonics = np.maximum(1.0, np.round(frequency / max(peak, frequency[1])))
     near = np.abs(frequency - harmonics * peak) <= width
-    # Of a broad spectrum the harmonics' windows would gather a share by chance: only a low line can be told.
+    # In a broad spectrum the windows of the harmonics would collect a share by chance: only a low line can be detected.
     return float(np.sum(power[near]) / max(np.sum(power), 1e-300)), peak

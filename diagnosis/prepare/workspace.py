@@ -1,6 +1,7 @@
-"""What all steps of a diagnosis share: the recordings' usable rows, and problems of models on exactly these.
+"""What all steps of a diagnosis share: the usable samples of the recordings, and problems of models on exactly these.
 
-Rows are chosen with every candidate attached, so that each model is judged on the same rows whatever channels it needs.
+Samples are chosen with every candidate attached, so that each model is judged on the same ones whatever channels it
+needs.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ from telemetry.recording import Recording
 Answer = TypeVar("Answer")
 
 SETTLING = 0.5
-"""Time scales (estimators.data.time_scale; 0.2 s of the MONOCAB) after which an actuator has forgotten what it was told
-before the first row."""
+"""Time scales (estimators.data.time_scale; 0.2 s of the MONOCAB) after which commands from before the first sample no
+longer affect an actuator."""
 EACH = 0.25
-"""Share of the time that is left which one fit may take: one effect whose equations are stiff must not keep the others
-from being tried."""
+"""Share of the remaining time that one fit may take: one effect with stiff equations must not keep the others from
+being tried."""
 
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """`left_out`: effects that are no candidate, and why; `failed`: candidates that no fit of ended, and why. All that
-    is fitted is within the `budget`; `untried` gathers in words what was left for want of time, `rounds` what was
-    decided about each effect; `memory` has what was worked out of these samples once."""
+    """`left_out`: effects that are not candidates, and why; `failed`: candidates whose fits all failed, and why. All
+    fits are within the `budget`; `untried` collects in words what was left for lack of time, `rounds` what was decided
+    about each effect; `memory` keeps results for these samples."""
 
     recordings: tuple[Recording, ...]
     support: float | None
@@ -62,7 +63,7 @@ class Workspace:
         support: float | None,
         effects: Sequence[str | Effect] | None = None,
     ) -> Workspace:
-        """Raises DataError where the recordings cannot be used."""
+        """Raises DataError if the recordings cannot be used."""
         found, left_out = candidates_for(model, recordings, effects)
         recordings = without_rests(model, recordings)
         rows = segments(attached(model, found), recordings, support=support)
@@ -72,12 +73,12 @@ class Workspace:
         return cls(tuple(recordings), support, tuple(rows), tuple(found), left_out)
 
     def problem(self, model: Model, progress: Progress | None = None) -> Problem:
-        """The fit of `model` to all rows."""
+        """The fit of `model` to all samples."""
         self.budget.check()
         return replace(problem(model, self.recordings, rows=self.segments, progress=progress), budget=self.budget)
 
     def within(self, share: float) -> Workspace:
-        """The same for work that may take a share of the time that is left."""
+        """The same for work that may take a share of the remaining time."""
         return replace(self, budget=self.budget.part(share))
 
     @property
@@ -86,8 +87,8 @@ class Workspace:
         return self.within(EACH)
 
     def in_time(self, work: Callable[[], Answer | None], what: str, failed: bool = False) -> Answer | None:
-        """What `work` gives; None where it fails, or the time is over, and then `what` is left untried. Whether it has
-        `failed` is noted, too, where it is the fit of a candidate."""
+        """The result of `work`; None if it fails, or if time runs out, and then `what` is left untried. If it is the
+        fit of a candidate (`failed`), its failure is recorded, too."""
         try:
             return tried(work, what, self.failed if failed else None)
         except OutOfTime:
@@ -95,18 +96,18 @@ class Workspace:
             return None
 
     def leave(self, what: str) -> None:
-        """Note what is left untried."""
+        """Record that `what` is left untried."""
         if what not in self.untried:
             self.untried.append(what)
 
     @property
-    def unhurried(self) -> Workspace:
-        """The same for what has to be done, however long it takes."""
+    def unlimited(self) -> Workspace:
+        """The same for work that has to be done, however long it takes."""
         return replace(self, budget=UNLIMITED)
 
     @property
     def owners(self) -> tuple[int, ...]:
-        """Of which of the recordings each segment is: within one of them time goes on."""
+        """The index of the recording of each segment: time continues within a recording."""
         places: list[int] = []
         place, before = 0, -math.inf
         for segment in self.segments:
@@ -123,7 +124,8 @@ class Workspace:
 
 
 def _settled(segment: Segment, settling: float) -> Segment:
-    """Without what an actuator did in its first `settling` s: a command that acts later was given before them."""
+    """Without the outputs of an actuator in its first `settling` s: commands that act then may have been given
+    before."""
     measured = segment.measured.copy()
     measured[1:][segment.time[1:] - segment.time[0] < settling] = np.nan
     return replace(segment, measured=measured)

@@ -1,14 +1,14 @@
-"""Where in a recording something may have set in: the instants at which a step would explain most.
+"""Change points of a recording: the times at which a step in an effect would explain most.
 
-The response of a predictor to a step does not depend on when the step comes but for its delay. So one pass, with the
-step there from the beginning, serves for all instants: shifted by whole rows it is what a later step would do (the
-generalised likelihood ratio: Willsky and Jones, IEEE Trans. Automatic Control 21, 1976), and its products with
-innovations and nuisances at all shifts are correlations. The score test then looks at the best of them as at any other
-shape.
+The response of a predictor to a step does not depend on the time of the step, except for the delay. So one pass, with
+the step present from the beginning, serves for all change points: shifted by whole samples it is the response to a
+later step (the generalised likelihood ratio: Willsky and Jones, IEEE Trans. Automatic Control 21, 1976), and its
+products with innovations and nuisances at all shifts are correlations. The score test then treats the best of them like
+any other shape.
 
-What sets in takes as long as is usual, or is as sharp as the effect can be. A predictor that knows a random force at
-the joint (models.random.disturbance) follows a step within a few rows: only these show it, and a slow step that is
-tried at another instant than theirs explains next to nothing of a sudden one.
+A step rises in the usual time, or as sharply as the effect allows. A predictor that models a random force at the joint
+(models.random.disturbance) follows a step within a few samples: only these show it, and a slow step that is tried at
+any other time explains next to nothing of a sudden one.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ from models.effect import Role
 Array = NDArray[np.float64]
 
 SPACING = 0.25
-"""Time scales (estimators.data.time_scale) between instants that are tried, 0.1 s of the MONOCAB: a step that takes
-three times as long is told to less. What is sharper is tried as much more densely."""
+"""Time scales (estimators.data.time_scale) between change points that are tried, 0.1 s of the MONOCAB: a step that
+takes three times as long is located more accurately than that. Sharper steps are tried on a proportionally finer
+grid."""
 APART = 2.5
-"""Time scales between instants that are looked at."""
+"""Time scales between the change points that are kept."""
 MOST = 2
-"""Of these, of each rise."""
+"""Number of change points that are kept for each rise time."""
 LEAST = 1e-9
-"""Share of a step's information that has to be left beside the nuisances."""
+"""Share of a step's information that has to remain beside the nuisances."""
 
 
 def at_instants(candidate: Candidate, innovations: Whitened, full: Problem) -> Candidate:
-    """`candidate` with further variants at the instants that explain most, if it sets in at an instant at all.
+    """`candidate` with further variants at the change points that explain most, if it sets in at an instant at all.
 
-    `full` is the problem of the model with it. Only the first of its amplitudes is looked at, and only instants within
-    the longest stretch. The variants of the usual rise come first, then those of the shortest.
+    `full` is the problem of the model with the candidate. Only the first of its amplitudes is used, and only change
+    points within the longest segment. The variants with the usual rise come first, then those with the shortest.
     """
     instants = candidate.attached.of_role(Role.INSTANT)
     if not instants:
@@ -56,34 +57,35 @@ def at_instants(candidate: Candidate, innovations: Whitened, full: Problem) -> C
     among = 0
     for shape, sharper in _rises(candidate):
         before = {**shape, name: min(0.0, first) - APART * scale}
-        stretches = [moved[:, 0] for moved in innovations.moved(full, candidate.amplitudes[:1], before)]
+        responses = [moved[:, 0] for moved in innovations.moved(full, candidate.amplitudes[:1], before)]
         rows = max(1, round(SPACING * scale / sharper / float(np.median(np.diff(time)))))
         shifts = np.arange(rows, len(time), rows)
-        gains = _gains(innovations, full, stretches, longest)[shifts]
+        gains = _gains(innovations, full, responses, longest)[shifts]
         more += [{**shape, name: each} for each in _peaks(time[shifts].tolist(), gains.tolist(), APART * scale)]
         among += len(shifts)
     return replace(candidate, variants=(*candidate.variants, *more), picked=len(more), among=max(1, among))
 
 
 def _rises(candidate: Candidate) -> list[tuple[Mapping[str, float], float]]:
-    """The usual shape of `candidate`, and where it has a shortest rise the one with that; how many times sharper."""
+    """The usual shape of `candidate`, and the one with the shortest rise, if it has one; how many times sharper each
+    is."""
     usual, durations = candidate.variants[0], candidate.attached.of_role(Role.DURATION)
     lower = {each.name: each.lower for each in candidate.attached.parameters if each.name in durations}
     shorter = [(name, least) for name, least in lower.items() if 0.0 < least < usual[name]]
     return [(usual, 1.0), *(({**usual, name: least}, usual[name] / least) for name, least in shorter)]
 
 
-def _gains(innovations: Whitened, full: Problem, stretches: Sequence[Array], which: int) -> Array:
-    """How much a step from each row of stretch `which` on would explain, (rows,): the statistic of its score.
+def _gains(innovations: Whitened, full: Problem, responses: Sequence[Array], which: int) -> Array:
+    """How much a step from each sample of segment `which` on would explain, (rows,): the statistic of its score.
 
-    `stretches`: what a step there from the beginning on does. A later stretch has it whole, an earlier one not at all.
+    `responses`: those to a step that is present from the beginning. A later segment has all of it, an earlier one none.
     """
     outputs = len(full.kernel.outputs)
     score = square = np.zeros(1)
     known = 0.0
     along = np.zeros((1, innovations.nuisance.shape[1]))
     place = 0
-    for number, (moved, basis) in enumerate(zip(stretches, innovations.starts, strict=True)):
+    for number, (moved, basis) in enumerate(zip(responses, innovations.starts, strict=True)):
         part = slice(place, place + len(moved))
         place += len(moved)
         if number < which:
@@ -105,7 +107,8 @@ def _gains(innovations: Whitened, full: Problem, stretches: Sequence[Array], whi
 
 
 def _shifted(response: Array, others: Array) -> Array:
-    """The products of `response` (rows, ny), begun at each row, with each of `others` (rows, ny, m), (rows, m)."""
+    """The products of `response` (rows, ny), shifted to begin at each sample, with each of `others` (rows, ny, m),
+    (rows, m)."""
     rows = len(response)
     found = [
         sum(correlate(others[:, output, each], response[:, output])[rows - 1 :] for output in range(response.shape[1]))
@@ -115,7 +118,7 @@ def _shifted(response: Array, others: Array) -> Array:
 
 
 def _peaks(instants: Sequence[float], gains: Sequence[float], apart: float) -> list[float]:
-    """The MOST instants that explain most, `apart` s or more from each other."""
+    """The MOST change points that explain most, `apart` s or more from each other."""
     found: list[float] = []
     for place in np.argsort(gains)[::-1]:
         if all(abs(instants[place] - other) >= apart for other in found):

@@ -1,16 +1,17 @@
-"""The score test of every candidate effect at once: would a little of it make the innovations smaller?
+"""The score test of every candidate effect at once: would a small amount of it reduce the innovations?
 
 All candidates are attached to the model with amplitude zero. One pass of the compiled model gives the derivative of
-each whitened innovation by every amplitude, C, and by all that is fitted anyway, N: parameters, noise, initial states,
-and what is held but not exactly known, each with its prior. With N projected out of C and of the innovations z,
+each whitened innovation with respect to every amplitude, C, and to all that is fitted anyway, N: parameters, noise,
+initial states, and what is held but not exactly known, each with its prior. With N projected out of C and of the
+innovations z,
 
-    score s = C'z,   information F = C'C,   size F^-1 s,   statistic T = s' F^-1 s ~ chi squared
+    score s = C'z,   information F = C'C,   amplitude F^-1 s,   statistic T = s' F^-1 s ~ chi squared
 
-says what the linearised model makes of each candidate, without a fit. Further passes at other shapes (frequencies,
-widths) look for effects that one shape alone would miss. Scores of all candidates and shapes are drawn together from
-their joint distribution under "nothing is missing", so `p_value` is right for having looked at all of them.
-Innovations that are not quite white make scores scatter more than F says; blocks of the record tell by how much
-(`inflation`), from what is left when the candidate itself is taken out.
+gives the estimate of each candidate in the linearised model, without a fit. Further passes at other shapes
+(frequencies, widths) look for effects that one shape alone would miss. Scores of all candidates and shapes are drawn
+together from their joint distribution under "nothing is missing", so `p_value` is corrected for having tried all of
+them. Innovations that are not quite white make scores scatter more than F predicts; blocks of the record show by how
+much (`inflation`), from the residual after the candidate itself is removed.
 Sources: Rao's score test; Westfall and Young, "Resampling-based multiple testing" (1993), for the smallest p-value.
 """
 
@@ -37,19 +38,19 @@ Array = NDArray[np.float64]
 _Pass = tuple[Problem, int, list[Candidate]]
 
 DETECTABLE = float(norm.isf(0.01) + norm.isf(0.01))
-"""Standard errors of a size that is found with 99 % probability at 1 % false alarms."""
+"""Standard errors of an amplitude that is found with 99 % probability at 1 % false alarms."""
 DRAWS = 4000
 LEAST = 1e-12
-"""Share of a candidate's own information that has to be left when the rest is projected out."""
+"""Share of a candidate's own information that has to remain after the rest is projected out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What the score test says of one candidate, at the best of its shapes.
+    """Result of the score test for one candidate, at the best of its shapes.
 
-    `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: by how much the log likelihood would rise.
-    `detectable`: the least size of the first amplitude that this record would show at the effect's usual shape, beyond
-    others that do a part of it. `starts`: sizes and shape of all variants, the best first.
+    `sizes` and `standard_errors` by amplitude; `shape` by parameter. `gain`: rise of the log-likelihood in the
+    linearised model. `detectable`: the minimum detectable first amplitude in this record at the effect's usual shape,
+    beyond others that do a part of it. `starts`: amplitudes and shape of all variants, the best first.
     """
 
     candidate: Candidate
@@ -70,8 +71,8 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two candidates at once, each of which may take away what shows of the other. `p_value` with all pairs looked at,
-    a bound; `starts`: sizes and shape of each."""
+    """Two candidates at once, each of which may hide the other. `p_value` corrected for all pairs, an upper bound;
+    `starts`: amplitudes and shape of each."""
 
     candidates: tuple[Candidate, Candidate]
     p_value: float
@@ -80,8 +81,8 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class ScoreTest:
-    """`scores` in order, the surest first; `bases` of what each does to the innovations, orthonormal, by name; `pairs`
-    whose sizes physics allows, the surest first."""
+    """`scores` in order, the most significant first; `bases` of what each does to the innovations, orthonormal, by
+    name; `pairs` whose amplitudes are physically possible, the most significant first."""
 
     scores: tuple[Score, ...]
     bases: Mapping[str, Array]
@@ -102,10 +103,10 @@ def score_test(
     candidates: Sequence[Candidate],
     failed: MutableMapping[str, str] | None = None,
 ) -> ScoreTest:
-    """Every one of `candidates`. `attach` makes the problem of the model with some of them, on the same rows.
+    """The score test of `candidates`. `attach` makes the problem of the model with some of them, on the same samples.
 
-    A candidate under which the model runs away at every step size is left out, and so is one that cannot be scored:
-    `failed` says why. One that makes a pass of many fail is looked for there alone.
+    A candidate with which the model diverges at every step size is left out, and so is one that cannot be scored:
+    `failed` gives the reason. The candidates of a pass that fails are tried one by one.
     """
     failed = {} if failed is None else failed
     passes: list[_Pass] = []
@@ -136,9 +137,9 @@ def score_test(
             place += len(each.amplitudes)
             if np.all(np.isfinite(found)):
                 parts.append((each, number, found))
-    told = {each.name for each, _, _ in parts}
-    silent = [each.name for each in candidates if each.name not in {*told, *failed}]
-    failed.update(dict.fromkeys(silent, "its derivatives are not finite"))
+    scored = {each.name for each, _, _ in parts}
+    unscored = [each.name for each in candidates if each.name not in {*scored, *failed}]
+    failed.update(dict.fromkeys(unscored, "its derivatives are not finite"))
     if not parts:
         return ScoreTest((), {})
     columns = np.column_stack([part for _, _, part in parts])
@@ -148,21 +149,22 @@ def score_test(
 def _passes(
     group: Sequence[Candidate], innovations: Whitened, attach: Callable[[Sequence[Candidate]], Problem]
 ) -> list[_Pass]:
-    """Each of the shapes of `group`, all of them side by side. Raises ArithmeticError where the model with all of them,
-    absent as they are, runs away: then one of them has no value there."""
+    """The passes of `group`, one for each variant number, with all its candidates side by side. Raises ArithmeticError
+    if the model with all of them, at amplitude zero, diverges: then one of them has no value there."""
     full = attach(group)
     if len(group) > 1:
         with np.errstate(all="ignore"):
             first = innovations.directions(full, group[0].amplitudes[:1], {})
         if not np.all(np.isfinite(first)):
-            raise ArithmeticError("the model runs away with one of these")
+            raise ArithmeticError("the model diverges with one of these")
     group = [at_instants(each, innovations, full) for each in group]
     most = max(len(candidate.variants) for candidate in group)
     return [(full, number, [each for each in group if number < len(each.variants)]) for number in range(most)]
 
 
 def _groups(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-    """What goes through one pass: all without memory together; those with states of their own may need finer steps."""
+    """Candidates that go through one pass: all without memory together; those with states of their own may need finer
+    steps."""
     plain = [candidate for candidate in candidates if not candidate.attached.states]
     if plain:
         yield plain
@@ -171,7 +173,8 @@ def _groups(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """One candidate at one shape; `where` its columns are; `square` their information; `drawn` (d,) by chance."""
+    """One candidate at one shape; `where` its columns are; `square` their information; `drawn` (d,) statistics by
+    chance."""
 
     candidate: Candidate
     number: int
@@ -198,7 +201,7 @@ class _Entry:
 
 def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, columns: Array) -> ScoreTest:
     residual, blocks = innovations.residual, innovations.blocks
-    # Priors scatter as much as they say: only innovations have to show how much they do.
+    # Priors scatter as stated: only the scatter of the innovations has to be estimated.
     known = columns.copy()
     known[: len(columns) - innovations.priors] = 0.0
     original = np.concatenate([np.sum(part**2, axis=0) for _, _, part in parts])
@@ -229,7 +232,7 @@ def _rank(parts: Sequence[tuple[Candidate, int, Array]], innovations: Whitened, 
 
 
 def _draws(information: Array, left: NDArray[np.bool_]) -> Array:
-    """Scores as they would be with nothing missing, (DRAWS, m)."""
+    """Scores as they would be if nothing were missing, (DRAWS, m)."""
     size = np.sqrt(np.where(left, np.diag(information), 1.0))
     values, vectors = np.linalg.eigh(np.where(np.outer(left, left), information, 0.0) / np.outer(size, size))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -237,7 +240,7 @@ def _draws(information: Array, left: NDArray[np.bool_]) -> Array:
 
 
 def _signed_sizes(candidate: Candidate, square: Array, score: Array) -> Array:
-    """The sizes (k,) that explain most of `score` (k,), none of a sign that physics forbids."""
+    """The amplitudes (k,) that explain most of `score` (k,), none of a sign that is physically impossible."""
     return np.asarray(_best_allowed(candidate, square, score[None])[0][0])
 
 
@@ -247,7 +250,7 @@ def _statistics(candidate: Candidate, square: Array, scores: Array) -> Array:
 
 
 def _best_allowed(candidate: Candidate, square: Array, scores: Array) -> tuple[Array, Array]:
-    """Sizes (d, k) and statistics (d,): the best over all sets of amplitudes of which the others are zero."""
+    """Amplitudes (d, k) and statistics (d,): the best over all subsets of amplitudes, the others being zero."""
     lower, upper = _bounds(candidate)
     count, width = scores.shape
     best, most = np.zeros((count, width)), np.zeros(count)
@@ -268,10 +271,11 @@ def _bounds(candidate: Candidate) -> tuple[Array, Array]:
 
 
 def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array) -> float:
-    """The least size of the first amplitude at the usual shape, and of what sets in at an instant, at the best of them.
+    """The minimum detectable first amplitude at the usual shape, and of an effect that sets in, at the best change
+    point.
 
-    A step that shows no more than a constant torque does is none. Beyond others, of which the one that does most of it
-    counts, by what the first amplitude does alone: all of them together may do all that another does.
+    A step that shows no more than a constant torque does not count. Beyond others: the one that does most of it counts,
+    by what the first amplitude does alone, since all others together may do all that this effect does.
     """
     candidate = entries[0].candidate
     instants = candidate.attached.of_role(Role.INSTANT)
@@ -281,8 +285,8 @@ def _detectable(entries: Sequence[_Entry], by_name: Mapping[str, Sequence[_Entry
     variances = []
     for each in usual:
         own = each.where[:1] if beyond else each.where
-        told_from = [np.concatenate((own, other)) for other in others] or [own]
-        variance = max(_variances(information[np.ix_(where, where)])[0] for where in told_from)
+        together = [np.concatenate((own, other)) for other in others] or [own]
+        variance = max(_variances(information[np.ix_(where, where)])[0] for where in together)
         variances.append(each.inflation * variance)
     return DETECTABLE * float(np.sqrt(min(variances)))
 
@@ -301,7 +305,7 @@ def _score_test(by_name: Mapping[str, Sequence[_Entry]], columns: Array, informa
     for name, entry in best.items():
         errors = np.sqrt(entry.inflation * _variances(entry.square))
         among = float(np.searchsorted(smallest, single[name], side="right") + 1.0) / (len(smallest) + 1.0)
-        # Beyond what draws can tell: the bound of Bonferroni.
+        # Beyond the resolution of the draws: the bound of Bonferroni.
         p_value = among if single[name] > 2.0 / DRAWS else min(among, len(by_name) * single[name])
         scores.append(
             Score(
@@ -325,7 +329,8 @@ def _score_test(by_name: Mapping[str, Sequence[_Entry]], columns: Array, informa
 def _pairs(
     best: Mapping[str, _Entry], by_name: Mapping[str, Sequence[_Entry]], information: Array, score: Array
 ) -> tuple[Pair, ...]:
-    """What two candidates, each at the best of its shapes, explain together; those that would count, by Bonferroni."""
+    """What two candidates, each at the best of its shapes, explain together; only those that may be significant, by
+    Bonferroni."""
     found = []
     together = list(combinations(best.values(), 2))
     for one, other in together:
@@ -344,7 +349,7 @@ def _pairs(
 
 
 def _tries(entry: _Entry, by_name: Mapping[str, Sequence[_Entry]]) -> int:
-    """Among how many shapes this one was picked."""
+    """Number of shapes among which this one was chosen."""
     return len(by_name[entry.candidate.name]) * (entry.candidate.among if entry.picked else 1)
 
 
@@ -354,7 +359,7 @@ def _allowed(candidate: Candidate, sizes: Array) -> bool:
 
 
 def _inverse(square: Array) -> Array:
-    """Of an information (k, k); what is not informed at all is left at zero."""
+    """Inverse of an information (k, k); directions without information are left at zero."""
     scale = np.sqrt(np.diag(square))
     return np.asarray(
         np.linalg.pinv(square / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale)
@@ -362,29 +367,31 @@ def _inverse(square: Array) -> Array:
 
 
 def _variances(square: Array) -> Array:
-    """Of sizes whose information is `square` (k, k), (k,); large where it is all but singular."""
+    """Variances (k,) of amplitudes whose information is `square` (k, k); large if it is nearly singular."""
     scale = np.sqrt(np.diag(square))
     values, vectors = np.linalg.eigh(square / np.outer(scale, scale))
     return np.asarray(np.sum(vectors**2 / np.maximum(values, 1e-9), axis=1) / scale**2)
 
 
 def _p_single(entries: Sequence[_Entry], largest: Array) -> float:
-    """The p-value of one candidate with all its shapes looked at, those picked from the data at their price."""
+    """The p-value of one candidate, corrected for all its shapes, including those picked from the data."""
     found = []
     for picked in (False, True):
         of_kind = [each for each in entries if each.picked is picked]
         if of_kind:
             best = max(of_kind, key=lambda each: each.statistic)
-            # What was picked among many has the price of these; the others' tries are in their own distribution.
-            told = (
+            # A picked shape is corrected for the number it was picked from; the distribution of the others contains
+            # their tries.
+            tail = (
                 chi2.sf(best.statistic, len(best.where)) if picked else _tail(largest, best.statistic, len(best.where))
             )
-            found.append(min(1.0, (best.candidate.among if picked else 1) * float(told)))
+            found.append(min(1.0, (best.candidate.among if picked else 1) * float(tail)))
     return min(1.0, min(found) * len(found))
 
 
 def _tail(drawn: Array, statistic: float, degrees: int) -> float:
-    """The share of `drawn` above `statistic`; beyond them chi squared, with as many tries as the draws tell of."""
+    """The share of `drawn` above `statistic`; beyond them chi squared, with the number of tries that the draws
+    indicate."""
     above = int(np.count_nonzero(drawn >= statistic))
     if above >= 10:
         return above / len(drawn)

@@ -1,8 +1,9 @@
-"""The innovations of a fit, made white, and what parameters, noise and effects would do to them.
+"""The whitened innovations of a fit, and their response to parameters, noise and effects.
 
-With weights W (ny, ny), W' W the inverse of their covariance, z = W e is white where the model is right. Derivatives
-of z by all that is fitted anyway are its nuisances; what is left of an effect's derivative beside them is all that the
-record can tell of it. Source: Ljung, "System identification", 2nd ed., sections 7.4 and 16.4.
+With weights W (ny, ny), W' W the inverse of their covariance, z = W e is white if the model is right. The derivatives
+of z with respect to all that is fitted anyway are its nuisances; only the part of an effect's derivative that is
+orthogonal to them can be determined from the record. Source: Ljung, "System identification", 2nd ed., sections 7.4 and
+16.4.
 """
 
 from __future__ import annotations
@@ -24,21 +25,22 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 BLOCK = 1.25
-"""Time scales (estimators.data.time_scale) in which innovations that are not white are taken as one: 0.5 s of the
+"""Time scales (estimators.data.time_scale) over which innovations that are not white are grouped: 0.5 s of the
 MONOCAB."""
 FINEST = 32
-"""Steps a row, at most."""
+"""Steps per sample, at most."""
 SAME = 3e-7
-"""Share of the largest singular value below which a direction is rounding."""
+"""Share of the largest singular value below which a direction is a rounding error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
-    """The whitened innovations of a fit, and what its nuisances would do to them.
+    """The whitened innovations of a fit, and their response to the nuisances.
 
-    `residual` (n + k,), all nuisances projected out, the last `priors` = k rows of it how far these are off their
-    priors; `blocks` (n + k,) numbers the blocks of time, and each of the last rows; `starts`, by stretch, an
-    orthonormal basis of what its initial state does; `nuisance` (n + k, p), one of what the nuisances do beside that.
+    `residual` (n + k,), all nuisances projected out, its last `priors` = k rows the deviations of these from their
+    priors; `blocks` (n + k,) numbers the blocks of time, and each of the last rows; `starts`, by segment, an
+    orthonormal basis of the response to its initial state; `nuisance` (n + k, p), a basis of the response to the
+    nuisances beyond that.
     """
 
     fit: Fit
@@ -50,7 +52,7 @@ class Whitened:
 
     @classmethod
     def of(cls, fitted: Fit) -> Whitened:
-        """Raises ArithmeticError where the fit ended at the edge of what the model can do."""
+        """Raises ArithmeticError if the fit ended where the model diverges."""
         task, noise = fitted.problem, NoiseModel.of(fitted.problem)
         held, size = task.uncertain, len(task.free)
         typical = np.array([task.model.parameters[place].typical for place in (*task.free, *held)])
@@ -64,7 +66,7 @@ class Whitened:
             also=held,
         )
         if slopes is None or blocks is None:
-            raise ArithmeticError("the model runs away where its own fit ended")
+            raise ArithmeticError("the model diverges where its own fit ended")
         bases = [np.linalg.qr(block.own)[0] for block in blocks]
         columns = np.concatenate([less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
         residual = np.concatenate([less(block.residual, basis) for block, basis in zip(blocks, bases, strict=True)])
@@ -77,22 +79,24 @@ class Whitened:
         off = np.zeros(columns.shape[1])
         off[:size] = fitted.minimum.common[:size] - task.start
         off[known:] = fitted.minimum.common[size:]
-        # What the data pull off its prior pulls back: an effect that does the same has that to gain.
+        # A parameter that the data pull away from its prior costs likelihood, which an effect doing the same can
+        # recover.
         residual = project(np.concatenate((residual, prior * off))[:, None], nuisance)[:, 0]
         numbers = _blocks(task, blocks)
         numbers = np.concatenate((numbers, numbers[-1] + 1 + np.arange(len(prior))))
         return cls(fitted, residual, numbers, tuple(bases), nuisance, len(prior))
 
     def directions(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> Array:
-        """What a unit of each of `amplitudes` in the vehicle does to the innovations, (n, m), nuisances still in it.
+        """Response of the innovations to a unit of each of `amplitudes`, (n, m), with the nuisances still in it.
 
-        `full` is the problem of the model with the effects, on the same rows.
+        `full` is the problem of the model with the effects, on the same samples.
         """
         moved = self.moved(full, amplitudes, shape)
         return np.concatenate([less(rows, basis) for rows, basis in zip(moved, self.starts, strict=True)])
 
     def moved(self, full: Problem, amplitudes: Sequence[str], shape: Mapping[str, float]) -> list[Array]:
-        """The same by stretch, with what its initial state could do; row after row, and what a start may be off."""
+        """The same by segment, including what the initial state can explain; one sample after the other, then the
+        deviations of the initial state."""
         task = self.fit.problem
         known = dict(zip(task.kernel.parameters, self.fit.values.tolist(), strict=True))
         neutral = {p.name: p.value for p in full.model.parameters if p.name not in known} | dict.fromkeys(
@@ -107,7 +111,7 @@ class Whitened:
             full.segments, self.fit.starts, full.initials, self.starts, strict=True
         ):
             initial = np.concatenate((start, further[len(start) :]))
-            # A state that is fast only where the vehicle moves fast does not show in the poles at rest.
+            # A state that is fast only when the vehicle moves fast does not show in the poles at rest.
             substeps = max(full.substeps, task.substeps)
             passed = partial(full.kernel.run, segment, values, initial, gain=gain, gain_slopes=slopes, active=active)
             run = passed(substeps=substeps)
@@ -117,16 +121,16 @@ class Whitened:
             moved = np.where(np.isfinite(segment.measured)[:, :, None], run.sensitivity, 0.0)
             rows = (weights @ moved).reshape(-1, len(active))
             begun = np.zeros((len(basis) - len(rows), len(active)))
-            # What the effects change in what the first row shows.
+            # How the effects change the initial state that the first sample shows.
             for number, output in task.shown:
                 begun[number] = run.sensitivity[0, output] / task.spread[number]
             parts.append(np.concatenate((rows, begun)))
         return parts
 
     def _followed(self, full: Problem, values: Array, active: Sequence[int]) -> tuple[Array, Array | None]:
-        """The gain of the model of `full` at `values` (np,) with the noise of the fit, and its derivatives by the
-        amplitudes that are `active`: what comes late also comes with other noise. Where there is no such filter, that
-        of the fit, and none."""
+        """The gain of the model of `full` at `values` (np,) with the noise of the fit, and its derivatives with respect
+        to the amplitudes that are `active`: an effect that delays readings also changes their noise. If there is no
+        such filter, the gain of the fit, and None."""
         noise = NoiseModel.of(full)
         logarithms = self.fit.minimum.common[len(self.fit.problem.free) :]
         if noise.size == len(logarithms):
@@ -141,17 +145,19 @@ class Whitened:
 
 PEAKS = 3
 FINER = 8
-"""Frequencies that are looked at for each that the record tells apart."""
+"""Frequencies that are searched for each one that the record can resolve."""
 SLOWEST = 0.04
-"""Over the time scale, Hz, of a peak in the spectrum that is looked at."""
+"""Divided by the time scale, Hz, the lowest frequency of a peak in the spectrum that is considered."""
 
 
 def peaks(innovations: Whitened) -> tuple[list[float], int]:
-    """Frequencies, Hz, at which the innovations have most power, where a line or a mode would be; among how many."""
+    """Frequencies, Hz, at which the innovations have most power, where a spectral line or a mode would be; and the
+    number from which they were chosen."""
     task = innovations.fit.problem
     segment, rows = of_longest(innovations)
     window = np.hanning(len(rows))[:, None]
-    # Between the frequencies of the record, too: half of one off, a line of the record's length is hardly seen.
+    # Between the frequencies of the record, too: half a bin off, a spectral line that lasts the whole record hardly
+    # shows.
     padded = FINER * len(rows)
     power = np.sum(np.abs(np.fft.rfft(rows * window, padded, axis=0)) ** 2, axis=1)
     frequency = np.fft.rfftfreq(padded, float(np.median(np.diff(segment.time))))
@@ -166,7 +172,7 @@ def peaks(innovations: Whitened) -> tuple[list[float], int]:
 
 
 def of_longest(innovations: Whitened) -> tuple[Segment, Array]:
-    """The longest stretch, and its whitened innovations (n, ny)."""
+    """The longest segment, and its whitened innovations (n, ny)."""
     task = innovations.fit.problem
     outputs = len(task.kernel.outputs)
     longest = int(np.argmax([len(segment) for segment in task.segments]))
@@ -176,19 +182,19 @@ def of_longest(innovations: Whitened) -> tuple[Segment, Array]:
 
 
 def whitening(fitted: Fit) -> Array:
-    """What makes innovations independent and of unit variance, (ny, ny)."""
+    """The matrix that makes innovations independent and of unit variance, (ny, ny)."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(fitted.covariance)))
 
 
 def orthonormal(columns: Array) -> Array:
-    """A basis (n, r) of what `columns` (n, p) span, r <= p: what is the same to rounding counts once."""
+    """A basis (n, r) of the span of `columns` (n, p), r <= p: columns that are identical to rounding count once."""
     basis, mixed = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     directions, sizes, _ = np.linalg.svd(mixed)
     return np.asarray(basis @ directions[:, sizes > SAME * sizes[0]])
 
 
 def project(columns: Array, nuisance: Array) -> Array:
-    """`columns` (n or n + k, m) less what the basis of nuisances (n + k, p), k rows of priors last, explains of them,
+    """`columns` (n or n + k, m) minus their projection on the basis of nuisances (n + k, p), k rows of priors last,
     (n + k, m)."""
     return less(np.concatenate((columns, np.zeros((len(nuisance) - len(columns), columns.shape[1])))), nuisance)
 
@@ -198,7 +204,7 @@ def less(columns: Array, basis: Array) -> Array:
 
 
 def _blocks(task: Problem, evaluated: Sequence[Block]) -> NDArray[np.int64]:
-    """The block of time that each row belongs to; rows that say how far a start may be off go with the first."""
+    """The block of time to which each row belongs; rows for the deviation of an initial state belong to the first."""
     numbers, following = [], 0
     length = BLOCK * time_scale(task.model, task.segments)
     for segment, block in zip(task.segments, evaluated, strict=True):

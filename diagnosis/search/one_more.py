@@ -23,8 +23,8 @@ from diagnosis.fits.refit import (
     CREEPING,
     FullFit,
     full,
+    inside_bounds,
     log_ratio,
-    possible,
     t_ratio,
     with_effect,
 )
@@ -147,7 +147,7 @@ def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
         parameters=parameters,
         rows=fitted.rows,
         converged=converged,
-        inside_bounds=possible(fitted),
+        inside_bounds=inside_bounds(fitted),
         t_ratio=t_ratio(fitted, fitted.name) if converged else math.nan,
         among=fitted.candidate.among if fitted.candidate.picked else 1,
     )

@@ -16,7 +16,7 @@ from functools import partial
 
 from diagnosis.evidence import beyond_chance
 from diagnosis.findings import Finding, MadeOf
-from diagnosis.fits.random_parts import RANDOM, absorbed, promised
+from diagnosis.fits.random_parts import RANDOM, absorbed, expected_log_ratio
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_ratio, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
@@ -84,16 +84,16 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
     workspace, most = how.workspace, how.most
     bare = _without_impacts(base, how)
     of_impacts = _left_by_impacts(base, bare)
-    now, last, fits, score_tests = known, known.fit, one_by_one(known, workspace.unhurried), list[ScoreTest]()
+    now, last, fits, score_tests = known, known.fit, one_by_one(known, workspace.unlimited), list[ScoreTest]()
     if now.findings:
-        score_tests.append(tried(partial(look, base, workspace.unhurried)) or NOTHING_SCORED)
+        score_tests.append(tried(partial(look, base, workspace.unlimited)) or NOTHING_SCORED)
     while True:
         part = replace(how, alone=score_tests[0] if score_tests else NOTHING_SCORED)
         part = part.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
         beside = f", with {now.names[-1]} in the model" if now.findings else ""
         part.tell(f"scoring all effects{beside}", 0.0)
         what = "further effects" if now.findings else "the search for effects"
-        scored = workspace.in_time(partial(look, now.fit, workspace if score_tests else workspace.unhurried), what)
+        scored = workspace.in_time(partial(look, now.fit, workspace if score_tests else workspace.unlimited), what)
         score_tests.append(scored or NOTHING_SCORED)
         if scored is None or len(now.findings) >= most:
             break
@@ -110,7 +110,7 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
         now = revised(further, part)
         last = now.fit
         grown = now.names == further.names and len(now.names) == len(fits) + 1
-        alone = None if grown else tried(partial(one_by_one, now, workspace.unhurried))
+        alone = None if grown else tried(partial(one_by_one, now, workspace.unlimited))
         fits = [*fits, now.fit] if alone is None else alone
     findings = [replace(each, made_of=_made_of(each, now, workspace)) for each in now.findings]
     findings = [tried(partial(retold, each, now.fit)) or each for each in findings]
@@ -152,7 +152,7 @@ def _held(base: FullFit, before: Explanation, how: Search) -> tuple[FullFit, Exp
 
 def _outdone(base: FullFit, how: Search) -> bool:
     """Whether a random part seems to explain more than any effect does, neither of them fitted."""
-    gain = promised(base)
+    gain = expected_log_ratio(base)
     if not gain:
         return False
     scored = how.workspace.in_time(partial(look, base, how.workspace), "the search for effects")
@@ -170,7 +170,7 @@ def _without_impacts(base: FullFit, how: Search) -> FullFit:
         if each.effect.impacts:
             model = model.remove(each.name)
     try:
-        return base if model is base.model else settled(model, how.workspace.unhurried)
+        return base if model is base.model else settled(model, how.workspace.unlimited)
     except FAILURES:
         return base
 

@@ -162,8 +162,8 @@ class TestDataThatCannotTell:
         """A camera: what it showed last stands in the rows until the next frame."""
         whole = multisine()
         reason = self.insufficient(changed(whole, roll=whole["roll"][np.arange(len(whole)) // 3 * 3]))
-        assert "roll: holds each value for 3 rows" in reason
-        assert "Remedy: record a row a frame" in reason
+        assert "roll: holds each value for 3 samples" in reason
+        assert "Remedy: record one sample per frame" in reason
 
     def test_two_channels_swapped(self) -> None:
         whole = multisine()

@@ -187,7 +187,7 @@ def test_windows_follow_the_plant(tmp_path: Path) -> None:
         assert moves is not None
         assert moves == pytest.approx(pace * (motion_time(plant, segments(plant, [recording("", 1.0)])) or 0.0))
         check(plant, [recording("", pace)])
-        with pytest.raises(DataError, match="cannot tell effects apart"):
+        with pytest.raises(DataError, match="cannot distinguish effects"):
             check(plant, [recording("", pace).between(0.0, 6.0 * pace)])
 
 
