@@ -27,7 +27,7 @@ from diagnosis.prepare.ready import ready, unready
 from diagnosis.prepare.usable import check
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.search.explanation import Explanation, Search, part_of
-from diagnosis.search.one_more import reworded
+from diagnosis.search.one_more import with_explanation
 from diagnosis.search.search import ONCE, Found, search
 from diagnosis.trial import FAILURES, tried
 from diagnosis.verdict import unidentified, untried, verdict
@@ -167,7 +167,8 @@ def _begun_at(loop: Loop | str, whole: Recording, part: Recording) -> Loop | str
 def _by_relevance(found: Found, owners: Sequence[int], loops: Sequence[Loop | str]) -> tuple[Finding, ...]:
     """The findings with their relevance, the negligible ones last."""
     shares = relevances([each.fit for each in (found.base, *found.fits)], found.last.fit, owners, loops)
-    known = [reworded(replace(each, relevance=share)) for each, share in zip(found.findings, shares, strict=True)]
+    each_with_share = zip(found.findings, shares, strict=True)
+    known = [with_explanation(replace(each, relevance=share)) for each, share in each_with_share]
     return tuple(sorted(known, key=lambda each: each.negligible))
 
 

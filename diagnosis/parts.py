@@ -21,7 +21,7 @@ from diagnosis.explain import together
 from diagnosis.fits.speed_loop_choice import lag_error, over_noise, small, speed_loop
 from diagnosis.prediction.closed_loop_error import Loop
 from diagnosis.prepare.actuator_samples import as_recorded_rows, at_samples, looked_at, on_time
-from diagnosis.search.one_more import retold, reworded
+from diagnosis.search.one_more import with_estimates, with_explanation
 from diagnosis.trial import FAILURES
 from estimators.data.segments import DataError
 from estimators.stopwatch import stopwatch
@@ -168,7 +168,7 @@ def _further(
     if not more.findings:
         return found
     steps = (*found.steps, more.steps[-1])
-    findings = tuple(retold(each, steps[-1]) for each in (*found.findings, *more.findings))
+    findings = tuple(with_estimates(each, steps[-1]) for each in (*found.findings, *more.findings))
     named = Verdict.MISSING_EFFECT in (found.verdict, more.verdict)
     return replace(
         more,
@@ -220,7 +220,7 @@ def _less_certain(finding: Finding, std: float) -> Finding:
         name: each if each.std is None else replace(each, std=math.hypot(each.std, std))
         for name, each in finding.parameters.items()
     }
-    return reworded(replace(finding, parameters=parameters))
+    return with_explanation(replace(finding, parameters=parameters))
 
 
 def merged(vehicle: Diagnosis, actuators: Diagnosis, effects: Sequence[Effect]) -> Diagnosis:

@@ -36,7 +36,7 @@ from models.random.input_noise import InputNoise, with_input_noise
 from models.random.sensor_error import at_outputs, with_error
 
 RANDOM = "random parts beside the disturbance"
-"""Their name in `untried` if no time is left for them."""
+"""Name of the random parts in `untried` if no time is left for them."""
 MOST = 2
 """Signals that get a full fit, of those with most evidence."""
 NEAR = 1.5

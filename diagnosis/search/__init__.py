@@ -1,6 +1,6 @@
-"""Which effects explain what a model leaves, and the order in which they are found.
+"""Which effects explain the lack of fit of a model, and the order in which they are found.
 
-score all candidates -> contenders: those that may explain most get fits -> one_more: gates and held_out data decide
-which of these the model lacks -> neighbours: beside the others, is it another one, or two, or one with a second ->
-search: again, until nothing more passes (further), and random parts beside all of it.
+score all candidates -> contenders: full fits of those that may explain most -> one_more: gates and held-out data decide
+which of them the model lacks -> neighbours: with the other findings in the model, is each the right one, are two better
+than one, or one better than two -> search: repeat until nothing more passes (further), with random parts in addition.
 """

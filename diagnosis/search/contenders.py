@@ -1,9 +1,9 @@
-"""Which effects get a fit, and the fits: of all candidates those that may explain most of what a model leaves.
+"""Which effects get a fit, and the fits: of all candidates those that may explain most of a model's lack of fit.
 
-score of all candidates -> quick fits of those in question -> full fits of those that explain most -> all at one noise
+score of all candidates -> quick fits of the plausible ones -> full fits of those that explain most -> all at one noise
 
-Both are made in the model without a disturbance first, where the record asks for one: in the fit of the model alone it
-may have grown to what an effect does.
+If the record requires a disturbance, both are first made in the model without one: in the fit of the model alone it may
+have grown to imitate an effect.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from diagnosis.prepare.candidates import Candidate
 from diagnosis.prepare.workspace import Workspace, attached
 from diagnosis.score.score_test import Score, ScoreTest, score_test
 from diagnosis.score.whitened import Whitened
-from diagnosis.search.explanation import Tell, silent
+from diagnosis.search.explanation import Progress, no_progress
 from diagnosis.side_by_side import side_by_side
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
@@ -47,19 +47,20 @@ WORTH_A_FIT = LEVEL
 """p-value, of one candidate alone, below which it gets a quick fit."""
 FAR = 4.0
 """Inflation of a score above which every candidate gets a quick fit, and twice as many a full one: the innovations are
-so far from white that what is missing counts against the very effect that it is."""
+so far from white that the missing effect itself counts as noise against its own score."""
 CONTENDERS = 6
-"""Full fits a step, at most."""
+"""Full fits per step, at most."""
 CONTENDING = 0.5
-"""Share of the best quick fit's gain with which an effect gets a full one: the noise of both is still another's."""
+"""Share of the best quick fit's log-likelihood ratio above which an effect gets a full fit: the noise of both is not
+yet their own."""
 QUICKLY = 0.5
-"""Share of the time that is left which all quick fits of a step together may take."""
+"""Share of the remaining time that all quick fits of a step together may take."""
 IN_PLACE = "effects in place of the disturbance"
-"""What is left untried where no time is left for them."""
+"""Name in `untried` of the fits without a disturbance if no time is left for them."""
 
 
 def look(base: FullFit, workspace: Workspace) -> ScoreTest:
-    """What every candidate that the model of `base` does not have would do to its innovations."""
+    """The score test of every candidate that the model of `base` does not have, on its innovations."""
 
     def attach(group: Sequence[Candidate]) -> Problem:
         return workspace.problem(attached(base.model, group))
@@ -68,37 +69,39 @@ def look(base: FullFit, workspace: Workspace) -> ScoreTest:
 
 
 def contenders(
-    base: FullFit, scored: ScoreTest, workspace: Workspace, hidden: Sequence[FullFit], tell: Tell
+    base: FullFit, scored: ScoreTest, workspace: Workspace, hidden: Sequence[FullFit], progress: Progress
 ) -> list[FullFit]:
     """`hidden`, and full fits with the effects that explain most.
 
     First those that explain most of what the model of `base` leaves without a disturbance, since in its fit the
-    disturbance may have grown to what the effect does; then those that explain most of what it leaves with one, as far
-    as their score promises at least CONTENDING of the former's gain.
+    disturbance may have grown to imitate the effect; then those that explain most of what it leaves with one, if their
+    score predicts at least CONTENDING of the former's log-likelihood ratio.
     """
     known, in_place = {each.name for each in hidden}, list[FullFit]()
-    if (without := still(base, workspace)) is not None:
-        quicks = _undisturbed(without, base, workspace, partial(_share, tell, 0.0))
-        in_place = _full_fits(base, quicks, workspace, known, _most, partial(_share, tell, 0.3))
+    if (without := undisturbed_fit(base, workspace)) is not None:
+        quicks = _undisturbed(without, base, workspace, partial(_share, progress, 0.0))
+        in_place = _full_fits(base, quicks, workspace, known, _most, partial(_share, progress, 0.3))
     most = max((each.log_likelihood - base.log_likelihood for each in in_place), default=0.0)
     near = replace(scored, scores=tuple(each for each in scored.scores if each.gain >= CONTENDING * most))
     far = any(score.inflation > FAR for score in near.scores if score.p_single < WORTH_A_FIT)
-    quicks = _quick_fits(base, near, workspace, partial(_share, tell, 0.6))
-    beside = _full_fits(base, quicks, workspace, known, partial(_with_confusable, far), partial(_share, tell, 0.8))
+    quicks = _quick_fits(base, near, workspace, partial(_share, progress, 0.6))
+    beside = _full_fits(base, quicks, workspace, known, partial(_with_confusable, far), partial(_share, progress, 0.8))
     return [*hidden, *in_place, *beside]
 
 
-def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Tell = silent) -> dict[str, FullFit]:
-    """The likeliest fit with each of the candidates of `workspace`, whatever the score test says of it, by name;
-    without those that no fit of ends.
+def each_fitted(
+    base: FullFit, scored: ScoreTest, workspace: Workspace, progress: Progress = no_progress
+) -> dict[str, FullFit]:
+    """The likeliest fit with each of the candidates of `workspace`, whatever its score, by name; without those whose
+    fits all fail.
 
-    As a diagnosis fits those that contend. One whose quick fit leads nowhere is begun with next to none of it.
+    As a diagnosis fits the contenders. A candidate whose quick fit leads nowhere starts with next to no amplitude.
     """
-    quicks = _quick_fits(base, scored, workspace, tell, every=True)
-    found = _full_fits(base, quicks, workspace, (), list, tell)
-    if (without := still(base, workspace)) is not None:
-        in_place = _undisturbed(without, base, workspace, tell, every=True)
-        found += _full_fits(base, in_place, workspace, (), list, tell)
+    quicks = _quick_fits(base, scored, workspace, progress, every=True)
+    found = _full_fits(base, quicks, workspace, (), list, progress)
+    if (without := undisturbed_fit(base, workspace)) is not None:
+        in_place = _undisturbed(without, base, workspace, progress, every=True)
+        found += _full_fits(base, in_place, workspace, (), list, progress)
     found += confounded.fits(base, workspace, flat_at_zero(workspace))
     there = {each.name for each in found}
     for each in workspace.others(base.model):
@@ -112,7 +115,7 @@ def each_fitted(base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Te
 
 
 def flat_at_zero(workspace: Workspace) -> list[str]:
-    """Effects on sensors whose amplitude has starts of its own: near zero the record may ask for less of them."""
+    """Effects on sensors whose amplitude has starts of its own: near zero the derivative may have the wrong sign."""
     return [
         each.effect.name
         for each in workspace.candidates
@@ -122,10 +125,10 @@ def flat_at_zero(workspace: Workspace) -> list[str]:
 
 def at_one_noise(fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -> list[FullFit]:
     """`fits`, of two with one effect the likelier. Those that explain at least CONTENDING of what the likeliest does
-    are begun again with its noise; the likelier end of each stays.
+    are restarted with its noise; the likelier end of each is kept.
 
-    Fits begin with the noise of `base`, which stands in for what is missing, and one may end beside it: of a pendulum
-    before which dry friction had been found the viscous friction that is there ended 34 nats below a mode that is not.
+    Fits start with the noise of `base`, which accounts for what is missing, and one may miss its optimum: in a pendulum
+    in which dry friction had been found, the true viscous friction ended 34 nats below a mode that does not exist.
     """
     likeliest = {each.name: each for each in sorted(fits, key=lambda each: each.log_likelihood)}
     begun = set[str]()
@@ -143,8 +146,8 @@ def at_one_noise(fits: Sequence[FullFit], base: FullFit, workspace: Workspace) -
 
 
 def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
-    """`fitted` begun again where it ended, but with the noise and the disturbance of `best`; itself where that fails,
-    or no time for it is left."""
+    """`fitted` restarted from its end, but with the noise and the disturbance of `best`; unchanged if that fails, or no
+    time is left for it."""
     end, other = fitted.fit.end, best.fit.end
     its = is_of_disturbance(fitted.model)
     begin = Begin({**end.values, **{name: other.values[name] for name in its if name in other.values}}, other.noise)
@@ -157,16 +160,17 @@ def _again(fitted: FullFit, best: FullFit, workspace: Workspace) -> FullFit:
     return found if found is not None and found.fit.minimum.converged else fitted
 
 
-def _share(tell: Tell, begin: float, text: str, share: float) -> None:
+def _share(progress: Progress, begin: float, text: str, share: float) -> None:
     """`share` of one of the rounds of quick and full fits, which make up to two tenths of a step each."""
-    tell(text, min(0.95, begin + 0.2 * share))
+    progress(text, min(0.95, begin + 0.2 * share))
 
 
-def still(base: FullFit, workspace: Workspace) -> FullFit | None:
-    """The fit of the model of `base` without its disturbances; None where these explain no more than chance does, or
-    where there is no such fit.
+def undisturbed_fit(base: FullFit, workspace: Workspace) -> FullFit | None:
+    """The fit of the model of `base` without its disturbances; None if these explain no more than chance does, or if
+    there is no such fit.
 
-    The deviation of their RMS cannot decide that: where the motor constant is known to 40 % only, so is every torque.
+    The standard deviation of their RMS cannot decide that: if the motor constant is known to 40 % only, so is every
+    torque.
     """
     number = len(disturbances(base.fit))
     if number == 0:
@@ -177,53 +181,53 @@ def still(base: FullFit, workspace: Workspace) -> FullFit | None:
 
 
 def _undisturbed(
-    without: FullFit, base: FullFit, workspace: Workspace, tell: Tell, every: bool = False
+    without: FullFit, base: FullFit, workspace: Workspace, progress: Progress, every: bool = False
 ) -> list[QuickFit]:
-    """Quick fits of the model of `base` from its fit `without` a disturbance, as of `_quick_fits`; each is to go on
-    with little of one, and all other noise as stated. None where no time for it is left."""
+    """Quick fits of the model of `base` from its fit `without` a disturbance, as of `_quick_fits`; each goes on with a
+    small disturbance, and all other noise as stated. Empty if no time is left for it."""
     scored = workspace.in_time(partial(look, without, workspace), IN_PLACE)
-    found = _quick_fits(without, scored, workspace, tell, every) if scored else []
+    found = _quick_fits(without, scored, workspace, progress, every) if scored else []
     noise = noise_of(base.fit.problem, shaken=-MUCH)
     return [replace(each, end=replace(each.end, noise=noise)) for each in found]
 
 
 def _quick_fits(
-    base: FullFit, scored: ScoreTest, workspace: Workspace, tell: Tell, every: bool = False
+    base: FullFit, scored: ScoreTest, workspace: Workspace, progress: Progress, every: bool = False
 ) -> list[QuickFit]:
-    """Of the candidates that are worth one by what the score test of `base` says, or of every one."""
-    worth = [score for score in scored.scores if every or score.p_single < WORTH_A_FIT]
-    if any(score.inflation > FAR for score in worth):
-        worth = list(scored.scores)
-    # Where the model alone is far off, a line from there may miss what would do the same as the surest.
-    near = worth[0].candidate.effect.confused_with if worth else ()
-    worth += [score for score in scored.scores if score.candidate.name in near and score not in worth]
+    """Quick fits of the candidates that the score test of `base` suggests, or of every one."""
+    chosen = [score for score in scored.scores if every or score.p_single < WORTH_A_FIT]
+    if any(score.inflation > FAR for score in chosen):
+        chosen = list(scored.scores)
+    # If the model alone is far off, its linearisation may miss effects confusable with the most significant one.
+    near = chosen[0].candidate.effect.confused_with if chosen else ()
+    chosen += [score for score in scored.scores if score.candidate.name in near and score not in chosen]
 
     quickly = workspace.within(QUICKLY)
 
     def prepare(number: int, score: Score) -> bool:
-        title, share = score.candidate.effect.title, number / len(worth)
+        title, share = score.candidate.effect.title, number / len(chosen)
         model = with_effect(base.model, score.candidate, score.starts[0])
-        compiled = partial(quickly.problem, model, lambda text: tell(f"{text} with {title}", share))
+        compiled = partial(quickly.problem, model, lambda text: progress(f"{text} with {title}", share))
         return quickly.in_time(compiled, score.candidate.name, failed=True) is not None
 
-    # Compiled one after the other, where that was not done yet.
-    worth = [score for number, score in enumerate(worth) if prepare(number, score)]
+    # Compiled one after the other, unless that was done before.
+    chosen = [score for number, score in enumerate(chosen) if prepare(number, score)]
 
     def quickly_fitted(score: Score) -> QuickFit | None:
         return quickly.in_time(partial(_ended, base, score, quickly.for_one), score.candidate.name, failed=True)
 
     quicks: list[QuickFit] = []
-    for number, each in enumerate(side_by_side(quickly_fitted, worth), start=1):
+    for number, each in enumerate(side_by_side(quickly_fitted, chosen), start=1):
         quicks += [each] if each is not None else []
-        tell("tried" + (f" {each.candidate.effect.title}" if each else ""), number / len(worth))
+        progress("tried" + (f" {each.candidate.effect.title}" if each else ""), number / len(chosen))
     return [each for each in quicks if np.isfinite(each.gain) and each.gain > 0.0]
 
 
 def _ended(base: FullFit, score: Score, workspace: Workspace) -> QuickFit:
-    """A quick fit. Raises ArithmeticError where the model runs away from every start of it."""
+    """A quick fit. Raises ArithmeticError if the model diverges from every start."""
     found = quick(base.fit, base.model, score, workspace)
     if not math.isfinite(found.gain):
-        raise ArithmeticError("the model runs away from every start")
+        raise ArithmeticError("the model diverges from every start")
     return found
 
 
@@ -233,14 +237,14 @@ def _full_fits(
     workspace: Workspace,
     hidden: Collection[str],
     most: Callable[[Sequence[QuickFit]], list[QuickFit]],
-    tell: Tell,
+    progress: Progress,
 ) -> list[FullFit]:
-    """Of those that explain the `most` of `quicks`, but for `hidden`, which have theirs. One that explains by what no
-    predictor knows is no measure of what is most.
+    """Full fits of those of `quicks` that explain the `most`, except `hidden`, which have theirs. Non-causal fits are
+    excluded, and are no measure of what is most.
 
-    Each begins where its quick fit ended. A fit that ends less likely than the model alone began with a noise that this
-    had, and the effect takes away: it is begun again with the noise that is stated. Where friction was missing the gyro
-    had had e^-6 of its noise, and the fit with the friction ended 100,000 too low.
+    Each starts where its quick fit ended. If it ends less likely than the model alone, it started with the noise of the
+    model alone, which had accounted for the effect: it is restarted with the stated noise. In a case of missing
+    friction the gyro had had e^-6 of its noise, and the fit with the friction ended 100,000 too low.
     """
     left = sorted(quicks, key=lambda each: -each.gain)
 
@@ -257,7 +261,7 @@ def _full_fits(
         if not chosen:
             return [each for each in found.values() if each is not None]
         for number, (each, fit) in enumerate(zip(chosen, side_by_side(fitted, chosen), strict=True), start=1):
-            tell(f"fitted {each.candidate.effect.title}", number / len(chosen))
+            progress(f"fitted {each.candidate.effect.title}", number / len(chosen))
             if fit is not None and tried(partial(looks_ahead, fit.fit, base.fit)):
                 left = [one for one in left if one is not each]
             else:
@@ -265,7 +269,7 @@ def _full_fits(
 
 
 def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) -> FullFit | None:
-    """The full fit of the model with the effect of `quick` from `end` on; None where it fails or the time is over."""
+    """The full fit of the model with the effect of `quick` from `end` on; None if it fails or time runs out."""
     candidate = quick.candidate
     model = with_effect(base.model, candidate, quick.values)
     fit = partial(full, model, workspace.for_one, candidate, end, longer=FURTHER_FITS)
@@ -273,18 +277,18 @@ def _fitted(base: FullFit, quick: QuickFit, end: Begin, workspace: Workspace) ->
 
 
 def _most(fits: Sequence[QuickFit]) -> list[QuickFit]:
-    """Those of `fits`, the most gaining first, that explain most."""
+    """Those of `fits`, sorted by log-likelihood ratio, that explain most."""
     return [each for each in fits[:CONTENDERS] if each.gain >= CONTENDING * fits[0].gain]
 
 
 def _with_confusable(far: bool, fits: Sequence[QuickFit]) -> list[QuickFit]:
-    """Those that explain most, and what does the same as one of these: at the noise of the model alone, in which the
-    disturbance stands in for the effect, it may gain a fifth, as a sensor that is mounted askew of what a constant
-    torque does."""
+    """Those that explain most, and effects confusable with one of these: at the noise of the model alone, in which the
+    disturbance imitates the effect, their log-likelihood ratio may be a fifth, as for a sensor that is mounted askew
+    compared with a constant torque."""
     most = [each.candidate.effect for each in fits if each.gain >= CONTENDING * fits[0].gain]
-    near = [each for each in fits if each.candidate.effect in most or _like_any(each, most)]
+    near = [each for each in fits if each.candidate.effect in most or _confusable_with_any(each, most)]
     return near[: CONTENDERS * (2 if far else 1)]
 
 
-def _like_any(fitted: QuickFit, effects: Sequence[Effect]) -> bool:
+def _confusable_with_any(fitted: QuickFit, effects: Sequence[Effect]) -> bool:
     return any(confusable(fitted.candidate.effect, each) for each in effects)

@@ -1,4 +1,4 @@
-"""What a search goes from one of to the next, and what all its steps share."""
+"""The state that a search passes from one step to the next, and what all its steps share."""
 
 from __future__ import annotations
 
@@ -12,54 +12,55 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 
 NOTHING_SCORED = ScoreTest((), {})
-Tell = Callable[[str, float], None]
-"""Is told in words what is being done, and the share of it that is over, 0 to 1."""
+Progress = Callable[[str, float], None]
+"""Is called with a text for the current step, and the share of it that is done, 0 to 1."""
 
 
-def silent(text: str, share: float) -> None:
-    """Tells nobody."""
+def no_progress(text: str, share: float) -> None:
+    """Reports nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Effects that together explain what a model leaves: a finding of each, and the `fit` of the model with them."""
+    """Effects that together explain the lack of fit of a model: a finding for each, and the `fit` of the model with
+    them."""
 
     findings: tuple[Finding, ...]
     fit: FullFit
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its effects, in the order in which they explain most."""
+        """Names of its effects, in the order in which they explain most."""
         return tuple(each.effect for each in self.findings)
 
     @property
     def gain(self) -> float:
-        """Of log likelihood, by all its effects, nats."""
+        """Rise of the log-likelihood by all its effects, nats."""
         return sum(each.log_likelihood_gain for each in self.findings)
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What the steps of one search share. `confounded`: effects that the score test does not see, because parameters
-    of the model imitate them (diagnosis.fits.confounded); `most`: effects that are added at most; `alone`: the score
-    test of the model without any of them."""
+    """What the steps of one search share. `confounded`: effects that the score test does not see, because parameters of
+    the model imitate them (diagnosis.fits.confounded); `most`: maximum number of effects that are added; `alone`: the
+    score test of the model without any of them."""
 
     workspace: Workspace
     confounded: Collection[str] = ()
     most: int = 3
     alone: ScoreTest = NOTHING_SCORED
-    tell: Tell = silent
+    progress: Progress = no_progress
 
     @property
     def quiet(self) -> Search:
-        """The same, of which nobody is told."""
-        return replace(self, tell=silent)
+        """The same without progress reports."""
+        return replace(self, progress=no_progress)
 
     def part(self, begin: float, width: float) -> Search:
         """The same for a step that begins at a share of the whole, and is `width` of it."""
-        return replace(self, tell=partial(part_of, self.tell, begin, width))
+        return replace(self, progress=partial(part_of, self.progress, begin, width))
 
 
-def part_of(tell: Tell, begin: float, width: float, text: str, share: float) -> None:
-    """`share` of one step, which began at `begin` and is `width` of the whole."""
-    tell(text, begin + width * share)
+def part_of(progress: Progress, begin: float, width: float, text: str, share: float) -> None:
+    """Reports `share` of one step, which began at `begin` and is `width` of the whole."""
+    progress(text, begin + width * share)

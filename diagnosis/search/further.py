@@ -1,13 +1,14 @@
-"""How much a further effect has to gain beside those that were found: no formula is exact, and a long record tells.
+"""How much a further effect must raise the log-likelihood beside the findings so far: no formula is exact, and a long
+record shows it.
 
 A formula leaves a share of what its effect explains, its formula error (models.effect.Effect.formula_error), and a
-further name may be no more than a part of that. So a further effect has to gain
+further effect may be no more than a part of that. So a further effect must raise the log-likelihood by
 
-    sum over the effects found of  formula error x r^2 x log likelihood gained,
+    sum over the effects found of  formula error x r^2 x their log-likelihood ratio,
 
-r the canonical correlation between what the two do to the innovations of the model alone, as the score test has it at
-their usual shapes; 1 for two that the catalogue calls easily confused, since at some shape they are; and LEAST at
-least, since what a formula leaves is what it cannot say itself.
+r the canonical correlation between what the two do to the innovations of the model alone, as in the score test at their
+usual shapes; 1 for two that the catalogue calls easily confused, since at some shape they are; and r^2 is LEAST at
+least, since what a formula leaves is by definition outside its own span.
 Source: the likelihood coarsened by an error of the model, Miller and Dunson, "Robust Bayesian inference via
 coarsening", Journal of the American Statistical Association 114 (2019) 1113-1125.
 """
@@ -21,27 +22,28 @@ from diagnosis.gates import confusable
 from diagnosis.score.score_test import ScoreTest
 
 LEAST = 0.2
-"""Of r^2. A fit leaves nothing along its own formula, so that r alone says too little of what is left. With a formula
-error of 0.1 it asks for a fiftieth of what was gained: with a twentieth, friction or a torque beside play had no name.
-Chosen on these; what a real formula leaves has not been estimated."""
+"""Lower limit of r^2. A fit leaves nothing along its own formula, so r alone underestimates what is left. With a
+formula error of 0.1 it requires a fiftieth of the log-likelihood ratio so far: with a twentieth, friction or a torque
+beside backlash was not named. Chosen on these cases; what a real formula leaves has not been estimated."""
 
 
-def asked(further: Finding, before: Sequence[Finding], alone: ScoreTest, of_impacts: float = 0.0) -> float:
-    """Log likelihood that a `further` effect has to gain, beside those found `before` and beside the effects of the
-    model as it was whose parts strike each other, which leave `of_impacts`. `alone`: the score test of that model."""
+def required_log_ratio(further: Finding, before: Sequence[Finding], alone: ScoreTest, of_impacts: float = 0.0) -> float:
+    """Log-likelihood ratio that a `further` effect needs, beside the effects found `before` and the effects of the
+    original model whose parts collide, which leave `of_impacts`. `alone`: the score test of that model."""
     left = (
-        each.definition.formula_error * _likeness(further, each, alone) * each.log_likelihood_gain for each in before
+        each.definition.formula_error * _similarity(further, each, alone) * each.log_likelihood_gain for each in before
     )
     return of_impacts + sum(left)
 
 
 def left_by_formulas(findings: Sequence[Finding]) -> float:
-    """Log likelihood of `findings` that says nothing: what their formulas may leave."""
+    """The part of the log-likelihood ratio of `findings` that is no evidence: what their formulas may leave."""
     return sum(each.definition.formula_error * each.log_likelihood_gain for each in findings)
 
 
-def _likeness(one: Finding, other: Finding, alone: ScoreTest) -> float:
-    """r^2 of two effects; 1 where a derivative at none of one says nothing of it, or the score test has it not."""
+def _similarity(one: Finding, other: Finding, alone: ScoreTest) -> float:
+    """r^2 of two effects; 1 if one has impacts, so that its derivative at zero says nothing of it, or if the score test
+    lacks one."""
     effects = one.definition, other.definition
     if confusable(*effects) or any(each.impacts for each in effects):
         return 1.0

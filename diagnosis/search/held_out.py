@@ -1,13 +1,13 @@
-"""What fits say of data that they have not seen: the last of several recordings, or each third of a single one in turn.
+"""Checks fits on data that they have not used: the last of several recordings, or each third of a single one in turn.
 
 A third is every third of PIECES x THIRDS pieces, and is judged by fits of the other two. Predictors run through the
-whole recording, so that they know their state when a piece begins, as an effect with memory asks for; only what they
-predict inside it counts. Where an effect does so little that what it foretells is less than the noise of what is
-gained, nothing is said; a part whose own fits do not tell the effect cannot judge it.
+whole recording, so that they know their state when a piece begins, as an effect with memory requires; only their
+predictions inside it count. If the expected rise of the log-likelihood is smaller than its standard deviation, no
+statement is made. A fold in which the effect is not identifiable does not take part.
 
-Where parts strike each other, a blow that is predicted a row early is an error of dozens of deviations, and a second
-with a few of them weighs more than all others. There errors have a normal distribution with tails (Box, Tiao, "A
-Bayesian approach to some outlier problems", 1968): of the right effect -3,000 +-4,000 became 1,840 +-610.
+If parts collide, an impact that is predicted one sample early is an error of dozens of standard deviations, and a
+second with a few of them outweighs all others. In that case errors have a normal distribution with tails (Box, Tiao, "A
+Bayesian approach to some outlier problems", 1968): for the right effect -3,000 ± 4,000 became 1,840 ± 610.
 """
 
 from __future__ import annotations
@@ -46,41 +46,41 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 FOLDS = "folds"
-"""What a workspace remembers them by."""
+"""Key of the folds in a workspace's memory."""
 THIRDS = 3
 PIECES = 2
-"""Of each third: what shows at one end of the recording only is both seen by fits and tried. With six, of 2 s each, a
-constant torque of 3 N m was not told from where each stretch begins."""
+"""Pieces of each third: a phenomenon at only one end of the recording is then both in fits and in checks. With six, of
+2 s each, a constant torque of 3 N m was confounded with the initial states of the segments."""
 SETTLING = 1.25
-"""Time scales (estimators.data.time_scale) at the beginning of a recording that tell of the start, not of the model:
-0.5 s of the MONOCAB."""
+"""Time scales (estimators.data.time_scale) at the beginning of a recording that depend on its initial state, not on the
+model: 0.5 s of the MONOCAB."""
 BLOCK = 2.5
-"""Time scales of held-out data that count as one piece of evidence."""
+"""Time scales of held-out data that count as one independent piece of evidence."""
 HALVINGS = 8
-"""Of the way to the noise that is stated: how large a noise may be is found to a 256th of it."""
-NOT_TOLD = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
+"""Bisections on the way to the stated noise: how large a noise may be is found to a 256th of it."""
+NOT_IDENTIFIED = (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
 TAILS = 1e-3
-"""Share of the errors that parts which strike each other make, and"""
+"""Share of the errors that impacts cause, and"""
 WIDER = 10.0
-"""by what factor these are wider."""
+"""the factor by which these are wider."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """`seen` is fitted. Of `whole`, the rows in `pieces` are judged."""
+    """`seen` is fitted. Of `whole`, the samples in `pieces` are judged."""
 
     seen: Workspace
     whole: Recording
     pieces: Pieces
 
     def judges(self, time: Array) -> NDArray[np.bool_]:
-        """Which of the rows at `time` (n,)."""
+        """Which of the samples at `time` (n,) are judged."""
         return inside(time, self.pieces)
 
 
 def held_out(best: FullFit, base: FullFit, workspace: Workspace) -> HeldOut | None:
-    """What fits of a part of the data say of the rest, with the effects that `best` has more than `base` and without;
-    None where no part tells these."""
+    """Result of fits of a part of the data on the rest, with the effects that `best` has beyond `base` and without;
+    None if these are identifiable in no part."""
     there = {each.name for each in base.model.effects}
     further = [each for each in best.model.effects if each.name not in there]
     amplitudes = {name for each in further for name in each.amplitudes}
@@ -92,25 +92,26 @@ def held_out(best: FullFit, base: FullFit, workspace: Workspace) -> HeldOut | No
 
 
 def _fits(best: FullFit, base: FullFit, further: Sequence[AttachedEffect], part: Fold) -> tuple[Fit, Fit] | None:
-    """The fits of a part without and with what `best` has `further`; None where the part does not tell that."""
+    """The fits of a part without and with the `further` effects of `best`; None if these are not identifiable in the
+    part."""
     with_it = with_possible_noise(remembered(best.model, part.seen, begin=best.fit.end).fit)
-    told = result(with_it, 0.0).parameters
-    sizes = [told[name] for each in further for name in each.amplitudes]
+    estimates = result(with_it, 0.0).parameters
+    sizes = [estimates[name] for each in further for name in each.amplitudes]
     if not any(each.value is not None and each.std and abs(each.value) > SIGNIFICANT * each.std for each in sizes):
         return None
-    # What happens once, at an instant outside the part, is nothing that the part could foretell.
+    # A single event outside the part cannot be predicted from the part.
     times = [name for each in further for name in each.of_role(Role.INSTANT, Role.DURATION)]
-    if any(told[name].status in NOT_TOLD for name in times):
+    if any(estimates[name].status in NOT_IDENTIFIED for name in times):
         return None
     return with_possible_noise(remembered(base.model, part.seen, begin=base.fit.end).fit), with_it
 
 
 def with_possible_noise(fitted: Fit) -> Fit:
-    """`fitted` with the noises that do not show as large as its data do not exclude, by SURE standard deviations of a
-    likelihood ratio, but no larger than they are stated.
+    """`fitted` with the noises that do not show enlarged as far as its data allow, by SIGNIFICANT standard deviations
+    of a likelihood ratio, but no larger than they are stated.
 
-    Data never say that there is no noise at all. A predictor without noise corrects nothing: it is a simulation, in
-    which the errors of the parameters add up to thousands of standard deviations.
+    Data never exclude noise altogether. A predictor without noise corrects nothing: it is a simulation, in which the
+    errors of the parameters accumulate to thousands of standard deviations.
     """
     noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
     logarithms = fitted.minimum.common[size:]
@@ -121,7 +122,7 @@ def with_possible_noise(fitted: Fit) -> Fit:
     likelihood = Likelihood(fitted.problem, noise, fitted.minimum.common, fitted.prior)
 
     def seen(share: float) -> Seen | None:
-        """With the noises that do not show so far from where they ended to what is stated."""
+        """The likelihood with the noises that do not show moved by `share` of the way to what is stated."""
         common = fitted.minimum.common.copy()
         common[size:] = np.where(least, (1.0 - share) * logarithms, logarithms)
         return likelihood.of_data(common, fitted.minimum.own)
@@ -142,7 +143,7 @@ def with_possible_noise(fitted: Fit) -> Fit:
 
 
 def _folds(model: Model, workspace: Workspace) -> list[Fold]:
-    """What to fit and what to judge, made once. Raises DataError where the recordings cannot be used."""
+    """The folds, made once. Raises DataError if the recordings cannot be used."""
     found: list[Fold] | None = workspace.memory.get(FOLDS)
     if found is None:
         found = workspace.memory[FOLDS] = _cut(model, workspace)
@@ -151,7 +152,7 @@ def _folds(model: Model, workspace: Workspace) -> list[Fold]:
 
 def _cut(model: Model, workspace: Workspace) -> list[Fold]:
     recordings, support = workspace.recordings, workspace.support
-    # Once each, whatever the number of its places.
+    # Each effect once, whatever the number of its places.
     effects = tuple({each.effect.name: each.effect for each in workspace.others(model)}.values())
     whole = recordings[-1]
     if len(recordings) > 1:
@@ -174,15 +175,15 @@ def judge(
     amplitudes: Collection[str],
     support: float | None,
 ) -> HeldOut | None:
-    """What the second of two fits says of unseen data, against the first; None where no part has such fits, or what its
-    `amplitudes` foretell of the gain is less than the noise of that.
+    """Result of the second of two fits on held-out data, compared with the first; None if no part has such fits, or if
+    the expected rise of the log-likelihood by its `amplitudes` is smaller than its standard deviation.
 
     Raises ArithmeticError, EstimationError.
     """
-    gains: list[Array] = []
+    rises: list[Array] = []
     energies: list[Array] = []
     known: list[float] = []
-    promises: list[Array] = []
+    predicted: list[Array] = []
     impacts = False
     for part in parts:
         found = fits(part)
@@ -190,20 +191,20 @@ def judge(
             continue
         without, with_it = found
         impacts = any(each.effect.impacts for each in with_it.problem.model.effects)
-        promise = _expected_gain(with_it, amplitudes, part, support, impacts)
-        if 2.0 * np.sum(promise) < SIGNIFICANT**2:
+        rise = _expected_rise(with_it, amplitudes, part, support, impacts)
+        if 2.0 * np.sum(rise) < SIGNIFICANT**2:
             continue
-        promises.append(promise)
-        gains.append(_log_density(with_it, part, support, impacts) - _log_density(without, part, support, impacts))
+        predicted.append(rise)
+        rises.append(_log_density(with_it, part, support, impacts) - _log_density(without, part, support, impacts))
         known.append(off_prior(without) - off_prior(with_it))
         energies.append(_energies(without, with_it, part, support))
-    if not gains:
+    if not rises:
         return None
-    differences, foretold = np.concatenate(gains), np.concatenate(promises)
-    # What is gained where it was foretold is no noise, however short the time is in which the effect shows.
-    share = float(np.clip(np.sum(differences) / np.sum(foretold), 0.0, 1.0))
-    noise = float(np.linalg.norm(differences - share * foretold))
-    if np.sum(foretold) < noise:
+    differences, expected = np.concatenate(rises), np.concatenate(predicted)
+    # A rise that was expected is not noise, however short the time in which the effect shows.
+    share = float(np.clip(np.sum(differences) / np.sum(expected), 0.0, 1.0))
+    noise = float(np.linalg.norm(differences - share * expected))
+    if np.sum(expected) < noise:
         return None
     squares = np.concatenate(energies)
     before, after, apart = np.mean(squares, axis=0)
@@ -220,8 +221,8 @@ def judge(
 
 
 def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
-    """Error energies a horizon ahead over that of the sensors' noise, under `one`, under `other`, and of what the two
-    predict apart, (m, 3)."""
+    """Error energies a horizon ahead over that of the sensors' noise, under `one`, under `other`, and of the difference
+    of their predictions, (m, 3)."""
     there = ahead.on(other, problem(other.problem.model, [part.whole], support=support))
     reach = horizon(there.problem.model, there.problem.segments)
     floor = ahead.sensor_floors(there, (reach,))[0]
@@ -233,10 +234,10 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
 
 
 def loss(white: Array, impacts: bool) -> Array:
-    """Negative log likelihood of each row of whitened errors `white` (n, outputs), less that of no error, nats (n,).
+    """Negative log-likelihood of each sample of whitened errors `white` (n, outputs), less that of no error, nats (n,).
 
-    Of a normal distribution, or, where parts of the model have `struck`, of one that is contaminated by a wider one:
-    (1 - TAILS) N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
+    Of a normal distribution, or, with `impacts` in the model, of one that is contaminated by a wider one: (1 - TAILS)
+    N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
     """
     normal = 0.5 * white**2
     if impacts:
@@ -246,14 +247,14 @@ def loss(white: Array, impacts: bool) -> Array:
 
 
 def _log_density(fitted: Fit, part: Fold, support: float | None, impacts: bool) -> Array:
-    """Of the judged rows, by blocks of time."""
+    """Log density of the judged samples, by blocks of time."""
     task = _whole(fitted, part, support)
     _, logarithm = np.linalg.slogdet(fitted.covariance)
     return _by_blocks(part, task, [-loss(z, impacts) - 0.5 * logarithm for z in _innovations(fitted, task)])
 
 
-def _expected_gain(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, impacts: bool) -> Array:
-    """How much the likelihood of the judged rows would rise by `amplitudes` if these are right, by blocks."""
+def _expected_rise(fitted: Fit, amplitudes: Collection[str], part: Fold, support: float | None, impacts: bool) -> Array:
+    """Expected rise of the log-likelihood of the judged samples by `amplitudes` if these are right, by blocks."""
     task = _whole(fitted, part, support)
     zero = [name in amplitudes for name in (parameter.name for parameter in task.parameters)]
     without = np.where(zero, 0.0, fitted.minimum.common[: len(zero)])
@@ -267,7 +268,7 @@ def _whole(fitted: Fit, part: Fold, support: float | None) -> Problem:
 
 
 def _by_blocks(part: Fold, task: Problem, rows: Sequence[Array]) -> Array:
-    """Sums over the judged ones of `rows`, by stretch, of blocks of time."""
+    """Sums over the judged ones of `rows`, by segment, of blocks of time."""
     found, scale = [], time_scale(task.model, task.segments)
     for segment, each in zip(task.segments, rows, strict=True):
         begin = float(segment.time[0]) + SETTLING * scale
@@ -278,7 +279,7 @@ def _by_blocks(part: Fold, task: Problem, rows: Sequence[Array]) -> Array:
 
 
 def _innovations(fitted: Fit, task: Problem) -> list[Array]:
-    """Whitened, by stretch (rows, outputs), with the initial state of each fitted."""
+    """Whitened, by segment (rows, outputs), with the initial state of each fitted."""
     weights = whitening(fitted)
     common = fitted.minimum.common[: len(fitted.problem.free)]
     own = [part.copy() for part in task.own_start]
@@ -286,7 +287,7 @@ def _innovations(fitted: Fit, task: Problem) -> list[Array]:
     for _ in range(2):
         found = task.evaluate(common, own, weights=weights, gain=fitted.gain)
         if found is None:
-            raise ArithmeticError("the model runs away on data that it was not fitted to")
+            raise ArithmeticError("the model diverges on data that it was not fitted to")
         blocks = found
         own = [
             part - np.linalg.lstsq(block.own, block.residual, rcond=None)[0]

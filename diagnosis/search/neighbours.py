@@ -1,17 +1,18 @@
-"""Sets of effects next to one that was found: another in place of one, two in place of one, one in place of two.
+"""Sets of effects next to those that were found: another in place of one, two in place of one, one in place of two.
 
-The first effect that was found had to stand for all that is missing: quadratic drag and dry friction together look like
-viscous friction, and beside that like Stribeck friction. Beside Stribeck friction, though, quadratic drag is what is
-missing, and beside quadratic drag plain dry friction. So each effect is taken out in turn and looked for as if it had
-not been found, until no name changes (`swap`): a floating search (Pudil, Novovicova, Kittler, "Floating search methods
-in feature selection", 1994).
+The first effect that was found had to explain all that is missing: quadratic drag and dry friction together look like
+viscous friction, and with that in the model like Stribeck friction. With Stribeck friction in the model, though,
+quadratic drag is missing, and with quadratic drag, plain dry friction. So each effect is removed in turn and searched
+for as if it had not been found, until no name changes (`swap`): a floating search (Pudil, Novovicova, Kittler,
+"Floating search methods in feature selection", 1994).
 
-Taken out one at a time, an effect that has the parameters of two is never compared with these two: friction that
-differs between the directions, with dry friction and a static torque. So what is made of two is taken apart (`split`),
-and two are put together (`merge`), for one cause is likelier than two: of M effects there are more pairs than single
-ones, and each number of effects is as likely before (Chen, Chen, "Extended Bayesian information criteria", 2008).
+If effects are removed one at a time, an effect that has the parameters of two is never compared with these two:
+friction that differs between the directions, with dry friction and a static torque. So an effect that combines two is
+split (`split`), and two are merged (`merge`), for one cause is likelier than two: of M effects there are more pairs
+than single ones, and each number of effects has the same prior probability (Chen, Chen, "Extended Bayesian information
+criteria", 2008).
 
-Nor does a search that begins with one find two of which each hides the other: they are looked for at once (`add_two`).
+Nor does a search that begins with one effect find two that hide each other: they are searched for together (`add_two`).
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import flat_at_zero, look
 from diagnosis.search.explanation import Explanation, Search
-from diagnosis.search.further import asked, left_by_formulas
+from diagnosis.search.further import left_by_formulas, required_log_ratio
 from diagnosis.search.one_more import Named, find, named_alone, surprising
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
 from models.model import Model
 
 PAIRS = 2
-"""Pairs that are looked for at once, at most."""
+"""Pairs that are tried together, at most."""
 TURNS = 2
-"""How often each effect is looked for again, at most."""
+"""How often each effect is searched for again, at most."""
 
 
 def revised(now: Explanation, how: Search) -> Explanation:
-    """`now` as its effects are beside each other, as far as the time goes."""
+    """`now` after each kind of neighbour was tried, as far as time allows."""
     for what, neighbour in NEIGHBOURS:
         try:
             now = tried(partial(neighbour, now, how)) or now
@@ -54,11 +55,11 @@ def revised(now: Explanation, how: Search) -> Explanation:
 
 
 def swap(now: Explanation, how: Search) -> Explanation:
-    """The effects of `now` as each is found beside the others.
+    """The effects of `now` as each is found with the others in the model.
 
-    The last of them was found beside the others. What is not missing beside the others is left out. The order stays
-    where the names do; otherwise what explains most comes first. What it leads to is not taken where it explains less
-    than what was there: without an effect a fit may end where none of the others helps.
+    The last of them was found in that way already. An effect that is not missing with the others in the model is
+    removed. The order stays if the names do; otherwise the effect that explains most comes first. The result is
+    discarded if it explains less than `now`: without an effect a fit may end where none of the others helps.
     """
     workspace, found, whole = how.workspace, list(now.findings), now.fit
     settled, turns = 1, TURNS * len(found)
@@ -66,10 +67,10 @@ def swap(now: Explanation, how: Search) -> Explanation:
         if settled >= len(found):
             break
         oldest = found.pop(0)
-        how.tell(f"looking for {oldest.effect} again, with the others in the model", turn / turns)
+        how.progress(f"looking for {oldest.effect} again, with the others in the model", turn / turns)
         without = remembered(whole.model.remove(oldest.effect), workspace)
         new = _again(Named(oldest, replace(whole, candidate=_candidate(oldest, workspace))), without, how)
-        if new is not None and new.finding.log_likelihood_gain >= asked(new.finding, found, how.alone):
+        if new is not None and new.finding.log_likelihood_gain >= required_log_ratio(new.finding, found, how.alone):
             settled = settled + 1 if new.finding.effect == oldest.effect else 1
             found.append(new.finding)
             whole = new.fit
@@ -88,30 +89,32 @@ def swap(now: Explanation, how: Search) -> Explanation:
 
 
 def split(now: Explanation, how: Search) -> Explanation:
-    """`now` with two effects in place of one that is made of two, where these are worth being two.
+    """`now` with two effects in place of one that combines them, if the evidence for two is sufficient.
 
-    What the two are called, each is looked for as in `swap`: beside a static torque plain dry friction may be none.
+    Whatever the two are, each is searched for as in `swap`: with a static torque in the model, plain dry friction may
+    not be missing.
     """
     workspace = how.workspace
     for made in now.findings if len(now.findings) < how.most else ():
         parts = parts_of(made, now.findings, workspace)
         if not parts:
             continue
-        how.tell(f"taking {made.effect} apart", 0.97)
+        how.progress(f"splitting {made.effect} in two", 0.97)
         others = tuple(each for each in now.findings if each is not made)
         first = parts[0]
         start = with_effect(now.fit.model.remove(made.effect), first, first.variants[0])
         two = _two(full(start, workspace, first), first, how, but=made.effect)
-        if two is not None and worth_two(two.fit, now.fit, len(now.findings), workspace):
+        if two is not None and two_are_likelier(two.fit, now.fit, len(now.findings), workspace):
             return swap(replace(two, findings=(*others, *two.findings)), how)
     return now
 
 
 def merge(now: Explanation, how: Search) -> Explanation:
-    """`now` with one effect that is made of two in place of these two, where they are not worth being two.
+    """`now` with one effect that combines two in place of these two, if the evidence for two is not sufficient.
 
-    Where they are, but by no more than formulas bend towards real friction, the one is tied with that of the two that
-    is alike: friction that differs between the directions keeps its mean at rest, where its formula has none.
+    If it is sufficient, but by no more than formulas deviate from real friction, the combined effect is tied with that
+    of the two of its own family: friction that differs between the directions keeps its mean at rest, where its formula
+    has none.
     """
     workspace, whole = how.workspace, now.fit
     named = {name: each for each in now.findings for name in each.tied_with}
@@ -120,12 +123,12 @@ def merge(now: Explanation, how: Search) -> Explanation:
         parts = [named[name] for name in made.effect.made_of if name in named]
         if len(parts) != 2 or parts[0] is parts[1] or made.name in now.names:
             continue
-        how.tell(f"putting {parts[0].effect} and {parts[1].effect} together", 0.98)
+        how.progress(f"merging {parts[0].effect} and {parts[1].effect}", 0.98)
         base = remembered(whole.model.remove(parts[0].effect).remove(parts[1].effect), workspace)
         one = named_alone(base, look(base, workspace), made, parts, workspace, is_finer(whole.model, workspace))
         if one is None:
             continue
-        if not worth_two(whole, one.fit, len(now.findings) - 1, workspace):
+        if not two_are_likelier(whole, one.fit, len(now.findings) - 1, workspace):
             others = (each for each in now.findings if all(each is not part for part in parts))
             return Explanation((one.finding, *others), one.fit)
         gain, together = (fit.log_likelihood - base.log_likelihood for fit in (one.fit, whole))
@@ -141,24 +144,25 @@ NEIGHBOURS: tuple[tuple[str, Neighbour], ...] = (
     ("two in place of one", split),
     ("one in place of two", merge),
 )
-"""In this order, each with what is said of it where no time is left for it."""
+"""Tried in this order, each with its name in `untried` if no time is left for it."""
 
 
 def add_two(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
-    """`now`, which has no effect, with two of which none shows alone; None where no two are worth being two.
+    """`now`, which has no effect, with two of which neither shows alone; None if the evidence for two is never
+    sufficient.
 
-    Each takes away what shows of the other: friction the work that a torque does which the actuators bring along. So
-    each is looked for beside the other, as in `swap`.
+    Each hides the other: for example, friction removes the energy that is added by a torque of the actuators. So each
+    is searched for with the other in the model, as in `swap`.
     """
     workspace, base = how.workspace, now.fit
     for pair in scored.pairs[:PAIRS]:
         if pair.p_value >= LEVEL:
             return None
         first, second = pair.candidates
-        how.tell(f"looking for {first.name} and {second.name} at once", 0.9)
+        how.progress(f"looking for {first.name} and {second.name} at once", 0.9)
         start = with_effect(base.model, first, pair.starts[0])
         two = tried(partial(_both, start, first, how))
-        if two is not None and worth_two(two.fit, base, 0, workspace):
+        if two is not None and two_are_likelier(two.fit, base, 0, workspace):
             return two
     return None
 
@@ -168,8 +172,8 @@ def _both(start: Model, first: Candidate, how: Search) -> Explanation | None:
 
 
 def _two(with_first: FullFit, first: Candidate, how: Search, but: str = "") -> Explanation | None:
-    """What is found beside the effect `first`, and what in the place of that beside it; None where one of them is not
-    found, or is the effect `but`."""
+    """The effect found with `first` in the model, and the one found in place of `first` with that one in the model;
+    None if one of them is not found, or is the effect `but`."""
     one = _beside(with_first, how)
     if one is None or one.finding.effect == but:
         return None
@@ -180,20 +184,21 @@ def _two(with_first: FullFit, first: Candidate, how: Search, but: str = "") -> E
 
 
 def parts_of(made: Finding, findings: Sequence[Finding], workspace: Workspace) -> list[Candidate]:
-    """The two that `made` is made of; none where one of them was found beside it."""
+    """The two effects that `made` combines; empty if one of them was found beside it."""
     parts = [each for name in made.definition.made_of for each in workspace.candidates if each.name == name]
     return [] if len(parts) != 2 or {each.name for each in parts} & {each.effect for each in findings} else parts
 
 
 def _tied(part: Finding, made: Candidate) -> Finding:
-    """`part`, tied with what is `made` of it and another, where the two are of one family."""
+    """`part`, tied with the effect `made` of it and another, if the two are of one family."""
     if part.definition.family is not made.effect.family or made.name in part.tied_with:
         return part
     return replace(part, tied_with=(*part.tied_with, made.name))
 
 
-def worth_two(two: FullFit, one: FullFit, count: int, workspace: Workspace) -> bool:
-    """Whether the fit `two` is likelier by the odds of a name than the fit `one`, which has `count` effects."""
+def two_are_likelier(two: FullFit, one: FullFit, count: int, workspace: Workspace) -> bool:
+    """Whether the fit `two` is likelier than the fit `one`, which has `count` effects, by the odds required for a
+    name."""
     candidates = len(workspace.candidates)
     rarer = math.comb(candidates, max(count + 1, 2)) / math.comb(candidates, count)
     return likelier(two.evidence - one.evidence, max(1.0, rarer))

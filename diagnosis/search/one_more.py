@@ -1,4 +1,4 @@
-"""One step of a diagnosis: which effect explains most of what a model leaves, and does it stand up to unseen data?
+"""One step of the search: which effect explains most of a model's lack of fit, and does it hold on held-out data?
 
 score test of all candidates -> quick fits -> full fits and their evidence -> the simplest of the best -> held-out check
 """
@@ -45,7 +45,7 @@ from estimators.fit.result import inverse
 from estimators.methods.prediction_error import result
 
 LATE = 0.7
-"""Share of the time that is then left which fits of what the score test does not see may take."""
+"""Share of the time then left for fits of effects that the score test does not see."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,38 +59,38 @@ class Named:
 def surprising(scored: ScoreTest) -> bool:
     """Whether any effect may explain more than chance does.
 
-    It need not do so with all of them looked at: in the model without it the disturbance has grown to what it does,
-    beside which it shows less than by the likelihood ratio of its fit, which decides.
+    No correction for the number of effects is required here: in the model without the effect the disturbance has grown
+    to imitate it, so the score is smaller than the likelihood ratio of its fit, which decides.
     """
     return any(score.p_single < WORTH_A_FIT for score in scored.scores)
 
 
 def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = None) -> Named | None:
-    """The effect that explains most, in the model; None where none stands up to a full fit and to held-out data.
+    """The effect that explains most, in the model; None if none passes the gates and the check on held-out data.
 
-    `before`: an effect whose fit is known, and that stood up to held-out data.
+    `before`: an effect whose fit is known, and that passed the check on held-out data.
     """
-    workspace, tell = how.workspace, how.tell
+    workspace, progress = how.workspace, how.progress
     known = [before.fit] if before else []
-    fitted_first = contenders(base, scored, workspace, known, tell)
-    # What the score test does not see takes longest, so that it comes last.
+    fitted_first = contenders(base, scored, workspace, known, progress)
+    # Effects that the score test does not see take longest, so they come last.
     hidden = fits_of_confounded(base, workspace.within(LATE), how.confounded, [each.name for each in known])
     fits = at_one_noise([*fitted_first, *hidden], base, workspace)
-    fitted, asked = _asked(base, fits, scored, {each.name for each in hidden}, workspace)
+    fitted, undecided = _undecided(base, fits, scored, {each.name for each in hidden}, workspace)
 
     def on_held_out(best: Tried) -> Tried:
-        tell(f"checking {best.name} on data that the fit has not seen", 0.95)
+        progress(f"checking {best.name} on held-out data", 0.95)
         fit = fitted[best.name]
-        said = before.finding.held_out if before and fit is before.fit else held_out(fit, base, workspace)
-        if said is None and not workspace.budget.left:
+        checked = before.finding.held_out if before and fit is before.fit else held_out(fit, base, workspace)
+        if checked is None and not workspace.budget.left:
             workspace.leave(f"the held-out check of {best.name}")
-        return replace(best, held_out=said)
+        return replace(best, held_out=checked)
 
     def in_usual_shape(other: Tried) -> float | None:
         held = tried(partial(_in_usual_shape, fitted[other.name], base, workspace))
         return None if held is None else held - base.log_likelihood
 
-    decided = decide(asked, on_held_out, in_usual_shape)
+    decided = decide(undecided, on_held_out, in_usual_shape)
     workspace.rounds.append(decided)
     if decided.finding is None:
         return None
@@ -98,10 +98,10 @@ def find(base: FullFit, scored: ScoreTest, how: Search, before: Named | None = N
     return Named(_finding(best, decided, scored), _from_elsewhere(best, workspace))
 
 
-def _asked(
+def _undecided(
     base: FullFit, fits: Sequence[FullFit], scored: ScoreTest, unscored: Collection[str], workspace: Workspace
 ) -> tuple[dict[str, FullFit], Round]:
-    """All of `fits` in the numbers that decide about them, by the finer formula where that is likelier, and the fits
+    """All of `fits` in the numbers that decide about them, with the finer formula if that is likelier, and the fits
     that passed the gates, by name. `unscored`: effects that the score test does not see."""
     tries = max(1, len(scored.scores))
     rows = {each.name: row for each in fits if (row := _gated(each, base, tries, workspace))}
@@ -126,17 +126,18 @@ def _by_evidence(fitted: FullFit) -> float:
 
 
 def _gated(fitted: FullFit, base: FullFit, tries: int, workspace: Workspace) -> Tried | None:
-    """`fitted` in numbers, with the reason of the gate that refuses it; None where these cannot be made."""
+    """`fitted` in numbers, with the reason of the gate that rejects it; None if these cannot be computed."""
     row = tried(partial(_in_numbers, fitted, base), fitted.name, workspace.failed)
     if row is None:
         return None
     if not row.converged:
-        workspace.failed[row.name] = "no fit with it ends: it does not settle"
+        workspace.failed[row.name] = "its fit fails: it does not converge"
     return gated(row, tries)
 
 
 def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
-    """What decides about `fitted`, the model of `base` with one effect more. Raises ArithmeticError, LinAlgError."""
+    """The numbers that decide about `fitted`, the model of `base` with one more effect. Raises ArithmeticError,
+    LinAlgError."""
     assert fitted.candidate is not None
     gain, parameters = log_ratio(fitted, base)
     converged = fitted.fit.minimum.converged
@@ -154,9 +155,9 @@ def _in_numbers(fitted: FullFit, base: FullFit) -> Tried:
 
 
 def _p_value(fitted: FullFit, base: FullFit, scored: ScoreTest, unscored: bool, tries: int) -> float:
-    """How likely chance makes one of so many `tries` explain as much as `fitted`, which the score test may not see.
+    """Probability that by chance one of `tries` effects explains as much as `fitted`, which the score test may not see.
 
-    What the score test saw in a neighbour is this effect's, too, even where the neighbour's own fit leads nowhere.
+    The score of a confusable effect counts for this one, too, even if the fit of that effect leads nowhere.
     """
     assert fitted.candidate is not None
     effect = fitted.candidate.effect
@@ -172,7 +173,7 @@ def _p_value(fitted: FullFit, base: FullFit, scored: ScoreTest, unscored: bool, 
 
 
 def _in_usual_shape(other: FullFit, base: FullFit, workspace: Workspace) -> float | None:
-    """The log likelihood of the model of `base` with the effect of `other` held in its usual shape; None where it has
+    """The log-likelihood of the model of `base` with the effect of `other` held in its usual shape; None if it has
     none."""
     candidate = other.candidate
     assert candidate is not None
@@ -184,8 +185,8 @@ def _in_usual_shape(other: FullFit, base: FullFit, workspace: Workspace) -> floa
 
 
 def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
-    """`fitted`, or a likelier fit whose noise and disturbance begin at next to nothing: what stood in for the effect
-    may have led them to another place. What is looked for next is held against it."""
+    """`fitted`, or a likelier fit that starts with next to no noise and disturbance: what had accounted for the effect
+    may have led them to another minimum. The next effects are compared with this fit."""
     task, end = fitted.fit.problem, fitted.fit.end
     if any(each.effect.impacts for each in task.model.effects):
         return fitted  # its minima are as many as its impacts, and not of the noise
@@ -202,8 +203,8 @@ def _from_elsewhere(fitted: FullFit, workspace: Workspace) -> FullFit:
 
 
 def _by_likelihood(fitted: FullFit, base: FullFit, scored: ScoreTest) -> float:
-    """p-value of the likelihood ratio of `fitted` to `base`; 1 where shapes that mean nothing without the effect, or
-    innovations that scatter more than chance has it, make it no chi squared."""
+    """p-value of the likelihood ratio of `fitted` to `base`, corrected for innovations that scatter more than white
+    ones; 1 for an effect with shapes, which mean nothing without the effect, so that the ratio is not chi squared."""
     assert fitted.candidate is not None
     if fitted.candidate.shapes:
         return 1.0
@@ -215,8 +216,8 @@ def _by_likelihood(fitted: FullFit, base: FullFit, scored: ScoreTest) -> float:
 def named_alone(
     base: FullFit, scored: ScoreTest, made: Candidate, parts: Sequence[Finding], workspace: Workspace, finer: bool
 ) -> Named | None:
-    """`made` in the model of `base` in place of `parts`, whose names it may be tied with; None where it does not stand
-    up to a full fit and to unseen data. It may have its `finer` formula where these have theirs."""
+    """`made` in the model of `base` in place of `parts`, with whose names it may be tied; None if it does not pass the
+    gates and the check on held-out data. It may have its `finer` formula if these have theirs."""
     fits = []
     for each in workspace.candidates:
         if each is made or each.name in {part.effect for part in parts}:
@@ -228,11 +229,11 @@ def named_alone(
     rows = {each.name: row for each in fits if (row := _gated(each, base, 1, workspace))}
     if best is None or made.name not in rows or rows[made.name].refused:
         return None
-    said = held_out(best, base, workspace)
-    if said is not None and not said.stands:
+    checked = held_out(best, base, workspace)
+    if checked is not None and not checked.stands:
         return None
     p_value = min(scored.score(each.name).p_value for each in fits)
-    rows[made.name] = replace(rows[made.name], held_out=said)
+    rows[made.name] = replace(rows[made.name], held_out=checked)
     there = tuple(each.name for each in base.model.effects)
     decided = tie(Round(there, 1, tuple(rows.values()), p_value, made.name), lambda other: None)
     workspace.rounds.append(decided)
@@ -240,12 +241,12 @@ def named_alone(
 
 
 def _finding(best: FullFit, decided: Round, scored: ScoreTest) -> Finding:
-    """What was `decided`, of which `best` is the fit."""
+    """The finding that was `decided`, of which `best` is the fit."""
     row, p_value = decided.finding, decided.p_value
     assert row is not None
     assert best.candidate is not None
     odds = {each.name: float(np.exp(np.clip(each.evidence - row.evidence, -700.0, 0.0))) for each in decided.passed}
-    # The least odds that "none" can have at this p-value, whatever the prior of the size: Sellke, Bayarri, Berger,
+    # The least odds that "none" can have at this p-value, whatever the prior of the amplitude: Sellke, Bayarri, Berger,
     # "Calibration of p values for testing precise null hypotheses" (2001).
     none = -math.e * p_value * math.log(max(p_value, 1e-300))
     finding = Finding(
@@ -262,15 +263,15 @@ def _finding(best: FullFit, decided: Round, scored: ScoreTest) -> Finding:
         gains={each.name: each.log_likelihood / row.log_likelihood for each in decided.passed},
         score_test=scored,
     )
-    return reworded(finding)
+    return with_explanation(finding)
 
 
-def retold(finding: Finding, fitted: FullFit) -> Finding:
-    """`finding` with its parameters as `fitted` has them, which other effects may have moved."""
-    return reworded(replace(finding, parameters=sizes(finding.effect, fitted)))
+def with_estimates(finding: Finding, fitted: FullFit) -> Finding:
+    """`finding` with its parameters as estimated in `fitted`, which other effects may have changed."""
+    return with_explanation(replace(finding, parameters=sizes(finding.effect, fitted)))
 
 
-def reworded(finding: Finding) -> Finding:
+def with_explanation(finding: Finding) -> Finding:
     """`finding` with an explanation that has its parameters."""
     scored = finding.score_test
     assert scored is not None
@@ -280,10 +281,10 @@ def reworded(finding: Finding) -> Finding:
 def sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
     """The parameters of `effect`, by name.
 
-    A size that data alone do not tell, because another parameter does the same, is told by what was known of that one:
-    readings that are late from commands that are early, by the clocks that both have.
+    An amplitude that data alone do not determine, because it is confounded with another parameter, is determined by the
+    prior of that one: readings that are late from commands that are early, by the clocks that both have.
     """
-    told = result(fitted.fit, 0.0).parameters
+    estimates = result(fitted.fit, 0.0).parameters
     amplitudes = next(each.amplitudes for each in fitted.model.effects if each.name == effect)
     deviations = np.sqrt(np.diag(inverse(fitted.fit.minimum.information)))
     found = {}
@@ -291,9 +292,9 @@ def sizes(effect: str, fitted: FullFit) -> dict[str, ParameterEstimate]:
         name = parameter.name
         if not name.startswith(f"{effect}."):
             continue
-        found[name] = told[name]
+        found[name] = estimates[name]
         value, std = float(fitted.fit.minimum.common[place]), float(deviations[place])
-        if name in amplitudes and told[name].value is None and abs(value) > SIGNIFICANT * std:
-            reason = f"told by what was known before: {told[name].reason}"
-            found[name] = replace(told[name], value=value, std=std, status=Status.OK, reason=reason)
+        if name in amplitudes and estimates[name].value is None and abs(value) > SIGNIFICANT * std:
+            reason = f"determined by prior knowledge: {estimates[name].reason}"
+            found[name] = replace(estimates[name], value=value, std=std, status=Status.OK, reason=reason)
     return found

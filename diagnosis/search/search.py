@@ -1,12 +1,12 @@
-"""The search for what a model lacks: effect after effect, as each is beside the others, and beside random parts.
+"""The search for what a model lacks: effect after effect, each with the others and with random parts in the model.
 
     score all effects that the model does not have
-    -> one effect more (search.one_more), or two of which neither shows alone
-    -> the neighbours of what is found by now (search.neighbours): another in place of each, two of one, one of two
+    -> one more effect (search.one_more), or two of which neither shows alone
+    -> the neighbours of the findings so far (search.neighbours): another in place of each, two of one, one of two
     -> again, until nothing passes
 
-Then random parts are looked for beside the effects, and the effects again beside each, as long as all of them together
-gain evidence. A random part is no finding about the vehicle.
+Then random parts are searched for with the effects in the model, and the effects again with each of these, as long as
+the evidence of all of them together rises. A random part is not a finding about the vehicle.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from diagnosis.fits.random_parts import RANDOM, absorbed, expected_log_ratio
 from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_ratio, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
-from diagnosis.search.contenders import flat_at_zero, look, still
+from diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
 from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
-from diagnosis.search.further import asked
+from diagnosis.search.further import required_log_ratio
 from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
-from diagnosis.search.one_more import find, retold, sizes, surprising
+from diagnosis.search.one_more import find, sizes, surprising, with_estimates
 from diagnosis.trial import FAILURES, tried
 
 HALF = 0.5
-"""Share of the time for each of two searches: without a random part that seems to explain most, and beside it."""
+"""Share of the time for each of two searches: without a random part that seems to explain most, and with it."""
 ONCE = 0.75
-"""Share of the progress bar that is over when work is done that may have to be done again; for the bar alone."""
+"""Share of the progress bar that is done when work is complete that may have to be repeated; for the bar alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a search ends with.
+    """The result of a search.
 
-    `base`: the fit of the model alone; `bare`: that without its effects whose parts strike each other; `fits` with the
-    first of `findings`, with the first two, and so on; `score_tests` before each and after the last. `last`: the fit of
-    all that was found, which may be one effect more than has a name: what explains too little for one, but no more is
-    unknown than what that bends.
+    `base`: the fit of the model alone; `bare`: that without its effects whose parts collide; `fits` with the first of
+    `findings`, with the first two, and so on; `score_tests` before each and after the last. `last`: the fit of all that
+    was found, which may have one effect more than is named: it explains too little for a name, but the deviation that
+    it covers does not count as unknown.
     """
 
     base: FullFit
@@ -52,14 +52,14 @@ class Found:
 
 
 def search(base: FullFit, how: Search, before: Explanation | None = None) -> Found:
-    """The effects that `base`, the fit of a model alone, lacks, beside the random parts that the record asks for.
+    """The effects that `base`, the fit of a model alone, lacks, with the random parts that the record requires.
 
-    `before`: what explains these samples and others; the search goes on from it where it holds here.
+    `before`: the explanation of these samples and others; the search starts from it if it holds here.
     """
     workspace = how.workspace
     held = workspace.in_time(partial(_held, base, before, how), RANDOM) if before else None
     base, known = held or (base, Explanation((), base))
-    # Where a random part explains more than any effect seems to, the search without it leaves it half of the time.
+    # If a random part seems to explain more than any effect, the search without it leaves it half of the time.
     hurried = not known.findings and _outdone(base, how)
     first = replace(how, workspace=workspace.within(HALF)) if hurried else how
     begun = ONCE
@@ -80,7 +80,7 @@ def search(base: FullFit, how: Search, before: Explanation | None = None) -> Fou
 
 
 def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
-    """Effect after effect beside the `known` ones, at most as many as `how` says."""
+    """Effect after effect beside the `known` ones, at most as many as `how` allows."""
     workspace, most = how.workspace, how.most
     bare = _without_impacts(base, how)
     of_impacts = _left_by_impacts(base, bare)
@@ -91,7 +91,7 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
         part = replace(how, alone=score_tests[0] if score_tests else NOTHING_SCORED)
         part = part.part(len(now.findings) / (most + 1.0), 1.0 / (most + 1.0))
         beside = f", with {now.names[-1]} in the model" if now.findings else ""
-        part.tell(f"scoring all effects{beside}", 0.0)
+        part.progress(f"scoring all effects{beside}", 0.0)
         what = "further effects" if now.findings else "the search for effects"
         scored = workspace.in_time(partial(look, now.fit, workspace if score_tests else workspace.unlimited), what)
         score_tests.append(scored or NOTHING_SCORED)
@@ -100,7 +100,7 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
         further = workspace.in_time(partial(_one_more, now, scored, part), what)
         if further is not None:
             *before, new = further.findings
-            if new.log_likelihood_gain < asked(new, before, score_tests[0], of_impacts):
+            if new.log_likelihood_gain < required_log_ratio(new, before, score_tests[0], of_impacts):
                 last = further.fit  # too little for a name, but known
                 break
         if further is None and not now.findings and most > 1:
@@ -113,25 +113,26 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
         alone = None if grown else tried(partial(one_by_one, now, workspace.unlimited))
         fits = [*fits, now.fit] if alone is None else alone
     findings = [replace(each, made_of=_made_of(each, now, workspace)) for each in now.findings]
-    findings = [tried(partial(retold, each, now.fit)) or each for each in findings]
+    findings = [tried(partial(with_estimates, each, now.fit)) or each for each in findings]
     return Found(base, bare, tuple(findings), tuple(fits), tuple(score_tests), last)
 
 
 def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
-    """`now` with the effect that explains most of what it leaves; None where none stands."""
+    """`now` with the effect that explains most of its lack of fit; None if none passes."""
     workspace, seen = how.workspace, surprising(scored)
-    # In a fit of the model alone a disturbance may have grown to what is missing, beside which nothing shows.
-    if not seen and (now.findings or not (how.confounded or still(now.fit, workspace) is not None)):
+    # In a fit of the model alone the disturbance may have grown to imitate what is missing, so that nothing shows.
+    if not seen and (now.findings or not (how.confounded or undisturbed_fit(now.fit, workspace) is not None)):
         return None
-    # Beside an effect that does not quite fit, a lag bends what is left: there the score test has to see it.
+    # With an effect in the model that does not quite fit, a lag distorts what is left: there the score test must see
+    # it.
     more = flat_at_zero(workspace) if seen and not now.findings else []
     found = find(now.fit, scored, replace(how, confounded={*how.confounded, *more}))
     return None if found is None else Explanation((*now.findings, found.finding), found.fit)
 
 
 def _held(base: FullFit, before: Explanation, how: Search) -> tuple[FullFit, Explanation]:
-    """The fit of `base` with the random parts that its rows ask for beside the effects of `before`, and what explains
-    these rows: all of `before`, or nothing where one of its effects is no more than chance here."""
+    """The fit of `base` with the random parts that its samples require beside the effects of `before`, and the
+    explanation of these samples: all of `before`, or nothing if one of its effects is not significant here."""
     workspace = how.workspace
     if not before.findings:
         base = absorbed(base, base, workspace) or base
@@ -160,10 +161,9 @@ def _outdone(base: FullFit, how: Search) -> bool:
 
 
 def _without_impacts(base: FullFit, how: Search) -> FullFit:
-    """The fit of the model without those of its effects whose parts strike each other; `base` where it has none, or
-    diverges without them.
+    """The fit of the model without its effects whose parts collide; `base` if it has none, or diverges without them.
 
-    What is left of these, once they are in the model, is a share of what they explain.
+    What these leave, with them in the model, is a share of what they explain.
     """
     model = base.model
     for each in base.model.effects:
@@ -176,15 +176,15 @@ def _without_impacts(base: FullFit, how: Search) -> FullFit:
 
 
 def _left_by_impacts(base: FullFit, bare: FullFit) -> float:
-    """Log likelihood that the effects of `base` whose parts strike each other may leave; `bare` is without these."""
+    """Log-likelihood that the effects of `base` whose parts collide may leave; `bare` is without these."""
     errors = [each.effect.formula_error for each in base.model.effects if each.effect.impacts]
     return max(errors, default=0.0) * max(0.0, base.log_likelihood - bare.log_likelihood)
 
 
 def _made_of(made: Finding, found: Explanation, workspace: Workspace) -> MadeOf | None:
-    """`made`, one of what was `found`, told as the two that it is made of; None where it is of none.
+    """`made`, one of the effects in `found`, expressed as the two that it combines; None if it combines none.
 
-    Those who publish a bench's friction often give the two.
+    Published friction of a bench is often given as the two.
     """
     parts = parts_of(made, found.findings, workspace)
     if not parts:
@@ -193,8 +193,8 @@ def _made_of(made: Finding, found: Explanation, workspace: Workspace) -> MadeOf 
     for each in parts:
         model = with_effect(model, each, each.variants[0])
     fit = partial(full, model, workspace, parts[-1])
-    two = workspace.in_time(fit, f"{made.effect} as the two that it is made of")
+    two = workspace.in_time(fit, f"{made.effect} as the two effects that it combines")
     if two is None or not two.fit.minimum.converged:
         return None
-    told = {name: each for part in parts for name, each in sizes(part.name, two).items()}
-    return MadeOf(told, two.log_likelihood - found.fit.log_likelihood)
+    parameters = {name: each for part in parts for name, each in sizes(part.name, two).items()}
+    return MadeOf(parameters, two.log_likelihood - found.fit.log_likelihood)

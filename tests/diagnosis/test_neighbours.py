@@ -92,9 +92,9 @@ def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> No
     assert [each.effect for each in one.findings] == ["asymmetric_friction"]
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, candidates)
     told: list[str] = []
-    how = Search(workspace, tell=lambda text, share: told.append(text))
+    how = Search(workspace, progress=lambda text, share: told.append(text))
     found = split(Explanation(one.findings, one.steps[-1]), how)
-    assert "taking asymmetric_friction apart" in told
+    assert "splitting asymmetric_friction in two" in told
     _are_dry_friction_and_a_creeping_torque(found.findings)
     # Looked for among all of them, the two are found without that.
     _are_dry_friction_and_a_creeping_torque(
@@ -129,7 +129,7 @@ def test_two_are_put_together_where_one_that_is_made_of_them_does_as_well(
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
     told: list[str] = []
     before = Explanation(two.findings, two.steps[-1])
-    found = merge(before, Search(workspace, tell=lambda text, share: told.append(text)))
+    found = merge(before, Search(workspace, progress=lambda text, share: told.append(text)))
     assert len(told) == 1
     if not together:
         assert found is before
@@ -150,7 +150,7 @@ def test_what_explains_nearly_as_much_as_two_is_tied_with_the_one_that_is_like_i
     recording = record("monocab", "multisine", hide=("asymmetric_friction=0.1",), seed=31, duration=30.0)
     two = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=PARTS)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
-    monkeypatch.setattr("diagnosis.search.neighbours.worth_two", lambda *_: True)
+    monkeypatch.setattr("diagnosis.search.neighbours.two_are_likelier", lambda *_: True)
     found = merge(Explanation(two.findings, two.steps[-1]), Search(workspace))
     assert {each.effect: each.tied_with for each in found.findings} == {
         each.effect: ("asymmetric_friction",) if each.effect == "coulomb_friction" else each.tied_with

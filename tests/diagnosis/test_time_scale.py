@@ -192,7 +192,7 @@ def test_windows_follow_the_plant(tmp_path: Path) -> None:
 
 
 def test_a_record_of_few_rows_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="400 rows of free motion"):
+    with pytest.raises(DataError, match="400 samples of free motion"):
         check(model(tmp_path, 1.0), [recording("", 1.0, every=6)])
 
 
