@@ -100,7 +100,7 @@ class Tried:
 
 
 Gate = Callable[[Tried, int], str]
-"""From an effect, as one of so many that were tried, to the reason for its rejection, empty if it passes."""
+"""Maps an effect, as one of so many that were tried, to the reason for its rejection, empty if it passes."""
 
 
 def converges(tried: Tried, tries: int) -> str:

@@ -150,7 +150,8 @@ def outlook(rivals: Sequence[Rival], experiment: Experiment) -> Outlook:
 
 
 def expected_log_odds(truth: Rival, rows: Segment, other: Rival) -> float:
-    """nats by which `truth` is more likely than `other` on average, once `other` is fitted to `rows` that `truth` made.
+    """nats by which `truth` is more likely than `other` on average, once `other` is fitted to `rows` that `truth`
+    generated.
 
     A fit of `other` also takes for noise what it fails to predict: its process noise and its innovations become larger.
     So here it may choose by how much, and the least odds count.

@@ -35,7 +35,7 @@ FITS = 2.0
 """Ratio of the innovations of the actuators' rate, with the findings in the model, to its sensor's noise above which no
 known speed loop fits.
 
-It was 1.32 beside a delay of 24 ms, with which the vehicle swings, and 3 and more with backlash.
+It was 1.32 with a delay of 24 ms, with which the vehicle swings, and 3 and more with backlash.
 """
 MOST = 2
 """Effects of a command, at most."""
@@ -57,9 +57,9 @@ def diagnose_parts(
 ) -> Diagnosis:
     """What `vehicle`, driven by measured motion, and the one of `actuators` that fits lack to explain `recordings`.
 
-    As diagnosis.diagnose.diagnose. The result is that of the vehicle, with the findings and the minimum detectable
-    effects of both; its `parts` are the two alone. If the actuators' effect comes first, the innovation ratios are
-    theirs.
+    Arguments as of diagnosis.diagnose.diagnose. The result is that of the vehicle, with the findings and the minimum
+    detectable effects of both; its `parts` are the two alone. If the actuators' effect comes first, the innovation
+    ratios are theirs.
     """
     began, report = stopwatch(), progress or (lambda text, share: None)
     looked_for = [find(each) if isinstance(each, str) else each for each in (candidates or CATALOGUE)]
@@ -157,8 +157,8 @@ def _further(
     """`found` and one more effect, if there is one that chance does not explain.
 
     In a vehicle a further effect must raise the log-likelihood by a share of what the first did, since no formula is
-    exact. That of a speed loop is: beside delays with log-likelihood ratios of 5000 to 7000 nothing else had more than
-    0.5, and a dead band of 0.1 mrad/s had 10.
+    exact. The formula of a speed loop is exact: with delays in the model, whose log-likelihood ratios were 5000 to
+    7000, nothing else had more than 0.5, and a dead band of 0.1 mrad/s had 10.
     """
     model = found.revised
     assert model is not None

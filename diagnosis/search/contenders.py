@@ -95,7 +95,8 @@ def each_fitted(
     """The likeliest fit with each of the candidates of `workspace`, whatever its score, by name; without those whose
     fits all fail.
 
-    As a diagnosis fits the contenders. A candidate whose quick fit leads nowhere starts with next to no amplitude.
+    Fitted as a diagnosis fits its contenders. A candidate whose quick fit leads nowhere starts with next to no
+    amplitude.
     """
     quicks = _quick_fits(base, scored, workspace, progress, every=True)
     found = _full_fits(base, quicks, workspace, (), list, progress)

@@ -1,4 +1,4 @@
-"""How much a further effect must raise the log-likelihood beside the findings so far: no formula is exact, and a long
+"""How much a further effect must raise the log-likelihood, given the findings so far: no formula is exact, and a long
 record shows it.
 
 A formula leaves a share of what its effect explains, its formula error (models.effect.Effect.formula_error), and a
@@ -24,11 +24,11 @@ from diagnosis.score.score_test import ScoreTest
 LEAST = 0.2
 """Lower limit of r^2. A fit leaves nothing along its own formula, so r alone underestimates what is left. With a
 formula error of 0.1 it requires a fiftieth of the log-likelihood ratio so far: with a twentieth, friction or a torque
-beside backlash was not named. Chosen on these cases; what a real formula leaves has not been estimated."""
+in addition to backlash was not named. Chosen on these cases; what a real formula leaves has not been estimated."""
 
 
 def required_log_ratio(further: Finding, before: Sequence[Finding], alone: ScoreTest, of_impacts: float = 0.0) -> float:
-    """Log-likelihood ratio that a `further` effect needs, beside the effects found `before` and the effects of the
+    """Log-likelihood ratio that a `further` effect needs, given the effects found `before`, and the effects of the
     original model whose parts collide, which leave `of_impacts`. `alone`: the score test of that model."""
     left = (
         each.definition.formula_error * _similarity(further, each, alone) * each.log_likelihood_gain for each in before
@@ -37,7 +37,7 @@ def required_log_ratio(further: Finding, before: Sequence[Finding], alone: Score
 
 
 def left_by_formulas(findings: Sequence[Finding]) -> float:
-    """The part of the log-likelihood ratio of `findings` that is no evidence: what their formulas may leave."""
+    """The part of the log-likelihood ratio of `findings` that is not evidence: what their formulas may leave."""
     return sum(each.definition.formula_error * each.log_likelihood_gain for each in findings)
 
 

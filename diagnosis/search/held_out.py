@@ -236,8 +236,8 @@ def _energies(one: Fit, other: Fit, part: Fold, support: float | None) -> Array:
 def loss(white: Array, impacts: bool) -> Array:
     """Negative log-likelihood of each sample of whitened errors `white` (n, outputs), less that of no error, nats (n,).
 
-    Of a normal distribution, or, with `impacts` in the model, of one that is contaminated by a wider one: (1 - TAILS)
-    N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
+    Errors have a normal distribution or, with `impacts` in the model, one that is contaminated by a wider one: (1 -
+    TAILS) N(0, 1) + TAILS N(0, WIDER^2) (Box and Tiao).
     """
     normal = 0.5 * white**2
     if impacts:

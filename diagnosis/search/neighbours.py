@@ -50,7 +50,7 @@ def revised(now: Explanation, how: Search) -> Explanation:
         try:
             now = tried(partial(neighbour, now, how)) or now
         except OutOfTime:
-            how.workspace.leave(f"{what}, beside {' and '.join(now.names)}")
+            how.workspace.leave(f"{what}, with {' and '.join(now.names)} in the model")
     return now
 
 

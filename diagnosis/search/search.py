@@ -30,7 +30,7 @@ from diagnosis.trial import FAILURES, tried
 HALF = 0.5
 """Share of the time for each of two searches: without a random part that seems to explain most, and with it."""
 ONCE = 0.75
-"""Share of the progress bar that is done when work is complete that may have to be repeated; for the bar alone."""
+"""Share of the progress bar for work that may have to be repeated; for the bar alone."""
 
 
 @dataclass(frozen=True, slots=True)
