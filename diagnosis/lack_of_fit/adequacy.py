@@ -43,8 +43,7 @@ explains nine tenths.
 If a record shows much of an effect, the error of its formula is far above the noise, and the estimated noise absorbs
 it: the rise of the log-likelihood then says little."""
 SIGNIFICANT = 2.0
-"""Standard deviations by which that rise has to exceed its share: on a short record 30 % of 50 nats may as well be 4
-%."""
+"""Standard deviations by which that rise has to exceed its share: 30 % of 50 nats may be 4 % on a short record."""
 CHANCE = 1e-3
 """p-value below which the rise by a shape is not attributed to chance."""
 MOST = 0.5

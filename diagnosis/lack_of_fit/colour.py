@@ -135,7 +135,7 @@ def _places(fitted: Fit) -> Iterator[_Place]:
             yield place(joint.name, False, through @ pushed, fastest)
     wrong = {each.name for each, _ in at_outputs(model)}
     for number, each in enumerate(model.outputs):
-        # A stated noise is stated too large, so that no power above it is left. The error of a counter is its counting.
+        # A stated noise is stated too large, so that no power above it is left. A counted output errs by its counting.
         if each.name not in wrong and not (each.noise_known or each.counted):
             direct = np.eye(outputs)[number]
             entered = spacing * noise.integrated[:, number] - ahead @ direct
@@ -143,8 +143,7 @@ def _places(fitted: Fit) -> Iterator[_Place]:
 
 
 def _blocks(powers: Array) -> Iterator[tuple[float, int, int]]:
-    """For each block the probability of so much power by chance, and its first and last line; `powers` (n,) of mean
-    1."""
+    """Probability of so much power by chance, first and last line of each block; `powers` (n,) of mean 1."""
     lines = 1
     while 2 * lines <= len(powers):
         sums = powers[: len(powers) // lines * lines].reshape(-1, lines).sum(axis=1)
