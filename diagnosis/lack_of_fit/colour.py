@@ -85,8 +85,8 @@ def same(one: Signal, other: Signal) -> bool:
 
 
 def signals(fitted: Fit) -> list[Signal]:
-    """The most likely signals, the one with most evidence first; none if all blocks are what chance gives with white
-    innovations. At each place: one of first order (sensors only), and those around the frequencies of the significant
+    """The most likely signals, the one with most evidence first; none if all blocks are consistent with white
+    innovations. At each place: one of first order (sensors only), and those around the frequencies of significant
     blocks."""
     places = list(_places(fitted))
     blocks = [(*block, place) for place in places for block in _blocks(place.b / place.a)]
@@ -163,8 +163,8 @@ def _apart(blocks: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
 
 
 def _likeliest(place: _Place, turn: float | None) -> list[Signal]:
-    """The most likely signal at `place`, around `turn` rad per sample or of first order; none if it does not raise the
-    log-likelihood."""
+    """The most likely signal at `place`, around `turn` rad per sample or of first order; none if it explains
+    nothing."""
     shortest = place.shortest if turn is None else PERIODS * 2.0 * math.pi * place.spacing / turn
     longest = max(place.longest, 2.0 * shortest)
     # As large as its share of the innovations, were it all in one line or in all.

@@ -83,16 +83,14 @@ class Floor:
 
     @property
     def informative(self) -> list[int]:
-        """Outputs whose noise is estimated from the record. A known noise is stated too large, so no test builds on
-        it."""
+        """Outputs whose noise is estimated from the record. A known noise is stated too large: no test builds on it."""
         measured = np.flatnonzero(np.isfinite(self.freedom)).tolist()
         return measured or list(range(len(self.freedom)))
 
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """A model's one-step errors on a record: `errors` (n, ny) by segment. `fit` holds values, initial states and
-    gain."""
+    """A model's one-step errors on a record: `errors` (n, ny) by segment. `fit` has values, initial states and gain."""
 
     fit: Fit
     floor: Floor
@@ -103,8 +101,8 @@ class Innovations:
         return self.fit.problem
 
     def blocks(self, also: Sequence[int] = ()) -> list[Block]:
-        """Whitened errors by segment, and their derivatives by the nuisances, by the parameters at the places `also`,
-        and by the initial state; the last rows of a block are the prior of its initial state."""
+        """Whitened errors by segment, and their derivatives with respect to the nuisances, the parameters at the places
+        `also`, and the initial state; the last rows of a block are the prior of its initial state."""
         task, common = self.problem, self.fit.minimum.common
         blocks = task.evaluate(
             common, self.fit.minimum.own[:-1], weights=self.floor.whitener, gain=self.floor.gain, also=also
@@ -199,8 +197,7 @@ def _left(found: Innovations) -> Left:
 
 
 def _noise(task: Problem, shares: Array, left: Left | None = None) -> NoiseModel:
-    """The noise model with the sensors' noise from the record and shares (nx,) of the variances of unknown process
-    noise."""
+    """The noise model with sensor noise from the record and shares (nx,) of the variances of unknown process noise."""
     noise = NoiseModel.of(task)
     known = np.ones(len(shares))
     known[list(noise.noisy)] = shares[list(noise.noisy)]

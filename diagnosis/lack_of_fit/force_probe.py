@@ -91,8 +91,7 @@ def probe(found: Innovations, *, progress: Progress | None = None) -> Probe:
 
 
 def recurrence(matrix: Array, pushes: Array) -> Array:
-    """x of x(k) = matrix x(k - 1) + pushes(k), both (n, nx), for a stable matrix: each step doubles the length
-    summed."""
+    """x of x(k) = matrix x(k - 1) + pushes(k), both (n, nx), for a stable matrix, by doubling the length of the sum."""
     states, power, reach = pushes.copy(), matrix, 1
     while reach < len(states) and np.max(np.abs(power)) > 0.0:
         states[reach:] += states[:-reach] @ power.T
@@ -101,8 +100,7 @@ def recurrence(matrix: Array, pushes: Array) -> Array:
 
 
 def _opened(model: Model) -> tuple[Model, Mapping[str, tuple[str, str]]]:
-    """`model` with a force as an input at each joint, and the expressions and units of the coordinates that it puts
-    out."""
+    """`model` with a force as an input at each joint, and the expressions and units of the coordinates as outputs."""
     # States of an effect at another place than its first have names that no equation can contain.
     # A disturbance depends on nothing.
     shown = {

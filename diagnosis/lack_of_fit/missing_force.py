@@ -29,14 +29,12 @@ from estimators.fit.stationary import stationary
 Array = NDArray[np.float64]
 
 STEPS = np.logspace(-6.0, 3.0, 46)
-"""Steps of the random walk that are tried, s^-1/2, in units of the force whose effect within a sample equals the
-noise."""
+"""Steps of the random walk that are tried, s^-1/2, in units of the force that shows in one sample as much as noise."""
 OWN = 1e-3
 """Share of the response to a force that no forces at other joints produce, above which the force is distinguishable
 from them: derivatives agree to less."""
 FADING = 1e-6
-"""Share of the variance of a state's error that is added per sample if the error does not decay and no noise drives
-it."""
+"""Share of the variance of a state's error that is added per sample if it does not decay and no noise drives it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +106,8 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
     """The step of the random walk, force/sqrt(s), the p-value of its being there at all, and the RMS that the smoothed
     force has from noise alone.
 
-    The step is one standard deviation above the most likely one: if the record shows nothing, the most likely step is
-    zero, and a force that the record could hide would go unreported.
+    The step is one standard deviation above the most likely one, which is zero if the record shows nothing: otherwise a
+    force that the record could hide would go unreported.
     """
     powers, projected, gains, walks = [], [], [], []
     for part in white:
@@ -126,7 +124,7 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
     outputs, lines = white[0].shape[1], len(power)
 
     def cost(logarithm: float) -> float:
-        """Minus the log-likelihood. What is known of the noise level counts as that many further lines without a
+        """Minus the log-likelihood. Prior knowledge of the noise level counts as so many further lines without a
         force."""
         density = np.exp(2.0 * logarithm) * walk
         growth = 1.0 + density * gain
@@ -250,7 +248,7 @@ def _settled(transition: Array, output: Array, driven: Array, spread: Array) -> 
     try:
         return np.asarray(solve_discrete_are(transition.T, output.T, driven + FADING * np.diag(spread), noise))
     except np.linalg.LinAlgError as error:
-        what = f"it cannot be estimated with this predictor ({error})"
+        what = f"cannot be estimated with this predictor ({error})"
         raise EstimationError(
             "missing force", what, remedy="check the noises and filters that the model states."
         ) from error

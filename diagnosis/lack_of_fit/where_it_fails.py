@@ -9,8 +9,8 @@
 * equation: mean and energy of the missing force at each joint, with the parameters as they are
   (diagnosis.lack_of_fit.missing_force).
 
-The reference are white innovations of the floor's covariance. The tests account for how well the record determines that
-covariance: energies have an F distribution. A model is adequate if no view finds anything; each view may reject a
+The reference is white innovations with the floor's covariance. The tests account for how well the record determines
+that covariance: energies have an F distribution. A model is adequate if no view finds anything; each view may reject a
 correct model with a quarter of LEVEL. Source: Benjamini and Hochberg, Journal of the Royal Statistical Society B 57
 (1995).
 """
@@ -97,8 +97,7 @@ def _tested(found: Innovations) -> list[tuple[int, str]]:
 
 
 def energies_by_time(found: Innovations) -> list[Energy]:
-    """Each window of each channel, s from the first sample: the less likely of the energies sample by sample and
-    averaged."""
+    """Each window of each channel, s from the first sample: by sample or averaged, whichever is less likely."""
     results = []
     scale = time_scale(found.problem.model, found.problem.segments)
     averaged = max(1, round(AVERAGE * scale / found.floor.spacing))

@@ -1,5 +1,4 @@
-"""The strongest spectral line of a signal that comes in little by little: the frequency that a disturbance would
-have."""
+"""The strongest spectral line of a signal that comes in little by little: the frequency of a possible disturbance."""
 
 from __future__ import annotations
 
@@ -18,8 +17,8 @@ SLOWEST = 0.1
 LONGEST, SHORTEST = 32.0, 4.0
 """Longest and shortest part of the signal that is evaluated, s."""
 RECENT = 8.0
-"""Last s, evaluated on their own, too: a line that has just begun is weak in the whole, and weakest at the end of a
-window."""
+"""Last s, evaluated on their own, too: a line that has just begun is weak in the whole, and weakest at a window's
+end."""
 CHANCE = 0.1
 """Probability of a line as strong as one that is followed, if there is only noise."""
 

@@ -1,11 +1,11 @@
 """Which effect a model lacks, while the vehicle runs: the score test of all effects along with the recursion.
 
-The recursive prediction error method gives, chunk by chunk, innovations and their derivatives by its unknowns. A second
-kernel, of the model with every candidate attached at amplitude zero, runs along with the same parameters and the same
-gain: it gives the derivatives by the amplitude of each effect. Every second or two `diagnosis.live.odds` computes the
-odds of each effect against none, for any onset. An effect whose odds chance does not explain is named
-(`diagnosis.live.naming`), together with those that are not distinguishable from it yet; it is then taken as given, and
-the next one is searched for.
+The recursive prediction error method gives, chunk by chunk, innovations and their derivatives with respect to its
+unknowns. A second kernel, of the model with every candidate attached at amplitude zero, runs along with the same
+parameters and the same gain: it gives the derivatives with respect to the amplitude of each effect. Every second or two
+`diagnosis.live.odds` computes the odds of each effect against none, for any onset. An effect whose odds chance does not
+explain is named (`diagnosis.live.naming`), together with those that are not distinguishable from it yet; it is then
+taken as given, and the next one is searched for.
 
 Each effect is tested in one shape only (`upright diagnose` tries several and refits each), except for the frequency of
 a disturbance, which is followed. An amplitude is one linear step from a model whose noise had to absorb the effect: up
@@ -59,8 +59,7 @@ If the output hardly moves, the error stays for seconds, like a torque or fricti
 
 
 def _line_of(candidate: Candidate) -> tuple[str, str] | None:
-    """The name of an effect that is a line in a spectrum, and the parameter that is its frequency; None for any
-    other."""
+    """The name of an effect that is a line in a spectrum, and the parameter that is its frequency; None for others."""
     frequencies = candidate.attached.of_role(Role.FREQUENCY)
     return (candidate.name, frequencies[0]) if frequencies and candidate.effect.follows_time else None
 
@@ -259,7 +258,7 @@ class LiveDiagnosis:
         self._shapes[self._lined[1]] = (frequency, NEAR / span, "Hz")
 
     def _effects(self, chunk: Chunk, seen: Seen) -> Array | None:
-        """Derivatives of a chunk's innovations by the candidates' amplitudes, (n, m), with what was `seen` last.
+        """Derivatives of a chunk's innovations with respect to the candidates' amplitudes, (n, m), at the last `seen`.
 
         None if an effect's own motion is too fast for the steps: the next chunk is integrated in finer ones."""
         kernel, segment, size = self._wide, chunk.segment, len(self._active)
@@ -319,8 +318,8 @@ def substeps(kernel: Kernel, values: Array, base: Problem, period: float) -> int
 
 
 def parts(chunk: Chunk, outputs: int) -> Iterator[tuple[slice, float, float]]:
-    """A long chunk in parts of the usual length: which of its numbers (samples x outputs), when each begins and how
-    long it lasts."""
+    """A long chunk in parts of the usual length: which of its numbers (samples x outputs), begin and duration of
+    each."""
     time = chunk.segment.time[chunk.rows].tolist()
     for first in range(0, len(time), CHUNK):
         last = min(first + CHUNK, len(time))

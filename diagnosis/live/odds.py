@@ -34,8 +34,7 @@ SHORTEST = 3
 YOUNGEST = 1
 """Latest onset that is considered, s ago."""
 TIED = 0.9
-"""Share of the best logarithm of odds from which on an effect is tied with the best: their directions correlate by
-0.95."""
+"""Share of the best logarithm of odds from which on an effect is tied with it: their directions correlate by 0.95."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +134,7 @@ def _explained(gain: float, energies: Array, window: int, acts: NDArray[np.bool_
 
 
 def _gains(effects: Sequence[Amplitudes], fitted: Fitted, nuisances: int, windows: NDArray[np.int64]) -> Array:
-    """Twice the rise of the log-likelihood by each effect at each window, (w, e), with its amplitudes in the part
-    before.
+    """Twice the rise of the log-likelihood by each effect at each window, (w, e), including the part before it.
 
     Amplitudes outside their bounds give no rise; of several, of which not all are inside, only the best one counts."""
     columns = np.array([place - nuisances for effect in effects for place in effect.columns])
@@ -180,8 +178,7 @@ def _alone(where: NDArray[np.int64], lower: Array, upper: Array, fitted: Fitted,
 def _together(
     where: NDArray[np.int64], lower: Array, upper: Array, fitted: Fitted, windows: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """`_gains` of the columns (e, k) of effects together, (w, e), and whether their amplitudes are inside their
-    bounds."""
+    """`_gains` of the columns (e, k) of effects together, (w, e), and whether their amplitudes are within bounds."""
     count, size = where.shape
     cross, turned, score = fitted.cross[:, :, where], fitted.turned[:, :, where], fitted.score[:, where]
     own = fitted.own[:, where[:, :, None], where[:, None, :]]

@@ -130,8 +130,7 @@ def examine(
 
 
 def _allowed(effect: Amplitudes, information: Array, score: Array) -> Array:
-    """The amplitudes (k,) within the bounds that raise the likelihood most: the best of all subsets, the others
-    zero."""
+    """The amplitudes (k,) within the bounds that raise the likelihood most: the best subset, the others zero."""
     width = len(score)
     best, most = np.zeros(width), 0.0
     for chosen in range(2**width - 1, 0, -1):
@@ -158,8 +157,7 @@ def _inflation(
     turned: Array,
     base: Array,
 ) -> float:
-    """Variance inflation: by how much scores scatter more from second to second than their information says, at least
-    1.
+    """Variance inflation, at least 1: by how much scores scatter more from second to second than by their information.
 
     It is computed from the innovations without the effect itself, with the nuisances `base` fitted again.
     """

@@ -40,8 +40,7 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 BEGINNING = 0.75
-"""Time scales (estimators.data.time_scale; 0.3 s of the MONOCAB) from which the initial state of a record is estimated
-first."""
+"""Time scales (estimators.data.time_scale; 0.3 s of the MONOCAB) from which the initial state is estimated first."""
 
 
 def on(fit: Fit, task: Problem) -> Fit:

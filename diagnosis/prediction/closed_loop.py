@@ -62,8 +62,7 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """`rows` of the experiment as the model predicts them. `broken`: the limit that is approached too closely, or
-    ""."""
+    """`rows` of the experiment as the model predicts them. `broken`: the limit that it comes too close to, or ""."""
 
     rows: Segment
     broken: str
@@ -106,8 +105,7 @@ def steps(
     first: int = 0,
     shocks: tuple[Array, Array] | None = None,
 ) -> Iterator[tuple[int, Mapping[str, float], Mapping[str, float]]]:
-    """Close the loop from sample `first` on: each sample with the outputs that the controller saw and the inputs it
-    gave.
+    """Close the loop from sample `first` on: each sample with what the controller saw there and the inputs it gave.
 
     Outputs are written to `rows.measured`, the inputs that the controller gives to `rows.inputs`; other inputs stay.
     `memory` is the model's at sample `first`, whose outputs are in `rows` unless it is the first of all. `shocks` (m,

@@ -292,8 +292,7 @@ def _run(
 
 
 def _shown_covariance(found: Innovations) -> Array:
-    """Covariance of the innovations, (ny, ny): the floor's, with no more white noise of a counted output than it
-    shows."""
+    """Covariance of the innovations, (ny, ny): the floor's, but a counted output has only the white noise it shows."""
     sensor = np.diag(found.floor.sensor)
     counted = [output.counted for output in found.problem.model.outputs]
     shown = np.minimum(sensor, np.maximum(white_variance(found.errors)[0], QUIETEST**2 * sensor))

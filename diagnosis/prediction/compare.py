@@ -33,7 +33,7 @@ from models.segment import Segment
 from telemetry.recording import Recording
 
 DOUBTFUL = 2.0
-"""Standard deviations of its own beyond which a time offset is reported as doubtful."""
+"""Deviation of a time offset from its prior, in standard deviations, beyond which it is reported as doubtful."""
 
 
 @dataclass(frozen=True, slots=True)

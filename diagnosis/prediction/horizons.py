@@ -93,8 +93,8 @@ def predictions(found: Innovations) -> list[Prediction]:
 
 def _free_runs(found: Innovations, number: int, rows: int, every: float) -> Iterator[tuple[int, Array, Array | None]]:
     """Every `every` s of a segment, a prediction over `rows` samples without correction: the sample, the predicted
-    outputs (n, ny) and, once in so many samples, their derivatives by the state there (n, ny, nx). The arrays are
-    reused."""
+    outputs (n, ny) and, once in so many samples, their derivatives with respect to the state there (n, ny, nx). The
+    arrays are reused."""
     task, fit = found.problem, found.fit
     kernel, segment = task.kernel, task.segments[number]
     states, stride = len(kernel.states), max(1, round(every / found.floor.spacing))

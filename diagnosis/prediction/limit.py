@@ -1,4 +1,4 @@
-"""What a disturbance costs: the best possible prediction of a record, with it and without it."""
+"""How much a disturbance limits predictions: the best possible prediction of a record, with it and without it."""
 
 from __future__ import annotations
 

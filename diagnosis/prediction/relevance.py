@@ -33,8 +33,7 @@ NEGLIGIBLE = 1.0
 @dataclass(frozen=True, slots=True)
 class Relevance:
     """Percent of the error energy that an effect accounts for: `ahead`, `horizon` s ahead, and in the `closed_loop`,
-    None if no loop could be simulated with and without it. The energy is that of a model without it that has all that
-    was found before."""
+    None if no loop could be simulated with and without it. The model without it has all that was found before."""
 
     horizon: float
     ahead: float

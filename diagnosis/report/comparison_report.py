@@ -70,8 +70,7 @@ def _headline(comparisons: Sequence[Comparison], models: Sequence[str]) -> tuple
 
 
 def loop_errors(comparisons: Sequence[Comparison]) -> Iterator[tuple[str, ...]]:
-    """By channel and model, simulated in the closed loop: fit in percent, RMS error with unit, and over that of
-    noise."""
+    """By channel and model, simulated in the closed loop: fit in percent, RMS error with unit, RMS error over noise."""
     for channel in dict.fromkeys(name for each in comparisons for name in each.closed_loop.measured):
         for each in comparisons:
             loop = each.closed_loop

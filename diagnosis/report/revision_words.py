@@ -36,7 +36,7 @@ def odds_text(odds: float) -> str:
 
 def _sentences(revision: Revision) -> Iterator[str]:
     budget, horizon = revision.budget, revision.horizons[-1]
-    moves = "stays as it is"
+    moves = "does not change"
     if abs(budget.fall) > 5e-4:
         moves = f"{'falls' if budget.fall > 0.0 else 'rises'} by {_percent(abs(budget.fall))}"
     closed = budget.closed_percent
@@ -53,7 +53,7 @@ def _sentences(revision: Revision) -> Iterator[str]:
     elif budget.fall <= 0.0 and (near := _falls_near(revision)):
         channels = " and ".join(f"{channel} by {_percent(share)}" for channel, share in near.items())
         first = revision.horizons[0]
-        yield f"At {first:g} s ahead it falls: {channels}. What is left of the error grows with the horizon."
+        yield f"At {first:g} s ahead the error falls: {channels}. What is left of the error grows with the horizon."
     elif budget.fall <= 0.0:
         yield "It explains only the records that it was fitted to: the model may lack something else."
     elif revision.odds > 1.0:

@@ -87,7 +87,7 @@ class Relevant:
 
 
 def relevances(diagnosis: Diagnosis) -> list[Relevant]:
-    """One for each finding, in order: those that are negligible last. Empty where no share is known."""
+    """One for each finding, in order: those that are negligible last. Empty if no share is known."""
     if all(each.relevance is None for each in diagnosis.findings):
         return []
     return [

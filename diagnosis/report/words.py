@@ -14,7 +14,7 @@ from models.effect import Effect
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """`kind` is the verdict as a word that also names its colour and its icon, `text` the line, `next_step` the
+    """`kind` is the verdict as a word, which also names its colour and icon; `text` the line; `next_step` the
     advice."""
 
     kind: str
@@ -41,7 +41,7 @@ def _line(diagnosis: Diagnosis) -> str:
     match diagnosis.verdict:
         case Verdict.ADEQUATE:
             if diagnosis.unexplained is not None and diagnosis.unexplained.impacts:
-                return "no known effect is missing; what is left may come from the instants of its impacts"
+                return "no known effect is missing; what is left may be due to the timing of the impacts"
             return f"the model explains these recordings {to_within(diagnosis)}"
         case Verdict.MISSING_EFFECT:
             alone = matter[0] if len(matter) == 1 else None

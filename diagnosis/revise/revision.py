@@ -201,8 +201,8 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
 
 
 def _over_floor(fitted: Estimated, best: Estimated) -> float:
-    """Innovation energy over that of a correct model, whose gain is linearised in motion: at rest, friction has an
-    enormous slope."""
+    """Innovation energy over that of a correct model, whose gain is linearised in motion: at rest friction is too
+    stiff."""
     task, values = shaken_as(fitted.full.fit.problem, fitted.full.fit.values, best.full.fit)
     moving = values.copy()
     moving[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0

@@ -58,7 +58,7 @@ def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
     for comparison, colour in zip(comparisons, colours, strict=False):
         _steps(by_time, comparison.views.by_time, colour, comparison.fails["time"], ("from", "to"))
         _steps(by_frequency, comparison.views.by_frequency, colour, comparison.fails["frequency"], ("from_hz", "to_hz"))
-    by_time.set(xlabel="s", ylabel="innovation energy over floor", title="by time", yscale="log")
+    by_time.set(xlabel="s", ylabel="innovation energy / floor", title="by time", yscale="log")
     by_frequency.set(xlabel="Hz", title="by frequency", xscale="log", yscale="log")
     for place, (joint, coordinate) in enumerate(places):
         row, column = divmod(place, COLUMNS)
@@ -118,7 +118,7 @@ def _horizons(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[o
             label = channel if comparison is comparisons[0] else None
             axes.plot(horizons, ratios, marker, ls="-", color=colour, ms=4, lw=0.9, label=label)
     axes.axhline(1.0, color=FLOOR, linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel="error over floor")
+    axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel="error / floor")
     axes.legend(fontsize=8)
 
 

@@ -83,8 +83,7 @@ OTHERS = (
 
 
 def looks(count: int) -> tuple[Look, ...]:
-    """The looks of `count` models: of one alone, of one before and after, or of more, each its own as far as they
-    go."""
+    """The looks of `count` models: of one alone, of one before and after, or of more; after the last they repeat."""
     return (AFTER,) if count == 1 else tuple(islice(cycle((BEFORE, AFTER, *OTHERS)), count))
 
 
