@@ -47,7 +47,7 @@ def _erring(diagnosis: Diagnosis) -> str:
     if not errors:
         return ""
     sizes = "; ".join(f"{channel}: {each.scaled(*readable(each.unit))}" for channel, each in errors.items())
-    return f"Random sensor errors in addition to white noise, not a property of the vehicle: {sizes}."
+    return f"Random sensor errors in addition to the white noise of outputs, not a property of the vehicle: {sizes}."
 
 
 def _shaking(diagnosis: Diagnosis) -> str:
