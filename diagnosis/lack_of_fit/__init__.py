@@ -1,3 +1,3 @@
-"""What no effect explains: floor is what a right model leaves; where_it_fails looks at the rest by time, frequency,
-state and equation, shapes at forces of any form, colour at random signals, events at what happened once; adequacy
-decides."""
+"""Lack of fit, whatever the effects are called: floor gives what a correct model leaves; where_it_fails tests the rest
+by time, frequency, state and equation, shapes tests forces of any form, colour random signals, events changes that
+happen once; adequacy decides."""

@@ -1,12 +1,13 @@
 """Is anything left in the innovations of a model that chance does not explain, whatever its name?
 
-The measure is the floor: what a right model would leave, by the noise that the record itself shows. The four views of
-where_it_fails test it at one per cent in all. No formula is exact, though, and a long record shows that real friction
-is not quite its formula: what a named effect leaves of the energy over the floor is a failure above a share of it.
+The reference is the floor: what a correct model would leave, given the noise that the record itself shows. The four
+views of where_it_fails test against it at one per cent in total. No formula is exact, however, and a long record shows
+that real friction does not quite follow its formula. What a named effect leaves of the energy over the floor therefore
+counts as a failure only above a certain share.
 
-The wrong neighbour closes most of the gap, too, so a small rest proves no name. Forces of any shape
-(diagnosis.lack_of_fit.shapes) are let in beside the named effects: where one of them gains a good part of what these
-gained, the names are wrong.
+A wrong neighbour closes most of the gap, too, so a small remainder proves no name. Forces of any shape
+(diagnosis.lack_of_fit.shapes) are therefore tried beside the named effects: if one of them raises the log-likelihood by
+a good part of what the named effects did, the names are wrong.
 """
 
 from __future__ import annotations
@@ -26,33 +27,34 @@ from estimators.fit.maximum_likelihood import Fit
 Array = NDArray[np.float64]
 
 LEFT = 0.05
-"""Share of the energy over the floor, before anything was added, that an effect by its right name may leave."""
+"""Share of the energy over the floor, before anything was added, that a correctly named effect may leave."""
 LEFT_BY_IMPACTS = 0.3
-"""The same where parts strike each other: a blow that comes a row early or late is an error of dozens of deviations.
-Play of a gear by its right name left 12 to 23 % on six records, another name 90 % and more."""
+"""The same if parts collide: an impact that is predicted a sample early or late is an error of dozens of standard
+deviations. Backlash of a gear, correctly named, left 12 to 23 % on six records, another name 90 % and more."""
 SHAPED = 0.12
-"""Share of what the named effects gained in log likelihood that a shape without a name may gain beside them.
+"""Rise of the log-likelihood that a shape without a name may add, as a share of the rise by the named effects.
 
-Dry friction with bristles leaves 2 to 11 % of what tanh gained, a wrong name 17 % and more."""
+Dry friction with bristles leaves 2 to 11 % of the rise by tanh, a wrong name 17 % and more."""
 EXPLAINED = 0.5
-"""Share of what is left that a shape without a name may explain: the friction of an axis, by its right name, leaves a
-rest of which a curve over the rate explains a fifth; that of cubic drag, called quadratic, nine tenths.
+"""Share of the remaining energy that a shape without a name may explain. The friction of an axis, correctly named,
+leaves a remainder of which a curve over the rate explains a fifth; of what cubic drag leaves, if called quadratic, it
+explains nine tenths.
 
-Where a record shows much of an effect, what its formula lacks is far above the noise, and the noise of the fit stands
-in for it: the gain says little then."""
+If a record shows much of an effect, the error of its formula is far above the noise, and the estimated noise absorbs
+it: the rise of the log-likelihood then says little."""
 SIGNIFICANT = 2.0
-"""Standard deviations by which that gain has to be more: of a short record 30 % of 50 nats may as well be 4 %."""
+"""Standard deviations by which that rise has to exceed its share: 30 % of 50 nats may be 4 % on a short record."""
 CHANCE = 1e-3
-"""Probability of a shape's gain, were it chance."""
+"""p-value below which the rise by a shape is not attributed to chance."""
 MOST = 0.5
-"""Share of the energy over the floor that is left where what was found is a part of it at best."""
+"""Share of the energy over the floor: if more than this is left, the effects found explain a part at best."""
 
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """`before`, `after`: innovation energy over the floor, without and with the effects found; `left`: the views;
-    `shape`: what would still gain most by any shape, None where nothing can be said; `gained`: by the effects found;
-    `struck`: parts of one of these strike each other."""
+    """`before`, `after`: innovation energy over the floor, without and with the effects found. `left`: the views.
+    `shape`: the shape of a force that would raise the log-likelihood most, None if no statement is possible.
+    `log_ratio`: rise of the log-likelihood by the effects found. `impacts`: one of these has colliding parts."""
 
     before: float
     after: float
@@ -70,43 +72,45 @@ class Adequacy:
 
     @property
     def shaped(self) -> bool:
-        """Whether a force without a name goes with something."""
+        """Whether a force without a name significantly depends on a coordinate or on time."""
         if self.shape is None or self.shape.p_value >= CHANCE:
             return False
-        surely = self.shape.gain - SIGNIFICANT * self.shape.std
-        return surely > SHAPED * self.log_ratio or self.shape.share > EXPLAINED
+        lower = self.shape.log_ratio - SIGNIFICANT * self.shape.std
+        return lower > SHAPED * self.log_ratio or self.shape.share > EXPLAINED
 
     @property
     def named(self) -> bool:
-        """Whether what was found is more than half of what was missing."""
-        # Where noise of the model's own explains what is missing, little is over the floor before and after.
+        """Whether the effects found explain more than half of what was missing."""
+        # If the model's own noise explains what is missing, little is over the floor before and after.
         if self.left is None or self.after - 1.0 > max(MOST * (self.before - 1.0), LEFT):
             return False
-        return self.shape is None or not self.shaped or self.shape.gain < self.log_ratio
+        return self.shape is None or not self.shaped or self.shape.log_ratio < self.log_ratio
 
     @property
     def reason(self) -> str:
-        """What is left, in words."""
+        """What is left unexplained, in words."""
         if self.left is None:
             return "no predictor with the fitted values is stable"
         words = summary(self.left.fails)
         if self.shaped and self.shape is not None:
-            words.insert(0, self._told(self.shape))
+            words.insert(0, self._about(self.shape))
         return " ".join(words)
 
-    def _told(self, shape: Shape) -> str:
+    def _about(self, shape: Shape) -> str:
         share = (
-            f", {100.0 * shape.gain / self.log_ratio:.0f} % of what the named effects gained" if self.log_ratio else ""
+            f" ({100.0 * shape.log_ratio / self.log_ratio:.0f} % of the rise by the named effects)"
+            if self.log_ratio
+            else ""
         )
         return (
-            f"A force at {shape.joint} that goes with {shape.name}, of no known shape, would still raise the log "
-            f"likelihood by {shape.gain:.3g}{share}, and explains {100.0 * shape.share:.0f} % of what is left."
+            f"A force at {shape.joint} that depends on {shape.name}, of no known shape, would raise the log-likelihood "
+            f"by another {shape.log_ratio:.3g}{share} and explains {100.0 * shape.share:.0f} % of what is left."
         )
 
 
 def adequacy(first: Fit, last: Fit, log_ratio: float) -> Adequacy:
-    """Of the model as it was and as it became, both beside the disturbance that the latter leaves; `gained` in log
-    likelihood."""
+    """Adequacy of the model as it was (`first`) and as it became (`last`), both with the disturbance that the latter
+    leaves; `log_ratio` is the rise of the log-likelihood."""
     before = over_floor(first, last)
     try:
         task, values = shaken_as(last.problem, last.values, last)
@@ -117,14 +121,14 @@ def adequacy(first: Fit, last: Fit, log_ratio: float) -> Adequacy:
         shaped = shapes(found, probe(found))
     except FAILURES:
         return Adequacy(before, float("inf"), None)
-    sure = [each for each in shaped if each.p_value < CHANCE] or shaped
+    significant = [each for each in shaped if each.p_value < CHANCE] or shaped
     impacts = any(each.effect.impacts for each in last.problem.model.effects)
-    return Adequacy(before, left.ratio, seen, sure[0] if sure else None, log_ratio, impacts)
+    return Adequacy(before, left.ratio, seen, significant[0] if significant else None, log_ratio, impacts)
 
 
 def over_floor(fitted: Fit, best: Fit, values: Array | None = None) -> float:
-    """Innovation energy over the floor, beside the disturbance that the fit `best` leaves; without end where no
-    predictor is stable. `values` (np,) are those of the parameters, in place of the fitted ones."""
+    """Innovation energy over the floor, with the disturbance that the fit `best` leaves; infinite if no predictor is
+    stable. `values` (np,) replace the fitted parameter values."""
     try:
         task, values = shaken_as(fitted.problem, fitted.values if values is None else values, best)
         return innovations(task, values, floor(task, values)).ratio

@@ -1,12 +1,14 @@
-"""Which random signal may have coloured the innovations: a force or a sensor's error, and about which frequency?
+"""Which random signal may have coloured the innovations: a force or a sensor's error, and around which frequency?
 
-A random signal of the power density phi(f) at a place adds phi h h* to the white innovations, h (ny,) what a unit there
-does to them. In the whitened periodogram z(f), with a = |h|^2 and b = |h* z|^2,
+A random signal of power density phi(f) at a joint or an output adds phi h h* to the white innovations, where h (ny,) is
+the response of the innovations to a unit signal there. With the whitened periodogram z(f), a = |h|^2 and b = |h* z|^2,
+the log-likelihood rises by
 
-    ln L = sum over f of  phi b / (1 + phi a) - ln(1 + phi a)    more than without it (Whittle)
+    Delta ln L = sum over f of  phi b / (1 + phi a) - ln(1 + phi a)    (Whittle)
 
-and b / a has an exponential distribution of mean 1 where there is none. Blocks of 1, 2, 4, ... lines of it are the
-test, and tell the frequencies; the likeliest numbers of each signal follow from a and b alone, without a fit.
+and b / a has an exponential distribution of mean 1 if there is no such signal. Blocks of 1, 2, 4, ... spectral lines of
+b / a are tested, which also locates the frequencies. The most likely parameters of each signal follow from a and b
+alone, without a fit.
 Source: Whittle, Arkiv foer Matematik 2 (1953) 423-434.
 """
 
@@ -36,14 +38,14 @@ from models.random.sensor_error import at_outputs
 Array = NDArray[np.float64]
 
 SIZES = np.geomspace(0.03, 30.0, 7)
-"""Of the RMS that the blocks say, from which the likeliest is looked for."""
+"""Factors of the RMS that the spectrum suggests, from which the search for the most likely one starts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A random force at the joint, or error of the output, called `at`: about `frequency` (Hz), or, where that is None,
-    of first order. `rms` in the unit there, in which the model tells its noise, and correlation `time` (s) are what the
-    spectrum says; `gain` is by how much the log likelihood would rise."""
+    """A random force at the joint, or error of the output, called `at`: around `frequency` (Hz), or of first order if
+    that is None. `rms` (in the unit in which the model states its noise there) and correlation `time` (s) are estimated
+    from the spectrum; `gain` is the rise of the log-likelihood that they predict."""
 
     at: str
     of_sensor: bool
@@ -54,14 +56,14 @@ class Signal:
 
     @property
     def count(self) -> int:
-        """How many numbers it has."""
+        """Number of its parameters."""
         return 2 if self.frequency is None else 3
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """The joint or output called `at`, in rows every `spacing` s: at `turn` (m,), rad a row, a and b (m,) as above; s,
-    between which a correlation time is sought, the `shortest` and the `longest`."""
+    """The joint or output called `at`, sampled every `spacing` s: a and b (m,) as above at `turn` (m,), rad per sample.
+    A correlation time is searched for between `shortest` and `longest`, s."""
 
     at: str
     of_sensor: bool
@@ -74,8 +76,8 @@ class _Place:
 
 
 def same(one: Signal, other: Signal) -> bool:
-    """Whether two signals are one: at one place, and no farther apart than each is wide (half its width at half its
-    power is 1 / (2 pi time))."""
+    """Whether two signals are one: at the same place, and closer in frequency than the sum of their half widths (at
+    half power the half width is 1 / (2 pi time))."""
     if (one.at, one.of_sensor) != (other.at, other.of_sensor) or one.frequency is None or other.frequency is None:
         return False
     width = (1.0 / one.time + 1.0 / other.time) / (2.0 * math.pi)
@@ -83,16 +85,17 @@ def same(one: Signal, other: Signal) -> bool:
 
 
 def signals(fitted: Fit) -> list[Signal]:
-    """The likeliest signals, the one with most evidence first, none where all blocks are what chance gives white
-    innovations; at each place one of first order, of a sensor, and those about the frequencies of the blocks."""
+    """The most likely signals, the one with most evidence first; none if all blocks are consistent with white
+    innovations. At each place: one of first order (sensors only), and those around the frequencies of significant
+    blocks."""
     places = list(_places(fitted))
     blocks = [(*block, place) for place in places for block in _blocks(place.b / place.a)]
     level = LEVEL / max(1, len(blocks))
     found: list[Signal] = []
     for place in places:
-        sure = sorted((chance, low, high) for chance, low, high, of in blocks if of is place and chance < level)
-        about = [0.5 * (place.turn[low] + place.turn[high]) for low, high in _apart(sure)]
-        if sure and place.of_sensor:
+        significant = sorted((chance, low, high) for chance, low, high, of in blocks if of is place and chance < level)
+        about = [0.5 * (place.turn[low] + place.turn[high]) for low, high in _apart(significant)]
+        if significant and place.of_sensor:
             found += _likeliest(place, None)
         for each in about[:PEAKS]:
             found += _likeliest(place, float(each))
@@ -126,13 +129,13 @@ def _places(fitted: Fit) -> Iterator[_Place]:
     narrow = {joint.name for joint, _ in narrow_at_joints(model)}
     for joint, number in at_joints(model):
         if joint.name not in narrow:
-            # Over a row it pushes as the disturbance that is there does.
+            # Within a sample it acts as the disturbance that is already there does.
             pushed = transition[:, number].copy()
             pushed[number] = 0.0
             yield place(joint.name, False, through @ pushed, fastest)
     wrong = {each.name for each, _ in at_outputs(model)}
     for number, each in enumerate(model.outputs):
-        # A noise that is stated is stated too large, so that what is left of it has no power. What counts errs by that.
+        # A stated noise is stated too large, so that no power above it is left. A counted output errs by its counting.
         if each.name not in wrong and not (each.noise_known or each.counted):
             direct = np.eye(outputs)[number]
             entered = spacing * noise.integrated[:, number] - ahead @ direct
@@ -140,18 +143,18 @@ def _places(fitted: Fit) -> Iterator[_Place]:
 
 
 def _blocks(powers: Array) -> Iterator[tuple[float, int, int]]:
-    """Probability of so much power, and the first and last line, of each block; `powers` (n,) of mean 1."""
+    """Probability of so much power by chance, first and last line of each block; `powers` (n,) of mean 1."""
     lines = 1
     while 2 * lines <= len(powers):
         sums = powers[: len(powers) // lines * lines].reshape(-1, lines).sum(axis=1)
-        # A line's power is half that of two independent parts.
+        # Twice the power of a line is chi-squared with two degrees of freedom.
         for place, chance in enumerate(chi2.sf(2.0 * sums, 2 * lines).tolist()):
             yield chance, place * lines, (place + 1) * lines - 1
         lines *= 2
 
 
 def _apart(blocks: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
-    """Those of `blocks`, the surest first, that share no line with a surer one."""
+    """Those of `blocks`, the most significant first, that share no line with a more significant one."""
     found: list[tuple[int, int]] = []
     for _, low, high in blocks:
         if all(high < other_low or low > other_high for other_low, other_high in found):
@@ -160,7 +163,8 @@ def _apart(blocks: Sequence[tuple[float, int, int]]) -> list[tuple[int, int]]:
 
 
 def _likeliest(place: _Place, turn: float | None) -> list[Signal]:
-    """The likeliest signal at `place`, about `turn` rad a row or of first order; none where it gains nothing."""
+    """The most likely signal at `place`, around `turn` rad per sample or of first order; none if it explains
+    nothing."""
     shortest = place.shortest if turn is None else PERIODS * 2.0 * math.pi * place.spacing / turn
     longest = max(place.longest, 2.0 * shortest)
     # As large as its share of the innovations, were it all in one line or in all.
@@ -188,8 +192,8 @@ def _likeliest(place: _Place, turn: float | None) -> list[Signal]:
 
 
 def _density(turn: Array, rms: float, fading: float, about: float | None) -> Array:
-    """Power density a row at `turn` (m,) of samples whose autocorrelation fades by `fading` a row, and swings `about`
-    so many rad a row."""
+    """Power density per sample at `turn` (m,) of samples whose autocorrelation decays by the factor `fading` per sample
+    and oscillates at `about` rad per sample."""
 
     def one(centre: float) -> Array:
         return np.asarray((1.0 - fading**2) / (1.0 - 2.0 * fading * np.cos(turn - centre) + fading**2))

@@ -1,17 +1,17 @@
 """Does the disturbance change during a record? A gust, a train that passes or somebody who steps on is an event.
 
-What a row tells of the disturbance at a joint is what it corrects of it, u = k e with k the disturbance's row of the
-filter's gain and e the innovation: white, of the variance k S k', as long as what shakes the vehicle is what it was. In
-a part of n rows the ratio r of the mean square of u to that variance has the log-likelihood ratio
+A sample corrects the estimate of the disturbance at a joint by u = k e, with k the disturbance's row of the filter's
+gain and e the innovation. u is white, of the variance k S k', as long as the disturbance does not change. In a part of
+n samples the ratio r of the mean square of u to that variance has the log-likelihood ratio
 
     n (r - 1 - ln r) / 2,
 
-twice which is chi squared with one degree of freedom where nothing changes and u is Gaussian. Many small blows are not:
-samples that are not where their time stamps say make u far more peaked. So the dispersion of u^2 is measured
-on the rest of the record, by how much more it scatters from part to part than a Gaussian's would; divided by that, the
-ratio has an F distribution. Parts of all lengths, each twice as long as the one before, are tried at steps of half
-their length; the p-value counts them all (Bonferroni). The ends of the best one are then moved to where the ratio is
-largest.
+twice which is chi-squared with one degree of freedom if nothing changes and u is Gaussian. It is not Gaussian if it
+consists of many small impacts: samples that were not taken when their time stamps say make u far more peaked. So the
+dispersion of u^2 is measured on the rest of the record, as the excess of its scatter from part to part over that of a
+Gaussian; divided by it, the ratio has an F distribution. Parts of all lengths, each twice as long as the one before,
+are tried at steps of half their length; the p-value accounts for all of them (Bonferroni). The ends of the best one are
+then moved to where the ratio is largest.
 Sources: generalised likelihood ratio of a change of variance: Basseville, Nikiforov, "Detection of abrupt changes"
 (1993), sections 2.4 and 7.2; dispersion: McCullagh, Nelder, "Generalized linear models" (1989), section 9.2.
 """
@@ -35,19 +35,19 @@ from models.random.disturbance import at_joints
 Array = NDArray[np.float64]
 
 LEVEL = 1e-3
-"""Probability that a record in which nothing changes has an event."""
+"""Probability that an event is reported in a record in which nothing changes."""
 LEAST = 2.5
-"""Time scales that an event lasts at least, 1 s of the MONOCAB: what is shorter is a blow of what shakes it anyway."""
+"""Time scales that an event lasts at least, 1 s of the MONOCAB: anything shorter is part of the usual disturbance."""
 MOST = 0.5
 """Share of a record that an event lasts at most: beyond it the rest would be the event."""
 MARGIN = 2.5
-"""Time scales before and after an event that are left out with it, in which the vehicle comes to rest from it."""
+"""Time scales before and after an event that are excluded with it, in which the vehicle recovers from it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
     """The disturbance at `joint` has `ratio` times the RMS that it has elsewhere, from `begin` to `end`, s from the
-    first row of `recording` on; `p_value` with all parts of the record looked at."""
+    first sample of `recording`; `p_value` accounts for all parts of the record that were tested."""
 
     joint: str
     recording: str
@@ -68,15 +68,16 @@ class Event:
         }
 
     def __str__(self) -> str:
-        """`From 22.0 to 26.5 s the disturbance at roll is 4.1 times as strong: an event, no effect of the vehicle.`"""
+        """`From 22.0 to 26.5 s the disturbance at roll is 4.1 times as strong: an event, not an effect of the
+        vehicle.`"""
         return (
             f"From {self.begin:.1f} to {self.end:.1f} s the disturbance at {self.joint} is {self.ratio:.2g} times as"
-            " strong: an event, no effect of the vehicle."
+            " strong: an event, not an effect of the vehicle."
         )
 
 
 def events(fitted: Fit) -> list[Event]:
-    """At most one of each stretch and joint, of a fit whose model is right but for them."""
+    """At most one event per segment and joint, of a fit whose model is otherwise correct."""
     task, errors = fitted.problem, fitted.innovations()
     scale, spacing = time_scale(task.model, task.segments), float(np.median(np.diff(task.segments[0].time)))
     shortest = max(SHORTEST, round(LEAST * scale / spacing))
@@ -95,42 +96,42 @@ def events(fitted: Fit) -> list[Event]:
             best, count = _best(squares, shortest)
             tried += count
             if best is not None:
-                first, last, gain = best
+                first, last, log_ratio = best
                 filtered = lfilter([1.0], [1.0, -fading], corrected) ** 2
                 inside = np.zeros(len(filtered), dtype=bool)
                 inside[first:last] = True
                 ratio = float(np.sqrt(np.mean(filtered[inside]) / np.mean(filtered[~inside])))
                 begin, end = float(segment.time[first]), float(segment.time[last - 1])
-                chance = _by_chance(gain, squares[~inside], shortest)
+                chance = _by_chance(log_ratio, squares[~inside], shortest)
                 found.append(Event(joint.name, segment.source, begin, end, ratio, chance))
-    told = [replace(each, p_value=min(1.0, tried * each.p_value)) for each in found]
-    return [each for each in told if each.p_value < LEVEL]
+    tested = [replace(each, p_value=min(1.0, tried * each.p_value)) for each in found]
+    return [each for each in tested if each.p_value < LEVEL]
 
 
-def _by_chance(gain: float, rest: Array, shortest: int) -> float:
-    """Probability of so large a log-likelihood ratio where nothing changes, by how the squares of the `rest` (n,)
-    scatter from part to part."""
+def _by_chance(log_ratio: float, rest: Array, shortest: int) -> float:
+    """Probability of so large a log-likelihood ratio if nothing changes, from the scatter of the squares of the `rest`
+    (n,) from part to part."""
     parts = len(rest) // shortest
     if parts < 2:
         return 1.0
     means = rest[: parts * shortest].reshape(parts, shortest).mean(axis=1)
-    # The mean of n squares of a Gaussian has the variance 2 / n of its own square.
+    # The mean of n squares of a Gaussian has the variance 2 / n, relative to its own square.
     dispersion = max(1.0, 0.5 * shortest * float(np.var(means, ddof=1) / np.mean(means) ** 2))
-    return float(f_distribution.sf(2.0 * gain / dispersion, 1, parts - 1))
+    return float(f_distribution.sf(2.0 * log_ratio / dispersion, 1, parts - 1))
 
 
 def _best(squares: Array, shortest: int) -> tuple[tuple[int, int, float] | None, int]:
-    """The part of `squares` (n,), of unit mean, that is least like the rest: its first row, the one after its last, and
-    its log-likelihood ratio; and how many were tried."""
+    """The part of `squares` (n,), of unit mean, that differs most from the rest: its first sample, the one after its
+    last, and its log-likelihood ratio; and the number of parts that were tried."""
     sums = np.concatenate(([0.0], np.cumsum(squares)))
     best: tuple[int, int, float] | None = None
     tried = 0
     for first, last in _parts(len(squares), shortest):
         tried += 1
         ratio = float(sums[last] - sums[first]) / (last - first)
-        gain = _gain(ratio, last - first)
-        if ratio > 1.0 and (best is None or gain > best[2]):
-            best = (first, last, gain)
+        log_ratio = _log_ratio(ratio, last - first)
+        if ratio > 1.0 and (best is None or log_ratio > best[2]):
+            best = (first, last, log_ratio)
     if best is None:
         return None, tried
     # Ends to a quarter of the shortest part.
@@ -140,26 +141,26 @@ def _best(squares: Array, shortest: int) -> tuple[tuple[int, int, float] | None,
     for low in range(max(0, first - reach), last - shortest + 1, step):
         for high in range(max(low + shortest, first), min(len(squares), last + reach) + 1, step):
             ratio = float(sums[high] - sums[low]) / (high - low)
-            gain = _gain(ratio, high - low)
-            if ratio > 1.0 and gain > best[2] and high - low <= MOST * len(squares):
-                best = (low, high, gain)
+            log_ratio = _log_ratio(ratio, high - low)
+            if ratio > 1.0 and log_ratio > best[2] and high - low <= MOST * len(squares):
+                best = (low, high, log_ratio)
     return best, tried
 
 
-def _parts(rows: int, shortest: int) -> Iterator[tuple[int, int]]:
+def _parts(samples: int, shortest: int) -> Iterator[tuple[int, int]]:
     length = shortest
-    while length <= MOST * rows:
-        for first in range(0, rows - length + 1, max(1, length // 2)):
+    while length <= MOST * samples:
+        for first in range(0, samples - length + 1, max(1, length // 2)):
             yield first, first + length
         length *= 2
 
 
-def _gain(ratio: float, rows: int) -> float:
-    return 0.5 * rows * (ratio - 1.0 - float(np.log(max(ratio, 1e-300))))
+def _log_ratio(ratio: float, samples: int) -> float:
+    return 0.5 * samples * (ratio - 1.0 - float(np.log(max(ratio, 1e-300))))
 
 
 def pieces(found: Sequence[Event], recording: str, scale: float) -> tuple[tuple[float, float], ...]:
-    """What to leave out of `recording`, from and to s of its first row: its events with MARGIN time scales of `scale` s
-    around them."""
+    """The parts to exclude from `recording`, from and to in s from its first sample: its events with MARGIN time scales
+    of `scale` s around them."""
     around = MARGIN * scale
     return tuple((each.begin - around, each.end + around) for each in found if each.recording == recording)

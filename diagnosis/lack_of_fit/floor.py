@@ -1,13 +1,14 @@
-"""What a right model would leave over on a record: the innovations that the noise alone makes, and their covariance.
+"""What a correct model would leave on a record: the innovations that noise alone makes, and their covariance.
 
     innovation_ratio = mean e' S^-1 e / ny,   S = C P C' + R
 
-R is the sensors' noise as it shows in the record itself, Q the process noise that the model states, or less where the
-record shows less (diagnosis.lack_of_fit.process_noise), P and the gain from the Riccati equation
-(estimators.fit.innovations). The ratio is about 1 where the model is right, and large where something is missing.
-Fourth differences of a white signal have 70 times its variance, while motion below a tenth of the sampling rate all but
-vanishes in them; so the record's noise is told apart from its motion without any model. Where a vehicle moves faster
-than that, what a predictor leaves has less: no predictor leaves less than the noise.
+R is the sensors' noise as it shows in the record itself, Q the process noise that the model states, or less if the
+record shows less (diagnosis.lack_of_fit.process_noise); P and the gain follow from the Riccati equation
+(estimators.fit.innovations). The ratio, the normalised innovation squared, is about 1 if the model is correct, and
+large if something is missing. Fourth differences of a white signal have 70 times its variance, while motion below a
+tenth of the sampling rate all but vanishes in them; so the record's noise is separated from its motion without any
+model. If a vehicle moves faster than that, the innovations of a predictor contain less of its motion, and never less
+than the noise.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ from models.random.disturbance import parameters_of
 Array = NDArray[np.float64]
 
 OFFSET = "_offset"
-"""How the name of a parameter ends that is no property of a vehicle, but of the instants of its record."""
-SURELY = 1e-3
-"""Probability with which a quantiser alone would scatter so much as is taken for a sensor's own noise beside it."""
+"""Suffix of the name of a parameter that is a property of the timing of a record, not of the vehicle."""
+OWN_NOISE = 1e-3
+"""p-value of the scatter under a quantiser's noise alone, below which the sensor has noise of its own."""
 QUIETEST = 1e-2
-"""Share of the noise that the model states below which no sensor is believed: simulated data may have none."""
+"""Least share of the stated noise that is assumed for a sensor: simulated data may have none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """What a right model's innovations are on a record: covariance (ny, ny), rad^2 or what the outputs' units say.
+    """The innovations of a correct model on a record: covariance (ny, ny), rad^2 or the squares of the outputs' units.
 
     `gain` (nx, ny) is that of the predictor x+ = f(x + gain e). `transition` A (nx, nx) over `spacing` s and `output` C
-    (ny, nx) are the linearised model; `process` (nx, nx) and `sensor` (ny, ny) the noise of a row; `state_covariance`
-    (nx, nx) that of the state's error before the row's own correction. `freedom` (ny,): degrees of freedom with which
-    a sensor's noise is known, inf where the model knows it. `process_shares` (nx,): how much of the
-    variance of the stated process noises the record shows. `reach` (ny,): Hz up to which a force shows in an output.
+    (ny, nx) are the linearised model; `process` (nx, nx) and `sensor` (ny, ny) the noise per sample; `state_covariance`
+    (nx, nx) that of the state's error before the sample's own correction. `freedom` (ny,): degrees of freedom with
+    which a sensor's noise is known, inf if the model states it as known. `process_shares` (nx,): share of the variance
+    of the stated process noises that the record shows. `reach` (ny,): Hz up to which a force shows in an output.
     """
 
     gain: Array
@@ -67,29 +68,29 @@ class Floor:
 
     @property
     def predictor(self) -> Array:
-        """How an error of the state goes on, A - A K C, (nx, nx): stable, also where the plant is not."""
+        """Transition of an error of the state, A - A K C, (nx, nx): stable even if the plant is not."""
         return self.transition - self.transition @ self.gain @ self.output
 
     @property
     def whitener(self) -> Array:
-        """What makes innovations independent and of unit variance, (ny, ny)."""
+        """The matrix that makes innovations independent and of unit variance, (ny, ny)."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
     @property
     def std(self) -> Array:
-        """Of the innovations by output, (ny,)."""
+        """Standard deviation of the innovations by output, (ny,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def informative(self) -> list[int]:
-        """Outputs whose noise is measured. One that is known is stated too large, so that nothing builds on it."""
+        """Outputs whose noise is estimated from the record. A known noise is stated too large: no test builds on it."""
         measured = np.flatnonzero(np.isfinite(self.freedom)).tolist()
         return measured or list(range(len(self.freedom)))
 
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """A model's one-step errors on a record: by stretch `errors` (n, ny). `fit` holds values, starts and the gain."""
+    """A model's one-step errors on a record: `errors` (n, ny) by segment. `fit` has values, initial states and gain."""
 
     fit: Fit
     floor: Floor
@@ -100,19 +101,19 @@ class Innovations:
         return self.fit.problem
 
     def blocks(self, also: Sequence[int] = ()) -> list[Block]:
-        """Whitened errors by stretch, and their derivatives: by the nuisances, by the parameters at the places `also`,
-        by the start; what is known of the start is its last rows."""
+        """Whitened errors by segment, and their derivatives with respect to the nuisances, the parameters at the places
+        `also`, and the initial state; the last rows of a block are the prior of its initial state."""
         task, common = self.problem, self.fit.minimum.common
         blocks = task.evaluate(
             common, self.fit.minimum.own[:-1], weights=self.floor.whitener, gain=self.floor.gain, also=also
         )
         if blocks is None:
-            raise ArithmeticError("the model runs away from its own estimate")
+            raise ArithmeticError("the model diverges at its own estimate")
         return blocks
 
     @property
     def normalised(self) -> list[Array]:
-        """By stretch, each output over the standard deviation of its floor, (n, ny); unknown ones are 0."""
+        """By segment, each output over the standard deviation of its floor, (n, ny); unknown samples are 0."""
         return [np.nan_to_num(part / self.floor.std) for part in self.errors]
 
     @property
@@ -125,16 +126,16 @@ class Innovations:
 
 
 def at(task: Problem, values: Array, free: tuple[int, ...] = ()) -> Problem:
-    """`task` about parameter values (np,), asked for the parameters at the places `free` instead of its own."""
+    """`task` at parameter values (np,), with the parameters at the places `free` estimated instead of its own."""
     moved = replace(task, kernel=replace(task.kernel, defaults=np.array(values, dtype=np.float64)), free=free)
     return moved.refined(moved.kernel.defaults[list(free)])
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What a predictor left: `errors`, innovations by stretch (n, ny), and of what no force shows in
-    (diagnosis.lack_of_fit.reach) the variance that a sensor's white noise would have for it, `beyond` (ny,), told by so
-    many `lines` (ny,)."""
+    """What a predictor left: `errors`, innovations by segment (n, ny), and `beyond` (ny,), the variance of a sensor's
+    white noise that explains the frequencies at which no force shows (diagnosis.lack_of_fit.reach), estimated from so
+    many spectral `lines` (ny,)."""
 
     errors: Sequence[Array]
     beyond: Array
@@ -142,10 +143,10 @@ class Left:
 
 
 def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]:
-    """Standard deviation of each output's white noise, (ny,), and the degrees of freedom it is known with, (ny,).
+    """Standard deviation of each output's white noise, (ny,), and the degrees of freedom with which it is known, (ny,).
 
-    Of what was `left` the noise is taken where there is less of it than in the record, and where there is more of it
-    than this at frequencies that are its own."""
+    The noise is taken from the innovations that were `left` if they have less of it than the record, and from the
+    frequencies at which no force shows if these have more."""
     outputs = task.model.outputs
     stated = np.array([output.noise for output in outputs])
     variance, rows = white_variance([segment.measured for segment in task.segments])
@@ -154,18 +155,18 @@ def sensor_noise(task: Problem, left: Left | None = None) -> tuple[Array, Array]
         variance = np.asarray(np.minimum(variance, white_variance(left.errors)[0]))
         freedom = np.where(left.beyond > variance, left.lines, freedom)
         variance = np.asarray(np.maximum(variance, left.beyond))
-    # What is counted has a quantiser's noise at least, and its own beside that where there is surely more.
+    # A counted output has at least a quantiser's noise, and noise of its own if there is significantly more.
     counts = np.array([output.counted and not output.noise_known for output in outputs])
-    more = freedom * variance > chi2.isf(SURELY, freedom) * stated**2
+    more = freedom * variance > chi2.isf(OWN_NOISE, freedom) * stated**2
     known = np.array([output.noise_known for output in outputs]) | (counts & ~more)
     found = np.maximum(np.sqrt(variance), QUIETEST * stated)
     return np.where(known, stated, found), np.where(known, np.inf, freedom)
 
 
 def floor(task: Problem, values: Array) -> Floor:
-    """The innovations that a right model would leave on the record of `task`, at parameter values (np,).
+    """The innovations that a correct model would leave on the record of `task`, at parameter values (np,).
 
-    Raises EstimationError where no predictor with these values is stable, or the model runs away from the record.
+    Raises EstimationError if no predictor with these values is stable, or if the model diverges from the record.
     """
     return _lowered(_fitted(at(task, values), _floor(task, values, np.ones(len(task.kernel.states)))))
 
@@ -196,7 +197,7 @@ def _left(found: Innovations) -> Left:
 
 
 def _noise(task: Problem, shares: Array, left: Left | None = None) -> NoiseModel:
-    """The noise with the sensors' from the record, and shares (nx,) of the variance of process noise not known."""
+    """The noise model with sensor noise from the record and shares (nx,) of the variances of unknown process noise."""
     noise = NoiseModel.of(task)
     known = np.ones(len(shares))
     known[list(noise.noisy)] = shares[list(noise.noisy)]
@@ -231,10 +232,10 @@ def _floor(task: Problem, values: Array, shares: Array, left: Left | None = None
 
 
 def shaken_as(task: Problem, values: Array, of: Fit) -> tuple[Problem, Array]:
-    """`task` and parameter values (np,) with the disturbances that the fit `of` found as what they are.
+    """`task` and parameter values (np,) with the disturbances that the fit `of` estimated.
 
-    A disturbance is what the best hypothesis leaves: another model of the same record is not shaken more, whatever its
-    own fit had to take for one.
+    The disturbance is what the best hypothesis leaves: the vehicle is not shaken more under another model of the same
+    record, whatever disturbance that model's own fit needed.
     """
     known = {state.name: float(spread) for state, spread in _starts(of.problem) if state.correlation_time}
     spread = np.array([known.get(state.name, float(each)) for state, each in _starts(task)])
@@ -245,22 +246,22 @@ def shaken_as(task: Problem, values: Array, of: Fit) -> tuple[Problem, Array]:
 
 
 def _starts(task: Problem) -> list[tuple[State, float]]:
-    """The states whose start is fitted, and how far off it may be."""
+    """The states whose initial value is fitted, and the standard deviation of its prior."""
     return list(zip([task.model.states[place] for place in task.own], task.spread.tolist(), strict=True))
 
 
 def innovations(task: Problem, values: Array, floor: Floor) -> Innovations:
-    """The one-step errors at parameter values (np,), with the initial state of each stretch fitted.
+    """The one-step errors at parameter values (np,), with the initial state of each segment fitted.
 
-    Raises EstimationError where the model runs away.
+    Raises EstimationError if the model diverges.
     """
     return _fitted(at(task, values), floor)
 
 
 def with_nuisances(task: Problem, values: Array) -> Innovations:
-    """The same with what is no property of the vehicle fitted along: the time offsets of the inputs.
+    """The same with the time offsets of the inputs fitted, too, as they are not properties of the vehicle.
 
-    Parameters that delay an input and are called `..._offset` are meant; their standard deviations are the prior.
+    These are the parameters that delay an input and are called `..._offset`; their standard deviations are the prior.
     """
     offsets = tuple(dict.fromkeys(
         task.kernel.index(name) for each in task.model.inputs for name in each.delays if name.endswith(OFFSET)
@@ -284,12 +285,12 @@ def _fitted(task: Problem, floor: Floor) -> Innovations:
     lower, upper = task.bounds
     found = minimise(evaluate, start, [*task.own_start, np.zeros(0)], scale=task.scale, lower=lower, upper=upper)
     if found is None:
-        what = "runs away from the record even with the measurement's help"
+        what = "diverges from the record even when the measurement corrects it"
         raise EstimationError(f"model {task.model.name}", what, remedy="check its parameter values and signs.")
     fit = Fit(task, found, floor.gain, floor.covariance, tight**2)
     return Innovations(fit, floor, tuple(fit.innovations()))
 
 
 def innovation_ratio(task: Problem, values: Array, floor: Floor) -> float:
-    """mean e' S^-1 e / ny at parameter values (np,), initial states fitted: about 1 for a right model."""
+    """mean e' S^-1 e / ny at parameter values (np,), initial states fitted: about 1 for a correct model."""
     return innovations(task, values, floor).ratio

@@ -1,13 +1,13 @@
-"""The mean missing force, overall and by bins of a coordinate: a regression of the innovations on what a force shows.
+"""The mean missing force, overall and by bins of a coordinate: a regression of the innovations on responses to forces.
 
     innovations = sum over bins of  force in the bin * response to a unit force while inside the bin  + noise,
 
-with the initial states and the nuisances taken out; for the bins, what other values of the model's own estimated
-parameters could do is taken out too, so that what is left is a shape that no refit mends. A row belongs to the bin of
-its predicted state, which the row's own noise has no part in. Standard deviations are the larger of the floor's and of
-those that the scatter from one block of time to the next gives, which stand up to noise of another colour; the latter
-come with Student's t, its freedom from how evenly the blocks of time inform. Source: the sandwich of White,
-Econometrica 48 (1980) 817-838, by blocks as in Liang and Zeger, Biometrika 73 (1986) 13-22.
+with the initial states and the nuisances projected out. For the bins, what other values of the model's own estimated
+parameters could do is projected out too, so that what is left is a shape that no refit explains. A sample belongs to
+the bin of its predicted state, which is independent of the sample's own noise. Standard deviations are the larger of
+the floor's and of those from the scatter between blocks of time, which are robust to coloured noise; the latter come
+with Student's t, whose degrees of freedom depend on how evenly the blocks contribute information. Source: the sandwich
+of White, Econometrica 48 (1980) 817-838, by blocks as in Liang and Zeger, Biometrika 73 (1986) 13-22.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from estimators.fit.gauss_newton import Block, eliminate
 Array = NDArray[np.float64]
 
 BINS = 8
-"""Of a coordinate, with as many rows each."""
+"""Bins of a coordinate, with the same number of samples each."""
 BLOCK = 1.25
-"""Time scales (estimators.data.time_scale) of a block, 0.5 s of the MONOCAB: longer than the predictor remembers, short
-against the record."""
+"""Time scales (estimators.data.time_scale) of a block, 0.5 s of the MONOCAB: longer than the memory of the predictor,
+short compared with the record."""
 RESOLVED = 4.0
-"""Standard deviations of a coordinate's own error that a bin is wide at least."""
+"""Least width of a bin, in standard deviations of the coordinate's own error."""
 KEPT = 1e-3
-"""Least eigenvalue of the regressors' correlation that counts: what is less is not told apart from what was taken
-out, whose derivatives agree with the linear responses to about a thousandth."""
+"""Least eigenvalue of the regressors' correlation that counts: below it a direction is indistinguishable from what was
+projected out, whose derivatives agree with the linear responses to about a thousandth."""
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A mean force over some rows: unit of the joint, with its standard deviation and two-sided p-value."""
+    """A mean force over some samples, in the unit of the joint, with its standard deviation and two-sided p-value."""
 
     force: float
     std: float
@@ -55,9 +55,10 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Binned:
-    """The missing force at `joint` by a coordinate: `edges` (m + 1,) and a term a bin, None where it cannot be told.
+    """The missing force at `joint` by a coordinate: `edges` (m + 1,) and a term per bin, None if it is not
+    identifiable.
 
-    `explained` is the share of the innovations' energy over the noise that the bins account for, 0 to 1.
+    `explained` is the share of the innovations' energy above the noise that the bins account for, 0 to 1.
     """
 
     joint: str
@@ -69,7 +70,7 @@ class Binned:
 
 
 def mean_forces(found: Innovations, probed: Probe) -> list[Term | None]:
-    """The mean missing force at each joint, the model's parameters as they are."""
+    """The mean missing force at each joint, with the model's parameters as they are."""
     design = _Design(found, probed, also=())
     return [
         design.fit(joint, [np.ones((len(part), 1)) for part in found.errors])[0][0]
@@ -78,7 +79,7 @@ def mean_forces(found: Innovations, probed: Probe) -> list[Term | None]:
 
 
 def binned_forces(found: Innovations, probed: Probe) -> list[Binned]:
-    """The missing force at each joint by each coordinate that moves beyond its own uncertainty."""
+    """The missing force at each joint by each coordinate that moves by more than its own uncertainty."""
     estimated = tuple(place for place, parameter in enumerate(found.problem.model.parameters) if parameter.estimated)
     design = _Design(found, probed, also=tuple(place for place in estimated if place not in found.problem.free))
     results = []
@@ -94,7 +95,7 @@ def binned_forces(found: Innovations, probed: Probe) -> list[Binned]:
 
 
 def _edges(coordinate: Coordinate) -> Array:
-    """As many rows between neighbours, and no two closer than the coordinate is known."""
+    """Edges with equal numbers of samples between neighbours, no two closer than the coordinate is known."""
     whole = np.concatenate(coordinate.values)
     edges = np.unique(np.quantile(whole, np.linspace(0.0, 1.0, BINS + 1)))
     wide = [float(edges[0])]
@@ -106,12 +107,12 @@ def _edges(coordinate: Coordinate) -> Array:
 
 
 def _members(values: Array, edges: Array) -> Array:
-    """1 where a row is in a bin, (n, m)."""
+    """1 where a sample is in a bin, (n, m)."""
     return np.eye(len(edges) - 1)[np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)]
 
 
 class _Design:
-    """The whitened innovations with all that is not asked taken out, ready for responses to be fitted to."""
+    """The whitened innovations with everything else projected out, ready for responses to be fitted to them."""
 
     def __init__(self, found: Innovations, probed: Probe, also: Sequence[int]) -> None:
         self.found, self.probed = found, probed
@@ -132,7 +133,8 @@ class _Design:
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
     def _numbers(self) -> NDArray[np.int64]:
-        """Of the block of time that each whitened innovation belongs to; what is known of a start is with its own."""
+        """Number of the block of time to which each whitened innovation belongs; the prior of an initial state belongs
+        to the first block of its segment."""
         numbers, last = [], 0
         task = self.found.problem
         length = BLOCK * time_scale(task.model, task.segments)
@@ -144,7 +146,7 @@ class _Design:
         return np.concatenate(numbers)
 
     def fit(self, joint: int, members: Sequence[Array]) -> tuple[tuple[Term | None, ...], float]:
-        """The mean force at `joint` for each column of `members`, by stretch (n, m), and the share explained."""
+        """The mean force at `joint` for each column of `members`, by segment (n, m), and the share explained."""
         response, whitener = self.probed.response, self.found.floor.whitener
         parts = []
         for block, inside in zip(self.blocks, members, strict=True):
@@ -157,17 +159,17 @@ class _Design:
         before = np.linalg.norm(whole, axis=0)
         columns = self._without(whole)
         size = np.linalg.norm(columns, axis=0)
-        told = size > KEPT * np.max(before, initial=1e-300)
+        determined = size > KEPT * np.max(before, initial=1e-300)
         terms: list[Term | None] = [None] * len(size)
         explained = 0.0
-        if told.any():
-            found, explained = self._terms(columns[:, told] / size[told])
-            for place, term in zip(np.flatnonzero(told).tolist(), found, strict=True):
+        if determined.any():
+            found, explained = self._terms(columns[:, determined] / size[determined])
+            for place, term in zip(np.flatnonzero(determined).tolist(), found, strict=True):
                 terms[place] = Term(term.force / size[place], term.std / size[place], term.p_value)
         return tuple(terms), explained
 
     def _terms(self, columns: Array) -> tuple[list[Term], float]:
-        """Coefficients of unit columns (N, m), and the share of energy over the noise that they explain."""
+        """Coefficients of unit columns (N, m), and the share of the energy above the noise that they explain."""
         values, vectors = np.linalg.eigh(columns.T @ columns)
         kept = values > KEPT * values[-1]
         inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T

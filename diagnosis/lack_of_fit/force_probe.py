@@ -1,9 +1,10 @@
-"""A model with a force let in at each joint and every coordinate let out.
+"""A model with a force as an input at each joint and every coordinate as an output.
 
     x~+ = (A - A K C) x~ + B w,    e = C x~ + D w + v,    v white, of the covariance S of the noise floor
 
-is what a force w that the model does not know makes of the predictor's error x~ and its innovations e: linear and
-stable, on an unstable plant too. B and D are differentiated where A and C are (estimators.fit.innovations).
+is the response of the predictor's error x~ and of its innovations e to a force w that the model does not know. It is
+linear and stable, even if the plant is unstable. B and D are differentiated where A and C are
+(estimators.fit.innovations).
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ Array = NDArray[np.float64]
 
 PREFIX = "missing_force_"
 SMALL = 1e-2
-"""Share of a joint's typical force by which the response to a force is differentiated."""
+"""Step, as a share of a joint's typical force, with which the response to a force is differentiated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """What a missing force may depend on: `values` by stretch, each (n,), before the row's own correction.
+    """A quantity on which a missing force may depend: `values` by segment, each (n,), before the sample's own
+    correction.
 
-    `std` is the standard deviation of the filter's error where it is estimated, 0 where it is measured.
+    `std` is the standard deviation of the filter's error if it is estimated, 0 if it is measured.
     """
 
     name: str
@@ -44,14 +46,14 @@ class Coordinate:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """How a force at each of nj joints shows: B (nx, nj), D (ny, nj) a unit of force; all else is the floor's."""
+    """Response to a force at each of nj joints: B (nx, nj), D (ny, nj) per unit of force; all else is the floor's."""
 
     drive: Array
     direct: Array
     floor: Floor
 
     def impulse(self, joint: int, rows: int) -> Array:
-        """Innovations after one row of unit force at `joint`, (rows, ny)."""
+        """Innovations after one sample of unit force at `joint`, (rows, ny)."""
         pushes = np.zeros((rows, len(self.drive)))
         pushes[1:2] = self.drive[:, joint]
         out = recurrence(self.floor.predictor, pushes) @ self.floor.output.T
@@ -61,7 +63,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A model with a force let in at each joint and every coordinate let out, and what that shows on a record."""
+    """A model with a force as an input at each joint and every coordinate as an output, evaluated on a record."""
 
     joints: tuple[Joint, ...]
     response: Response
@@ -69,7 +71,7 @@ class Probe:
 
 
 def probe(found: Innovations, *, progress: Progress | None = None) -> Probe:
-    """The response to a force at each joint, and the coordinates by row, of the model that left `found`."""
+    """The response to a force at each joint, and the coordinates by sample, of the model that left `found`."""
     task, fit = found.problem, found.fit
     model, names = _opened(task.model)
     kernel = compile_model(model, progress=progress)
@@ -89,7 +91,7 @@ def probe(found: Innovations, *, progress: Progress | None = None) -> Probe:
 
 
 def recurrence(matrix: Array, pushes: Array) -> Array:
-    """x of x(k) = matrix x(k - 1) + pushes(k), both (n, nx), for a stable matrix: the sum doubles its reach."""
+    """x of x(k) = matrix x(k - 1) + pushes(k), both (n, nx), for a stable matrix, by doubling the length of the sum."""
     states, power, reach = pushes.copy(), matrix, 1
     while reach < len(states) and np.max(np.abs(power)) > 0.0:
         states[reach:] += states[:-reach] @ power.T
@@ -98,9 +100,9 @@ def recurrence(matrix: Array, pushes: Array) -> Array:
 
 
 def _opened(model: Model) -> tuple[Model, Mapping[str, tuple[str, str]]]:
-    """`model` with a force let in at each joint, and the expressions and units of the coordinates that are let out."""
-    # Those that an effect at another than its first place remembers have names that no equation can contain.
-    # A disturbance is what goes with nothing.
+    """`model` with a force as an input at each joint, and the expressions and units of the coordinates as outputs."""
+    # States of an effect at another place than its first have names that no equation can contain.
+    # A disturbance depends on nothing.
     shown = {
         state.name: (state.name, state.unit)
         for state in model.states
@@ -118,7 +120,7 @@ def _opened(model: Model) -> tuple[Model, Mapping[str, tuple[str, str]]]:
 
 
 def _extended(segment: Segment, forces: int, outputs: int) -> Segment:
-    """`segment` with no force, and with unknown coordinates."""
+    """`segment` with zero force, and with unknown coordinates."""
     time = np.concatenate((np.repeat(segment.time[0], segment.earlier), segment.time))
     return replace(
         segment,
@@ -158,7 +160,7 @@ def _coordinates(
     segments: tuple[Segment, ...],
     floor: Floor,
 ) -> list[Coordinate]:
-    """States, inputs and the actuators' angles; what never moves, or has no part in the motion, says nothing."""
+    """States, inputs and the actuators' angles, without those that never move or have no part in the motion."""
     deviations = np.sqrt(np.maximum(np.diag(floor.state_covariance), 0.0)).tolist()
     std = dict(zip([state.name for state in model.states], deviations, strict=True))
     moving = _moving(model)
@@ -181,7 +183,7 @@ def _coordinates(
 
 
 def _moving(model: Model) -> set[str]:
-    """States that have a part in the motion of a joint; others are errors of sensors and filters."""
+    """States that have a part in the motion of a joint; the others are errors of sensors and filters."""
     derivatives = {state.name: state.derivative for state in model.base_states} | dict(model.definitions)
     derivatives |= {f"{joint.name}_force": joint.load for joint in model.joints}
     open_names = [name for joint in model.joints for text in (joint.coordinate, joint.rate) for name in names_in(text)]

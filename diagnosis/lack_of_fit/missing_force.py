@@ -1,12 +1,12 @@
-"""The force that a model lacks at its joints, by time, with its standard deviation: N m or N.
+"""The force that a model lacks at its joints, over time, with its standard deviation: N m or N.
 
     inertia * rate' = load + effects + missing force
 
-It shows in the predictor's innovations (diagnosis.lack_of_fit.force_probe). As a random walk, its best estimate is
-given by a Kalman filter and a Rauch-Tung-Striebel smoother with steady gains, here in the form of Bryson and Frazier,
-in which no covariance is inverted. Source: Rauch, Tung and Striebel, AIAA Journal 3 (1965) 1445-1450; Bierman,
-Factorization methods for discrete sequential estimation (1977), chapter X; the likelihood by frequency: Whittle, Arkiv
-foer Matematik 2 (1953) 423-434.
+It shows in the predictor's innovations (diagnosis.lack_of_fit.force_probe). Modelled as a random walk, its best
+estimate is given by a Kalman filter and a Rauch-Tung-Striebel smoother with steady-state gains, here in the form of
+Bryson and Frazier, in which no covariance is inverted. Source: Rauch, Tung and Striebel, AIAA Journal 3 (1965)
+1445-1450; Bierman, Factorization methods for discrete sequential estimation (1977), chapter X; the likelihood in the
+frequency domain: Whittle, Arkiv foer Matematik 2 (1953) 423-434.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from estimators.fit.stationary import stationary
 Array = NDArray[np.float64]
 
 STEPS = np.logspace(-6.0, 3.0, 46)
-"""Steps of the random walk that are tried, s^-1/2, in units of the force that shows in one row as much as the noise."""
+"""Steps of the random walk that are tried, s^-1/2, in units of the force that shows in one sample as much as noise."""
 OWN = 1e-3
-"""Share of what a force shows that no forces at other joints show, above which it is told from them: derivatives agree
-to less."""
+"""Share of the response to a force that no forces at other joints produce, above which the force is distinguishable
+from them: derivatives agree to less."""
 FADING = 1e-6
-"""Share of the variance of a state's error by which it is moved a row where it would not fade and nothing moves it."""
+"""Share of the variance of a state's error that is added per sample if it does not decay and no noise drives it."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissingForce:
-    """The force missing at one joint: by stretch `time` (s) and `force`, each (n,), and its steady `std`.
+    """The force missing at one joint: by segment `time` (s) and `force`, each (n,), and its steady-state `std`.
 
-    `floor` is the RMS that noise alone would make of the estimate where nothing is missing, `p_value` the probability
-    of so likely a random force then. `step` is that of the random walk, force/sqrt(s).
+    `floor` is the RMS that the estimate has from noise alone if nothing is missing, `p_value` the probability of so
+    likely a random force in that case. `step` is that of the random walk, force/sqrt(s).
     """
 
     joint: str
@@ -60,15 +60,16 @@ class MissingForce:
 
 
 def missing_force(found: Innovations, probed: Probe) -> tuple[MissingForce, ...]:
-    """What each joint lacks, each with the random walk that is likeliest for it.
+    """The force missing at each joint, each with its most likely random walk.
 
-    Joints are estimated together. Where a model has more of them than degrees of freedom, a record cannot share a force
-    out among them: one that shows as others before it do together is estimated as if all that is missing were there.
+    Joints are estimated together. If a model has more of them than degrees of freedom, a record cannot distribute a
+    force among them: a joint whose response is a combination of those before it is estimated as if the whole missing
+    force acted there.
     """
     if not probed.joints:
         return ()
     floor = found.floor
-    # Of the outputs whose noise the record tells: a noise that is stated too large would hide what the others show.
+    # Only outputs whose noise the record shows: a noise that is stated too large would hide what the others show.
     chosen = floor.informative
     whitener = np.linalg.inv(np.linalg.cholesky(floor.covariance[np.ix_(chosen, chosen)]))
     blocks = _with_first(found, probed.response)
@@ -76,12 +77,12 @@ def missing_force(found: Innovations, probed: Probe) -> tuple[MissingForce, ...]
     left = [
         eliminate(block)[0][: part.size].reshape(part.shape) for block, part in zip(blocks, found.errors, strict=True)
     ]
-    told = [(part @ back.T)[:, chosen] @ whitener.T for part in left]
+    white = [(part @ back.T)[:, chosen] @ whitener.T for part in left]
     freedom = float(np.min(floor.freedom[chosen]))
     steps, p_values, floors = [], [], []
     for place in range(len(probed.joints)):
-        impulse = probed.response.impulse(place, max(map(len, told)))[:, chosen] @ whitener.T
-        step, p_value, noise = _likeliest(told, impulse, floor.spacing, freedom)
+        impulse = probed.response.impulse(place, max(map(len, white)))[:, chosen] @ whitener.T
+        step, p_value, noise = _likeliest(white, impulse, floor.spacing, freedom)
         steps.append(step)
         p_values.append(p_value)
         floors.append(noise)
@@ -102,11 +103,11 @@ def missing_force(found: Innovations, probed: Probe) -> tuple[MissingForce, ...]
 
 
 def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: float) -> tuple[float, float, float]:
-    """The step of the random walk, force/sqrt(s), the p-value of its being there at all, and the RMS that noise alone
-    makes of the smoothed force.
+    """The step of the random walk, force/sqrt(s), the p-value of its being there at all, and the RMS that the smoothed
+    force has from noise alone.
 
-    Not the likeliest step but one standard deviation above: where the record shows nothing, the likeliest is none, and
-    what the record could hide would go untold.
+    The step is one standard deviation above the most likely one, which is zero if the record shows nothing: otherwise a
+    force that the record could hide would go unreported.
     """
     powers, projected, gains, walks = [], [], [], []
     for part in white:
@@ -123,7 +124,8 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
     outputs, lines = white[0].shape[1], len(power)
 
     def cost(logarithm: float) -> float:
-        """Minus the log likelihood. The noise's level is known like from so many lines more, without a force."""
+        """Minus the log-likelihood. Prior knowledge of the noise level counts as so many further lines without a
+        force."""
         density = np.exp(2.0 * logarithm) * walk
         growth = 1.0 + density * gain
         rest = float(np.sum(power - density * matched / growth))
@@ -151,9 +153,10 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
 def _by_joint(
     found: Innovations, blocks: Sequence[Block], response: Response, steps: Array
 ) -> tuple[list[Array], Array]:
-    """`_smoothed` for all joints: of those that show in ways of their own together, of every other one alone.
+    """`_smoothed` for all joints: those with independent responses together, every other one alone.
 
-    Of each alone, too, where what tells them apart hardly shows, as the mode of a mass that is sprung at one of them.
+    Each alone, too, if the difference between their responses hardly shows, as for the mode of a mass that is sprung at
+    one of them.
     """
     together, others = _independent(response)
     forces = [np.zeros((len(part), len(steps))) for part in found.errors]
@@ -176,7 +179,7 @@ def _by_joint(
 
 
 def _independent(response: Response) -> tuple[list[int], list[int]]:
-    """Places of joints whose forces show as no sum of those before them does, and of the rest."""
+    """Places of joints whose responses are no combination of those before them, and of the rest."""
     shown = np.vstack((response.drive, response.floor.whitener @ response.direct))
     shown = shown / np.linalg.norm(shown, axis=0)
     together: list[int] = []
@@ -188,7 +191,7 @@ def _independent(response: Response) -> tuple[list[int], list[int]]:
 
 
 def _first_of(block: Block, joints: int, group: Sequence[int]) -> Array:
-    """The own columns of `block` with those of the first forces at the joints `group` alone."""
+    """The own columns of `block`, of those for the first forces only the joints `group`."""
     rest = block.own.shape[1] - joints
     return block.own[:, [*range(rest), *(rest + place for place in group)]]
 
@@ -196,10 +199,10 @@ def _first_of(block: Block, joints: int, group: Sequence[int]) -> Array:
 def _smoothed(
     found: Innovations, blocks: Sequence[Block], response: Response, steps: Array
 ) -> tuple[list[Array], Array]:
-    """Forces by stretch, (n, nj), and their standard deviations, (nj,)."""
+    """Forces by segment, (n, nj), and their standard deviations, (nj,)."""
     floor = response.floor
     states, joints = response.drive.shape
-    # Forces in units of their own step: the Riccati equation takes no numbers ten powers apart.
+    # Forces in units of their own step: the Riccati solver fails for numbers ten orders of magnitude apart.
     size = steps * np.sqrt(floor.spacing)
     transition = np.block([[floor.predictor, response.drive * size], [np.zeros((joints, states)), np.eye(joints)]])
     output = floor.whitener @ np.hstack((floor.output, response.direct * size))
@@ -231,11 +234,11 @@ def _smoothed(
 
 
 def _settled(transition: Array, output: Array, driven: Array, spread: Array) -> Array:
-    """The covariance of the state that is filtered for ever, the noise of `output` one.
+    """The steady-state covariance of the filtered state, for unit noise of `output`.
 
-    There is none where something of a predictor's state does not fade and nothing moves it, as what a filter holds of a
-    record that has none. It is moved by FADING of what it is known to, `spread`, a row then. Raises EstimationError
-    where that does not help.
+    It does not exist if a part of the predictor's state does not decay and no noise drives it, such as the state of a
+    filter that a record does not have. Then FADING of the prior variances `spread` is added per sample. Raises
+    EstimationError if that does not help.
     """
     noise = np.eye(len(output))
     try:
@@ -245,14 +248,14 @@ def _settled(transition: Array, output: Array, driven: Array, spread: Array) -> 
     try:
         return np.asarray(solve_discrete_are(transition.T, output.T, driven + FADING * np.diag(spread), noise))
     except np.linalg.LinAlgError as error:
-        what = f"what its equations lack cannot be told with this predictor ({error})"
+        what = f"cannot be estimated with this predictor ({error})"
         raise EstimationError(
             "missing force", what, remedy="check the noises and filters that the model states."
         ) from error
 
 
 def _with_first(found: Innovations, response: Response) -> list[Block]:
-    """The innovations' blocks, to whose own columns the response to a constant force at each joint is added, last."""
+    """The innovations' blocks, with the response to a constant force at each joint as the last of their own columns."""
     blocks = []
     for block, part in zip(found.blocks(), found.errors, strict=True):
         shown = np.zeros((len(block.residual), response.drive.shape[1]))
@@ -266,10 +269,11 @@ def _with_first(found: Innovations, response: Response) -> list[Block]:
 def _started(
     found: Innovations, blocks: Sequence[Block], surprises: Callable[[Array], Array]
 ) -> Iterator[tuple[Array, Array]]:
-    """By stretch, whitened innovations (n, ny) without what the first force (nj,) makes, and that force.
+    """By segment, whitened innovations (n, ny) without the response to the first force (nj,), and that force.
 
-    Starts and nuisances that were fitted without a force have taken on a part of it: here they are fitted again, beside
-    the first force, of which nothing is known. `surprises` makes white what a filter that knows of the force leaves.
+    Initial states and nuisances that were fitted without a force have absorbed a part of it: here they are fitted
+    again, together with the first force, which has no prior. `surprises` whitens what a filter that includes the force
+    leaves.
     """
     shaped = []
     joints = blocks[0].own.shape[1] - len(found.problem.own)

@@ -1,13 +1,13 @@
-"""How much of the process noise that a model states a record really shows: shares of its variances, 1 at most.
+"""How much of a model's stated process noise a record really shows: shares of its variances, 1 at most.
 
-A model states where the estimation of its noise begins, and one that states a hundred times too much would hide every
-missing effect in its floor. The innovations of the predictor with the stated noise have, by the linearised model, the
-power density
+The stated noise is where the estimation of the noise begins, and a model that states a hundred times too much would
+hide every missing effect in its floor. By the linearised model, the innovations of the predictor with the stated noise
+have the power density
 
     Phi(f) = [G I] [[share Q + .., ..], [.., R]] [G I]*,    G = C (z I - A + A K C)^-1,
 
-affine in the share of each noise; the likeliest are found by frequency. None is ever above 1: a wrong model would have
-its error called noise. Source: Whittle, Arkiv foer Matematik 2 (1953) 423-434.
+affine in the share of each noise; the most likely shares are found in the frequency domain. None may exceed 1:
+otherwise the error of a wrong model would be called noise. Source: Whittle, Arkiv foer Matematik 2 (1953) 423-434.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array, Array]
-"""A (nx, nx), C (ny, nx) and the covariances of process noise, sensor noise and of both together."""
+"""A (nx, nx), C (ny, nx), the covariances of process noise and of sensor noise, and their cross-covariance."""
 
 BINS = 200
-"""Of the periodogram, evenly spaced on a logarithmic axis: densities are smooth."""
+"""Bins of the periodogram, evenly spaced on a logarithmic axis: densities are smooth."""
 SHARES = np.logspace(-10.0, 0.0, 81)
 ROUNDS = 2
-"""In which each share is found in turn, the others as they are."""
+"""Rounds in which each share is found in turn, with the others fixed."""
 
 
 def shown_shares(
     errors: Sequence[Array], gain: Array, without: System, stated: Sequence[System], outputs: Sequence[int]
 ) -> Array:
-    """The share of each process noise, 0 to 1, that `errors` show: by stretch innovations (n, ny) with `gain` (nx, ny).
+    """The share of each process noise, 0 to 1, that `errors` show: innovations by segment (n, ny) with `gain` (nx, ny).
 
-    `without` is the system with none of these noises, `stated` the same with one of them each; `outputs` are those that
-    tell. Not the likeliest share but one standard deviation above, so that a noise is rather called too large than too
-    small; one that does not show at all stays as stated.
+    `without` is the system with none of these noises, `stated` the same with one of them each; `outputs` are the
+    informative ones. The shares are one standard deviation above the most likely ones, so that a noise is overestimated
+    rather than underestimated; a noise that does not show at all stays as stated.
     """
     turns, spectra = [], []
     for part in errors:
@@ -52,7 +52,7 @@ def shown_shares(
     parts = [each - none for each in with_one]
 
     def cost(share: float, place: int) -> float:
-        """Minus the log likelihood with one share changed."""
+        """Minus the log-likelihood with one share changed."""
         factors = [*shares]
         factors[place] = share
         whole = none + sum(factor * part for factor, part in zip(factors, parts, strict=True))
@@ -71,7 +71,7 @@ def shown_shares(
 
 
 def density(turn: Array, gain: Array, system: System) -> NDArray[np.complex128]:
-    """Power density of the innovations a row, at `turn` rad a row (m,): (m, ny, ny)."""
+    """Power density of the innovations per sample, at `turn` rad per sample (m,): (m, ny, ny)."""
     transition, output, process, sensor, across = system
     ahead = transition @ gain
     closed = transition - ahead @ output

@@ -1,10 +1,10 @@
-"""How fast a force at a joint may swing and still show in an output: what an output does beyond that is its sensor's.
+"""Up to which frequency a force at a joint shows in an output: beyond it, an output only shows its sensor's error.
 
     |C (exp(i 2 pi f dt) - A)^-1 B| F > R^(1/2),    B = dt / inertia on the joint's rate
 
-with F the joint's typical force and R the variance of the sensor's noise. An inertia turns a force of 30 Hz into a
-thousandth of the angle that it makes of one of 1 Hz. So where innovations have more power at 30 Hz than at 80 Hz, no
-force is missing: the error of the sensor has a colour, as an encoder's that counts while others wait.
+with F the joint's typical force and R the variance of the sensor's noise. With an inertia, a force of 30 Hz makes a
+thousandth of the angle that a force of 1 Hz makes. So if innovations have more power at 30 Hz than at 80 Hz, no force
+is missing: the error of the sensor is coloured, like that of an encoder that counts while others wait.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from models.expressions import names_in, number
 Array = NDArray[np.float64]
 
 SLOWEST = 8.0
-"""Over the time scale (estimators.data.time_scale), Hz, below which an output is never its sensor's alone: 20 Hz of the
-MONOCAB. A joint's typical force is known to its order of magnitude."""
+"""Over the time scale (estimators.data.time_scale), Hz, below which an output never shows its sensor's error alone: 20
+Hz of the MONOCAB. A joint's typical force is known only to its order of magnitude."""
 SHARE = 0.1
-"""Of a sensor's power above which the process noise of the model is not taken for the sensor's."""
+"""Share of a sensor's power above which the model's process noise is not attributed to the sensor."""
 FEWEST = 30
-"""Lines of the spectrum above the reach that tell the sensor's noise."""
+"""Spectral lines above the reach that are needed to estimate the sensor's noise."""
 
 
 def reach(task: Problem, values: Array, sensor: Array) -> Array:
     """By output the frequency (ny,), Hz, above which no typical force shows beside its noise of std `sensor` (ny,);
-    infinite where forces show up to half of the sampling rate, or where how a force acts is not known."""
+    infinite if forces show up to half of the sampling rate, or if it is not known how a force acts."""
     noise, names = NoiseModel.of(task), [state.name for state in task.model.states]
     system = noise.covariances(values, np.zeros(noise.size))
     transition, output, process = system[0], system[1], system[2]
@@ -50,7 +50,7 @@ def reach(task: Problem, values: Array, sensor: Array) -> Array:
     turns = np.exp(2.0j * np.pi * frequency * noise.spacing)[:, None, None] * np.eye(len(names))
     through = output @ np.linalg.inv(turns - transition)
     forced = np.sum(np.abs(through @ pushes), axis=2) ** 2
-    # White noise that a state is driven by may be any force, too.
+    # White noise that drives a state may be any force, too.
     driven = np.einsum("fys,st,fyt->fy", through, process, np.conj(through)).real
     above = (forced > sensor**2) | (driven > SHARE * sensor**2)
     last = np.where(above.any(axis=0), len(frequency) - 1 - np.argmax(above[::-1], axis=0), 0)
@@ -60,10 +60,11 @@ def reach(task: Problem, values: Array, sensor: Array) -> Array:
 def power_beyond(
     errors: Sequence[Array], spacing: float, limits: Array, expected: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """Mean power (ny,) of `errors`, by stretch (n, ny), above `limits` (ny,), Hz, over what is `expected` there, and
-    the number of lines (ny,) that tell it; 0 of both where there are too few.
+    """Mean power (ny,) of `errors`, by segment (n, ny), above `limits` (ny,), Hz, relative to what is `expected` there,
+    and the number of spectral lines (ny,) it is estimated from; both are 0 if there are too few lines.
 
-    `expected` says of turns (m,), rad a row, the power densities (m, ny) that the sensors' noise alone would have.
+    `expected` gives, for turns (m,) in rad per sample, the power densities (m, ny) that the sensors' noise alone would
+    have.
     """
     total, lines = np.zeros(len(limits)), np.zeros(len(limits))
     for part in errors:
@@ -76,5 +77,5 @@ def power_beyond(
             least = expected(turns)
             total += np.sum(np.divide(power, least, out=np.zeros_like(power), where=beyond & (least > 0.0)), axis=0)
             lines += np.sum(beyond, axis=0)
-    told = lines >= FEWEST
-    return np.where(told, total / np.maximum(lines, 1.0), 0.0), np.where(told, lines, 0.0)
+    enough = lines >= FEWEST
+    return np.where(enough, total / np.maximum(lines, 1.0), 0.0), np.where(enough, lines, 0.0)

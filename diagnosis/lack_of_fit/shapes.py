@@ -1,11 +1,11 @@
-"""Would a force of any shape still help? A test for lack of fit that needs no formula.
+"""Would a force of any shape still improve the fit? A test for lack of fit that needs no formula.
 
-A missing force at a joint is let depend on one coordinate after the other as it likes: piecewise straight lines
-over it, the same times rate or coordinate, waves over it, and swinging or creeping in time. Beside these, which may
-have any shape and pay for it, come the first terms of Taylor's series: whatever is smooth looks like one of them. What
-each would do to the innovations is its linear response (diagnosis.lack_of_fit.force_probe), less what parameters, noise
-and initial states could do, the effects that are in the model included. So what is left is what no value of theirs
-would mend.
+A missing force at a joint may depend on one coordinate after the other in any way: a piecewise linear function of it,
+the same times rate or coordinate, sinusoids of it, and coefficients that oscillate or drift in time. These may have any
+shape and pay for it with degrees of freedom. The first terms of Taylor's series are tried, too: every smooth function
+looks like one of them. The effect of each on the innovations is its linear response
+(diagnosis.lack_of_fit.force_probe), with everything projected out that parameters, noise and initial states could do,
+including those of the effects in the model. So no other values of these would explain what is found here.
 """
 
 from __future__ import annotations
@@ -28,40 +28,41 @@ from estimators.data.time_scale import time_scale
 Array = NDArray[np.float64]
 
 KNOTS = 8
-"""Of a piecewise straight line, with as many rows between neighbours."""
+"""Knots of a piecewise linear function, with equal numbers of samples between neighbours."""
 HARMONICS = 12
-"""Of the range of a coordinate."""
+"""Harmonics of the range of a coordinate that are tried."""
 SLOWEST, FASTEST, BANDS = 0.04, 2.0, 60
-"""Over the time scale (estimators.data.time_scale; 0.1 and 5 Hz of the MONOCAB), between which a coefficient may swing
-in time, and how many bands' strongest lines are tried."""
+"""Frequencies over the time scale (estimators.data.time_scale; 0.1 and 5 Hz of the MONOCAB) between which a coefficient
+may oscillate in time, and the number of bands of which the strongest line is tried."""
 CUBES = ("{0} cubed", "{0} squared times {1}", "{0} times {1} squared", "{1} cubed")
 OVERSAMPLED = 4
-"""Lines a band of the width that a record resolves, one over its length: between two of them nothing is missed."""
+"""Lines per resolved bandwidth, which is one over the length of a record: between two of them nothing is missed."""
 LEAST = 1e-6
-"""Share of a column's own energy that has to be left beside what is fitted anyway."""
+"""Share of a column's own energy that has to be left after what is fitted anyway has been projected out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What a force of one kind of shape would gain in log likelihood, beyond what chance gains, and how likely that is.
+    """Rise of the log-likelihood by a force of one kind of shape, beyond what chance gives, and its significance.
 
-    `name` is what it goes with at `joint`, `p_value` with all kinds looked at, `share` how much of the innovations'
-    energy it explains; `std` is the gain's standard deviation. The gain is at the noise of the fit, which had to stand
-    in for what is missing: where little else is left, the share tells more.
+    `name` is what the force at `joint` depends on. `log_ratio` is the rise, `std` its standard deviation. `p_value`
+    accounts for all kinds that were tried. `share` is the share of the innovations' energy that the force explains. The
+    rise is evaluated at the noise of the fit, which had to absorb what is missing: if little else is left, the share
+    says more.
     """
 
     joint: str
     name: str
-    gain: float
+    log_ratio: float
     p_value: float
     share: float = 0.0
     std: float = 0.0
 
 
 def shapes(found: Innovations, probed: Probe) -> list[Shape]:
-    """All kinds at all joints, the one that gains most first. `found` has the fit itself, with its own gain."""
+    """All kinds at all joints, the largest rise first. `found` has the fit itself, with its own gain."""
     white = Whitened.of(found.fit)
-    tried: list[tuple[str, str, _Gain, int]] = []
+    tried: list[tuple[str, str, _Rise, int]] = []
     for place, joint in enumerate(probed.joints):
         design = Design(white, found, probed, place)
         for name, width, members in _kinds(found, probed, place):
@@ -75,18 +76,18 @@ def shapes(found: Innovations, probed: Probe) -> list[Shape]:
             columns = design.columns(_times(swings, slope))
             pieces = [columns[:, first : first + 2] for first in range(0, columns.shape[1], 2)]
             best = max(map(design.gain, pieces), key=lambda each: each.beyond)
-            tried.append((joint.name, f"{name} swinging in time", best, lines))
+            tried.append((joint.name, f"{name} times a sinusoid in time", best, lines))
     kinds = max(len(tried), 1)
     ranked = [
         Shape(joint, name, best.beyond, min(1.0, kinds * pieces * best.by_chance), best.share, best.std)
         for joint, name, best, pieces in tried
         if best.rank
     ]
-    return sorted(ranked, key=lambda each: -each.gain)
+    return sorted(ranked, key=lambda each: -each.log_ratio)
 
 
 def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str, int, list[Array]]]:
-    """Name, columns of one shape, and by stretch (n, m) its values: m / columns shapes of a kind."""
+    """Name, number of columns of one shape, and by segment (n, m) the values: m / columns shapes of a kind."""
     joint = probed.joints[place]
     inner = {state.name for each in found.problem.model.effects for state in each.states}
     values = {each.name: each.values for each in probed.coordinates if each.name not in inner}
@@ -105,8 +106,8 @@ def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str,
             yield f"{word} times {name}", 1, _times([each[:, None] for each in values[name]], slope)
         for name in values:
             if name != word:
-                yield f"{word} by {name}", hats[name][0].shape[1], _times(hats[name], slope)
-        yield f"{word} by time", clock[0].shape[1], _times(clock, slope)
+                yield f"{word} times a function of {name}", hats[name][0].shape[1], _times(hats[name], slope)
+        yield f"{word} times a function of time", clock[0].shape[1], _times(clock, slope)
     if angle is not None and rate is not None:
         for power, name in enumerate(CUBES):
             yield (
@@ -118,19 +119,19 @@ def _kinds(found: Innovations, probed: Probe, place: int) -> Iterator[tuple[str,
         whole = np.concatenate(angle)
         span = float(np.quantile(whole, 0.999) - np.quantile(whole, 0.001))
         waves = [_lines(each, np.arange(1, HARMONICS + 1) / span) for each in angle]
-        yield f"waves over {joint.coordinate}", 2, waves
+        yield f"a sinusoid of {joint.coordinate}", 2, waves
         if rate is not None:
-            yield f"{joint.rate} by waves over {joint.coordinate}", 2, _times(waves, rate)
+            yield f"{joint.rate} times a sinusoid of {joint.coordinate}", 2, _times(waves, rate)
 
 
 def _slopes(probed: Probe, place: int) -> list[tuple[str, tuple[Array, ...]]]:
-    """Coordinate and rate of a joint, as far as they move, with their values by stretch."""
+    """Coordinate and rate of a joint, if they move, with their values by segment."""
     joint, values = probed.joints[place], {each.name: each.values for each in probed.coordinates}
     return [(name, values[name]) for name in (joint.coordinate, joint.rate) if name in values]
 
 
 def _hats(values: Sequence[Array]) -> list[Array]:
-    """Piecewise straight lines over a coordinate, (n, KNOTS)."""
+    """Basis of the piecewise linear functions of a coordinate, (n, KNOTS)."""
     knots = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, KNOTS)))
     return [np.stack([np.interp(each, knots, row) for row in np.eye(len(knots))], axis=1) for each in values]
 
@@ -146,9 +147,9 @@ def _lines(values: Array, frequencies: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Gain:
-    """`explained` by `rank` columns, of the whole `energy` of the whitened innovations; these scatter `inflation` times
-    as much as if they were independent of each other."""
+class _Rise:
+    """Energy `explained` by `rank` columns, out of the whole `energy` of the whitened innovations; these scatter
+    `inflation` times as much as if they were independent of each other."""
 
     explained: float
     energy: float
@@ -157,12 +158,12 @@ class _Gain:
 
     @property
     def beyond(self) -> float:
-        """Of the log likelihood, beyond what chance gains."""
+        """Rise of the log-likelihood beyond what chance gives."""
         return 0.5 * (self.explained / self.inflation - self.rank)
 
     @property
     def std(self) -> float:
-        """Of that: what it explains is chi squared, not central by what is there."""
+        """Standard deviation of `beyond`: the explained energy is noncentral chi-squared."""
         return 0.5 * math.sqrt(2.0 * self.rank + 8.0 * max(self.beyond, 0.0))
 
     @property
@@ -175,7 +176,7 @@ class _Gain:
 
 
 class Design:
-    """What forces at one joint do to the whitened innovations."""
+    """Responses of the whitened innovations to forces at one joint."""
 
     def __init__(self, white: Whitened, found: Innovations, probed: Probe, place: int) -> None:
         fit, response = white.fit, probed.response
@@ -208,8 +209,9 @@ class Design:
         return project(stacked / size, self.white.nuisance)
 
     def strongest(self, slope: Sequence[Array]) -> tuple[Array, int]:
-        """In each of BANDS, the frequency (Hz) at which a swing of `slope` goes best with what is left; then how many
-        lines the record tells apart. What a swing does to the innovations, goes with what these do to a swing."""
+        """In each of BANDS the frequency (Hz) at which an oscillating coefficient of `slope` correlates best with what
+        is left; then the number of lines that the record resolves. The correlation is evaluated by the adjoint: the
+        innovations are filtered backwards and then correlated with the oscillation."""
         time = np.concatenate([segment.time for segment in self.segments])
         rests = np.split(self.white.residual, np.cumsum([len(each) for each in self.white.starts])[:-1])
         pulled = []
@@ -221,28 +223,28 @@ class Design:
                 for each, impulse in zip(left.T, self.impulse[: len(left)].T, strict=True)
             )
             pulled.append(inside * np.asarray(back)[::-1])
-        # Gathered into eighths of the fastest turn, within which a swing hardly moves.
+        # Gathered into eighths of the shortest period, within which an oscillation hardly changes.
         width = 0.125 / self.fastest
         places, inverse = np.unique(np.floor(time / width), return_inverse=True)
         weights = np.bincount(inverse, weights=np.concatenate(pulled))
-        told = float(np.ptp(time)) * (self.fastest - self.slowest)
+        resolved = float(np.ptp(time)) * (self.fastest - self.slowest)
         chosen = []
         for low, high in pairwise(np.linspace(self.slowest, self.fastest, BANDS + 1).tolist()):
-            lines = np.linspace(low, high, max(2, math.ceil(OVERSAMPLED * told / BANDS)))
+            lines = np.linspace(low, high, max(2, math.ceil(OVERSAMPLED * resolved / BANDS)))
             power = np.abs(np.exp(-2.0j * np.pi * width * np.outer(lines, places)) @ weights)
             chosen.append(float(lines[np.argmax(power)]))
-        return np.array(chosen), max(BANDS, math.ceil(told))
+        return np.array(chosen), max(BANDS, math.ceil(resolved))
 
-    def gain(self, columns: Array) -> _Gain:
-        """Of unit columns (n, m); the blocks' scatter counts where it is larger than chance has it."""
+    def gain(self, columns: Array) -> _Rise:
+        """Rise by unit columns (n, m); the scatter between blocks counts if it is larger than by chance."""
         values, vectors = np.linalg.eigh(columns.T @ columns)
         kept = values > LEAST
         if not kept.any():
-            return _Gain(0.0, 0.0, 0, 1.0)
+            return _Rise(0.0, 0.0, 0, 1.0)
         basis = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
         residual = self.white.residual
         sizes = basis.T @ residual
         rest = basis * (residual - basis @ sizes)[:, None]
         sums = np.add.reduceat(rest[self.order], self.edges, axis=0)
         inflation = max(1.0, float(np.sum(sums**2)) / len(sizes))
-        return _Gain(float(sizes @ sizes), float(residual @ residual), len(sizes), inflation)
+        return _Rise(float(sizes @ sizes), float(residual @ residual), len(sizes), inflation)

@@ -1,16 +1,18 @@
 """Where a model fails: by time, by frequency, by state and by equation, each with its significance.
 
 * time: energy of the innovations over the floor in windows of 5 time scales (estimators.data.time_scale; 2 s of the
-  MONOCAB), row by row and averaged over a quarter of one, since what a vehicle lacks is slow and the noise is not.
+  MONOCAB), sample by sample and averaged over a quarter of a time scale, since missing effects are slow and the noise
+  is not.
 * frequency: the same by octaves, from the periodogram, up to where a force shows (diagnosis.lack_of_fit.reach).
-* state: the mean missing force by bins of each coordinate, beyond what other parameter values would mend, with a false
-  discovery rate over all bins (diagnosis.lack_of_fit.force_bins).
-* equation: mean and energy of the missing force at each joint, the parameters as they are
+* state: the mean missing force by bins of each coordinate, beyond what other parameter values would explain, with a
+  false discovery rate over all bins (diagnosis.lack_of_fit.force_bins).
+* equation: mean and energy of the missing force at each joint, with the parameters as they are
   (diagnosis.lack_of_fit.missing_force).
 
-White innovations of the floor's covariance are the reference, and how well the record tells that covariance is in the
-tests: energies have an F distribution. A model is adequate where no view finds anything; each view may reject a right
-model with a quarter of LEVEL. Source: Benjamini and Hochberg, Journal of the Royal Statistical Society B 57 (1995).
+The reference is white innovations with the floor's covariance. The tests account for how well the record determines
+that covariance: energies have an F distribution. A model is adequate if no view finds anything; each view may reject a
+correct model with a quarter of LEVEL. Source: Benjamini and Hochberg, Journal of the Royal Statistical Society B 57
+(1995).
 """
 
 from __future__ import annotations
@@ -36,19 +38,19 @@ Array = NDArray[np.float64]
 Entry = dict[str, Any]
 
 LEVEL = 0.01
-"""Probability with which a model that is right is called not adequate, over all views."""
+"""Probability with which a correct model is called not adequate, over all views."""
 VIEWS = ("time", "frequency", "state", "equation")
 WINDOW = 5.0
 """Time scales of a window of the view by time."""
 AVERAGE = 0.25
-"""Time scales over which innovations are averaged beside being taken row by row."""
+"""Time scales over which innovations are averaged, in addition to the test sample by sample."""
 LINES = 8
-"""Of the periodogram that the lowest octave has at least."""
+"""Lines of the periodogram that the lowest octave has at least."""
 
 
 @dataclass(frozen=True, slots=True)
 class Energy:
-    """Energy over the floor in a part of a record, 1 where there is nothing but noise, and how likely so much is."""
+    """Energy over the floor in a part of a record, 1 if there is nothing but noise, and its p-value."""
 
     recording: str
     channel: str
@@ -60,7 +62,7 @@ class Energy:
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """The four views of a model on a record, and in `fails` (by VIEWS) what of them noise does not explain."""
+    """The four views of a model on a record; `fails` (by VIEWS) has the parts that noise does not explain."""
 
     by_time: Sequence[Energy]
     by_frequency: Sequence[Energy]
@@ -75,7 +77,7 @@ class Views:
 
 
 def views(found: Innovations, *, progress: Progress | None = None) -> Views:
-    """All four views of the innovations that a model leaves. `progress` is told when code has to be compiled."""
+    """All four views of the innovations that a model leaves. `progress` is called when code has to be compiled."""
     probed = probe(found, progress=progress)
     by_time, by_frequency = energies_by_time(found), energies_by_frequency(found)
     reach = dict(zip(found.problem.kernel.outputs, found.floor.reach.tolist(), strict=True))
@@ -89,20 +91,20 @@ def views(found: Innovations, *, progress: Progress | None = None) -> Views:
     return Views(by_time, by_frequency, binned, forces, means, fails)
 
 
-def _told(found: Innovations) -> list[tuple[int, str]]:
-    """The outputs whose noise the record tells: one that is only stated would be tested for what is stated."""
+def _tested(found: Innovations) -> list[tuple[int, str]]:
+    """The outputs whose noise the record shows: a noise that is only stated would be tested, not the model."""
     return [(place, found.problem.kernel.outputs[place]) for place in found.floor.informative]
 
 
 def energies_by_time(found: Innovations) -> list[Energy]:
-    """Each window of each channel, of row by row and averaged the one that is less likely: s from the first row."""
+    """Each window of each channel, s from the first sample: by sample or averaged, whichever is less likely."""
     results = []
     scale = time_scale(found.problem.model, found.problem.segments)
     averaged = max(1, round(AVERAGE * scale / found.floor.spacing))
     for segment, errors in zip(found.problem.segments, found.normalised, strict=True):
         count = max(1, round(segment.duration / (WINDOW * scale)))
         for rows in np.array_split(np.arange(len(segment)), count):
-            for place, channel in _told(found):
+            for place, channel in _tested(found):
                 part = errors[rows, place]
                 means = part[: len(part) // averaged * averaged].reshape(-1, averaged).sum(axis=1) / np.sqrt(averaged)
                 freedom = float(found.floor.freedom[place])
@@ -114,14 +116,14 @@ def energies_by_time(found: Innovations) -> list[Energy]:
 
 
 def energies_by_frequency(found: Innovations) -> list[Energy]:
-    """Each octave of each channel, of all stretches together, Hz."""
+    """Each octave of each channel, of all segments together, Hz."""
     spacing, results = found.floor.spacing, []
     longest = max(len(part) for part in found.errors) * spacing
     edges = [0.5 / spacing]
     while 0.5 * edges[-1] * longest > 2 * LINES:
         edges.append(0.5 * edges[-1])
     edges = [0.0, *edges[:0:-1], 0.5 / spacing * (1.0 + 1e-9)]
-    for place, channel in _told(found):
+    for place, channel in _tested(found):
         lines, powers = [], []
         for part in found.normalised:
             lines.append(np.fft.rfftfreq(len(part), spacing)[1:])
@@ -130,7 +132,7 @@ def energies_by_frequency(found: Innovations) -> list[Energy]:
         for low, high in pairwise(edges):
             inside = (line >= low) & (line < high)
             if inside.any():
-                # A line's power is that of two independent parts, half each.
+                # The power of a line has two degrees of freedom.
                 halves = np.repeat(np.sqrt(power[inside]), 2)
                 ratio, p_value = _excess(halves, float(found.floor.freedom[place]))
                 results.append(Energy("", channel, low, min(high, 0.5 / spacing), ratio, p_value))
@@ -138,7 +140,7 @@ def energies_by_frequency(found: Innovations) -> list[Energy]:
 
 
 def _excess(normalised: Array, freedom: float) -> tuple[float, float]:
-    """Mean square of what has unit variance where there is nothing, and the probability of so much."""
+    """Mean square of samples that have unit variance if the model is correct, and the probability of so much."""
     count = len(normalised)
     ratio = float(np.mean(normalised**2))
     if np.isinf(freedom):
@@ -181,13 +183,13 @@ def _beyond(energies: Sequence[Energy]) -> list[Energy]:
 
 
 def _state_entries(binned: Sequence[Binned]) -> list[Entry]:
-    """The bins whose mean missing force is none of noise, surest first."""
-    told = [(each, place, term) for each in binned for place, term in enumerate(each.terms) if term is not None]
-    if not told:
+    """The bins whose mean missing force noise does not explain, the most significant first."""
+    determined = [(each, place, term) for each in binned for place, term in enumerate(each.terms) if term is not None]
+    if not determined:
         return []
-    adjusted = false_discovery_control([term.p_value for _, _, term in told])
+    adjusted = false_discovery_control([term.p_value for _, _, term in determined])
     found: list[tuple[Term, Entry]] = []
-    for (each, place, term), p_value in zip(told, adjusted, strict=True):
+    for (each, place, term), p_value in zip(determined, adjusted, strict=True):
         if p_value < LEVEL / len(VIEWS):
             entry = {
                 "joint": each.joint,
@@ -226,27 +228,28 @@ def _equation_entries(forces: Sequence[MissingForce], means: Sequence[Term | Non
 
 
 def summary(fails: Mapping[str, Sequence[Entry]]) -> list[str]:
-    """Where it fails, in words: a sentence for each view that finds something, the worst place first."""
+    """Where the model fails, in words: a sentence for each view that finds something, the worst place first."""
     sentences = []
     for entry in fails["equation"][:2]:
-        mean = "" if entry["mean"] is None else f", {entry['mean']:.3g} ± {entry['mean_std']:.2g} on average"
-        size = f"{entry['rms']:.3g} {entry['unit']} RMS (± {entry['std']:.2g} at an instant)"
-        sentences.append(f"The equation of {entry['equation']} lacks {size}{mean}.")
+        mean = "" if entry["mean"] is None else f", with a mean of {entry['mean']:.3g} ± {entry['mean_std']:.2g}"
+        size = f"{entry['rms']:.3g} {entry['unit']} RMS (± {entry['std']:.2g} at any instant)"
+        sentences.append(f"The equation of {entry['equation']} lacks a force of {size}{mean}.")
     sentences += _by_coordinate(fails["state"])
     if fails["equation"] and not fails["state"]:
-        sentences.append("By state, nothing is left that other values of its estimated parameters would not mend.")
+        sentences.append("By state, other values of the estimated parameters would explain all that is significant.")
     for entry in fails["frequency"][:1]:
         where = f"{entry['from_hz']:.2g} to {entry['to_hz']:.2g} Hz"
-        sentences.append(f"By frequency: worst at {where}, {entry['power_over_floor']:.3g} times the floor.")
+        power = f"{entry['power_over_floor']:.3g} times the noise floor"
+        sentences.append(f"By frequency: the worst from {where}, {power}.")
     for entry in fails["time"][:1]:
-        where = f"{entry['from']:.1f} to {entry['to']:.1f} s, {entry['energy_over_floor']:.3g} times the floor"
+        where = f"{entry['from']:.1f} to {entry['to']:.1f} s, {entry['energy_over_floor']:.3g} times the noise floor"
         span = f"{entry['to'] - entry['from']:.2g}"
-        sentences.append(f"By time: {len(fails['time'])} windows of {span} s, worst from {where}.")
+        sentences.append(f"By time: {len(fails['time'])} windows of {span} s fail, the worst from {where}.")
     return sentences
 
 
 def _by_coordinate(entries: Sequence[Entry]) -> Iterator[str]:
-    """The coordinate that explains most, with its surest bin, and what the others would explain."""
+    """The coordinate that explains most, with its most significant bin, and what the others would explain."""
     shares = {entry["coordinate"]: entry["explained_percent"] for entry in entries}
     ranked = sorted(shares, key=lambda name: -shares[name])
     if ranked:
@@ -254,11 +257,11 @@ def _by_coordinate(entries: Sequence[Entry]) -> Iterator[str]:
         low, high, unit = shown_range(entry["from"], entry["to"], entry["coordinate_unit"])
         force = f"{entry['missing_force']:.3g} ± {entry['std']:.2g} {entry['unit']}"
         yield (
-            f"It goes with {ranked[0]}, which explains {shares[ranked[0]]:.0f} % of it: {force} at {entry['joint']}"
-            f" while {ranked[0]} is {low} to {high} {unit}."
+            f"The missing force depends on {ranked[0]}, which explains {shares[ranked[0]]:.0f} % of the excess energy:"
+            f" {force} at {entry['joint']} while {ranked[0]} is between {low} and {high} {unit}."
         )
     if len(ranked) > 1:
-        yield f"Less of it: {', '.join(f'{name} {shares[name]:.0f} %' for name in ranked[1:4])}."
+        yield f"Other coordinates explain less: {', '.join(f'{name} {shares[name]:.0f} %' for name in ranked[1:4])}."
 
 
 def shown_range(low: float, high: float, unit: str) -> tuple[str, str, str]:

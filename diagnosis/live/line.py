@@ -1,4 +1,4 @@
-"""The strongest line in a signal that comes in little by little: the frequency at which a disturbance would be."""
+"""The strongest spectral line of a signal that comes in little by little: the frequency of a possible disturbance."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from scipy.special import gammaincc
 Array = NDArray[np.float64]
 
 SLOWEST = 0.1
-"""Hz, of a line that is looked at."""
+"""Lowest frequency of a line, Hz."""
 LONGEST, SHORTEST = 32.0, 4.0
-"""s of the signal that are looked at, at most and at least."""
+"""Longest and shortest part of the signal that is evaluated, s."""
 RECENT = 8.0
-"""s that are looked at apart too: a line that has just begun is little in all of it, and least at the window's end."""
+"""Last s, evaluated on their own, too: a line that has just begun is weak in the whole, and weakest at a window's
+end."""
 CHANCE = 0.1
-"""Probability of a line as strong as one that is followed, where all is noise."""
+"""Probability of a line as strong as one that is followed, if there is only noise."""
 
 
 class LineFinder:
-    """Takes whitened innovations (n, ny), a row every `period` s."""
+    """Takes whitened innovations (n, ny), a sample every `period` s."""
 
     def __init__(self, period: float) -> None:
         self.period = period
@@ -31,7 +32,7 @@ class LineFinder:
         self._rows = 0
 
     def add(self, rows: Array) -> None:
-        """The next rows (n, ny)."""
+        """The next samples (n, ny)."""
         self._parts.append(rows)
         self._rows += len(rows)
         while (self._rows - len(self._parts[0])) * self.period > LONGEST:
@@ -39,11 +40,11 @@ class LineFinder:
 
     @property
     def bins(self) -> int:
-        """Among how many frequencies the line is picked, at least 1."""
+        """Number of frequencies among which the line is picked, at least 1."""
         return max(1, sum(self._lengths()) // 2)
 
     def frequency(self) -> tuple[float, float] | None:
-        """Hz of the strongest line, and the s in which it was found; None where noise may be all there is."""
+        """Hz of the strongest line, and the length in s in which it was found; None if noise may be all there is."""
         if self._rows * self.period < SHORTEST:
             return None
         rows = np.concatenate(self._parts)
@@ -53,15 +54,15 @@ class LineFinder:
         return (frequency, span) if self.bins * gammaincc(outputs, outputs * power) < CHANCE else None
 
     def _lengths(self) -> tuple[int, ...]:
-        """Rows of all that is looked at, and of what is recent."""
+        """Samples of all that is evaluated, and of the recent part."""
         recent = int(RECENT / self.period)
         return (self._rows, recent) if recent < self._rows else (self._rows,)
 
 
 def strongest(rows: Array, period: float) -> tuple[float, float, float]:
-    """Of rows (n, ny), one every `period` s: the power of their strongest line over the mean of all frequencies, its
-    frequency in Hz, between bins by a parabola through logarithms, and the s of these rows."""
-    # Zeros are added up to a number that is quick to transform: one with large factors takes ten times as long.
+    """The strongest line of samples (n, ny), one every `period` s: its power over the mean of all frequencies, its
+    frequency in Hz (interpolated between bins by a parabola through logarithms), and the length of the samples in s."""
+    # Zero-padded to a length that is quick to transform: one with large prime factors takes ten times as long.
     count = next_fast_len(len(rows), real=True)
     spectrum = rfft(rows * _window(len(rows)), count, axis=0, overwrite_x=True)
     numbers = spectrum.view(np.float64)
@@ -78,5 +79,5 @@ def strongest(rows: Array, period: float) -> tuple[float, float, float]:
 
 @functools.lru_cache(maxsize=4)
 def _window(count: int) -> Array:
-    """Hann's, (n, 1)."""
+    """A Hann window, (n, 1)."""
     return np.asarray(np.hanning(count)[:, None])

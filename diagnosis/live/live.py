@@ -1,15 +1,15 @@
 """Which effect a model lacks, while the vehicle runs: the score test of all effects along with the recursion.
 
-The recursive prediction error method gives, chunk by chunk, innovations and what its unknowns do to them. A second
-kernel, of the model with every candidate attached at amplitude zero, runs along with the same parameters and the same
-gain: it says what a little of each effect would do. Every second or two `diagnosis.live.odds` weighs each effect
-against none, whenever it set in. One whose odds no chance explains gets a name (`diagnosis.live.naming`), with those
-that are not told from it yet; it is then taken for granted, and the next one is looked for.
+The recursive prediction error method gives, chunk by chunk, innovations and their derivatives with respect to its
+unknowns. A second kernel, of the model with every candidate attached at amplitude zero, runs along with the same
+parameters and the same gain: it gives the derivatives with respect to the amplitude of each effect. Every second or two
+`diagnosis.live.odds` computes the odds of each effect against none, for any onset. An effect whose odds chance does not
+explain is named (`diagnosis.live.naming`), together with those that are not distinguishable from it yet; it is then
+taken as given, and the next one is searched for.
 
-It sees each effect at one shape only (`upright diagnose` tries several and refits each), but for the frequency of a
-disturbance, which is followed. A size is one linear step
-from a model whose noise had to stand in for the effect: up to 70 % too large was seen. So what it says is a first
-answer, which the diagnosis of the recording confirms.
+Each effect is tested in one shape only (`upright diagnose` tries several and refits each), except for the frequency of
+a disturbance, which is followed. An amplitude is one linear step from a model whose noise had to absorb the effect: up
+to 70 % too large was seen. So the result is a first answer, which the diagnosis of the recording confirms.
 """
 
 from __future__ import annotations
@@ -42,32 +42,35 @@ from telemetry.samples import Frame
 Array = NDArray[np.float64]
 
 JOINED = 4
-"""Chunks that are gone through in one at first; later as many as a second has."""
+"""Chunks that are processed at once at first; later as many as a second has."""
 FINEST = 8
-"""Steps a row, at most."""
+"""Steps per sample, at most."""
 FAR = (0.05, 0.6)
-"""Typical sizes of a parameter, and natural logarithms of a noise or of how long it lasts, after which all is gone
-through again with the recursion. It does so at half of these logarithms, for its gain, which tells effects apart no
-better: hardly anything is known of some noises, so that these move for minutes."""
+"""Change of a parameter in typical sizes, and of a noise or its correlation time in natural logarithms, after which all
+data are processed again with the recursion. The recursion itself repeats them after half of these logarithms, for its
+gain, which does not distinguish effects any better: hardly anything is known of some noises, so that they change for
+minutes."""
 NEAR = 0.25
-"""Of a turn, by which a line may get ahead in what was gathered of it, or its frequency be off in what told it."""
+"""Cycles by which a line may drift within the data gathered of it, or by which its frequency is uncertain over the data
+that it was estimated from."""
 COUNTS = 1
-"""Counts by which a counted output moves in a chunk, from which on it is gathered: its error is then as good as noise.
-Of what hardly moves it stays for seconds, like a torque or friction."""
+"""Counts by which a counted output has to move in a chunk for the chunk to be used: its error is then as good as noise.
+If the output hardly moves, the error stays for seconds, like a torque or friction."""
 
 
 def _line_of(candidate: Candidate) -> tuple[str, str] | None:
-    """An effect that is a line in a spectrum, and the parameter that is its frequency; None for another."""
+    """The name of an effect that is a line in a spectrum, and the parameter that is its frequency; None for others."""
     frequencies = candidate.attached.of_role(Role.FREQUENCY)
     return (candidate.name, frequencies[0]) if frequencies and candidate.effect.follows_time else None
 
 
 class LiveDiagnosis:
-    """The effects that `model` lacks, named while cycles come in; `estimator` is the recursion that it looks over.
+    """The effects that `model` lacks, named while cycles come in; `estimator` is the recursion that it watches.
 
-    What `model` has of effects already is looked for too, as that is in its recursion but not in the vehicle's own
+    Effects that `model` has already are searched for too, as they are in its recursion but not in the vehicle's own
     equations. `effects` are the candidates, the whole catalogue by default. The other arguments are those of
-    estimators.recursive.prediction_error.RecursivePredictionError, with its errors. To make one compiles two models.
+    estimators.recursive.prediction_error.RecursivePredictionError, with its errors. Creating an instance compiles two
+    models.
     """
 
     method = "live_diagnosis"
@@ -91,12 +94,14 @@ class LiveDiagnosis:
             progress=progress,
             watch=self._see,
         )
-        asked = [find(each) if isinstance(each, str) else each for each in effects or CATALOGUE]
-        # What sets in is found as what it is from then on; what is stiff cannot be followed along with all others.
-        found, self.left_out = candidates_for(model, (), [each for each in asked if not (each.onset_of or each.stiff)])
+        chosen = [find(each) if isinstance(each, str) else each for each in effects or CATALOGUE]
+        # An effect that sets in is found as the effect it is from then on; a stiff one cannot run along with the
+        # others.
+        found, self.left_out = candidates_for(model, (), [each for each in chosen if not (each.onset_of or each.stiff)])
         wide = attached(model, found)
         if wide.inputs != model.inputs:
-            raise ModelError(f"model {model.name}", "an effect needs a further input", remedy="name the effects.")
+            what = "one of the effects needs an input that the model does not have"
+            raise ModelError(f"model {model.name}", what, remedy="name the effects to look for.")
         self._base = at_rest(model, 0.01, progress)
         self._candidates = tuple(found)
         amplitudes = [name for each in found for name in each.amplitudes]
@@ -134,18 +139,18 @@ class LiveDiagnosis:
         self.estimator.update(frame)
 
     def result(self) -> LiveResult:
-        """What is missing, as far as it shows."""
+        """What is missing, as far as the data show it."""
         return LiveResult((), {}, 0, self._failure) if self._failure else self._result
 
     def _see(self, seen: Seen) -> None:
-        """A chunk of the recursion. Whatever goes wrong here, the recursion goes on."""
+        """A chunk of the recursion. If anything fails here, the recursion still goes on."""
         if self._failure:
             return
         try:
             if seen.count and self._goes_on(seen):
                 return
             if seen.chunk.begins or (seen.count and seen.place == 0):
-                # Another initial state, which what was gathered knows nothing of.
+                # Another initial state, which is not in what was gathered.
                 self._waiting.clear()
                 self._waits = 0
                 self._memory = self._gathered = None
@@ -156,25 +161,25 @@ class LiveDiagnosis:
             if seen.count or self._is_due():
                 self._take()
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-            self._failure = f"the live diagnosis ended: {type(error).__name__}: {error}"
+            self._failure = f"the live diagnosis stopped: {type(error).__name__}: {error}"
 
     def _is_due(self) -> bool:
-        """Whether what waits completes a second, which is when it is needed."""
+        """Whether the waiting chunks complete a second, which is when they are needed."""
         if self._gathered is None or self._line is None:
             return len(self._waiting) == JOINED
         rows = self._waits // len(self._base.kernel.outputs)
         return self._gathered.completes(rows * self._line.period, CHUNK * self._line.period)
 
     def _goes_on(self, seen: Seen) -> bool:
-        """Whether what was gathered stays as it is while the recursion goes through all again, as the unknowns are
-        still near where it was seen from."""
+        """Whether what was gathered stays as it is while the recursion repeats all data, because the unknowns are still
+        near the values at which it was gathered."""
         if seen.place == 0:
             known = self._gathered is not None
             self._going_on = known and bool((np.abs(seen.z - self._seen_from) <= self._far).all())
         return self._going_on
 
     def _take(self) -> None:
-        """What waits, in one."""
+        """Process the waiting chunks at once."""
         waiting, self._waiting, self._waits = self._waiting, [], 0
         if not waiting:
             return
@@ -195,7 +200,7 @@ class LiveDiagnosis:
             self._line = LineFinder(float(np.median(np.diff(chunk.segment.time))))
             self._line_since = 0
         assert self._line is not None
-        # As seen from one place, so that it does not matter that the recursion moves on meanwhile.
+        # Linearised about one point, so that it does not matter that the recursion moves on meanwhile.
         gathered, about, order = self._gathered, self._gathered.about, self._gathered.order
         columns = self._room("columns", len(effects), len(order) + len(self._active) + 1)
         first = 0
@@ -217,7 +222,7 @@ class LiveDiagnosis:
         """The `columns` of a chunk and its parts, without those parts in which a counted output hardly moves."""
         outputs = self._base.model.outputs
         found = list(parts(chunk, len(outputs)))
-        # Within a count any place is as likely, which is a noise of it over the root of 12.
+        # The error is uniform within a count, a noise of the count over the root of 12.
         counts = {i: each.noise * 12**0.5 for i, each in enumerate(outputs) if each.counted and not each.noise_known}
         if not counts:
             return columns, found
@@ -233,9 +238,10 @@ class LiveDiagnosis:
         return (columns if len(kept) == len(found) else np.concatenate([columns[:0], *kept])), moving
 
     def _follow_line(self) -> None:
-        """The disturbance of one frequency is looked for where innovations have a line, in what comes from now on.
+        """Search for the disturbance of one frequency at the line of the innovations, in the data from now on.
 
-        Data that are gone through again were there when it was picked: so it has the price of all that could have been.
+        Data that are repeated were already there when the line was picked, so it has the price of all lines that could
+        have been picked.
         """
         if self._lined is None or self._line_place is None or self._gathered is None or self._line is None:
             return
@@ -252,9 +258,9 @@ class LiveDiagnosis:
         self._shapes[self._lined[1]] = (frequency, NEAR / span, "Hz")
 
     def _effects(self, chunk: Chunk, seen: Seen) -> Array | None:
-        """What the candidates do to a chunk's innovations, (n, m), with what was `seen` last.
+        """Derivatives of a chunk's innovations with respect to the candidates' amplitudes, (n, m), at the last `seen`.
 
-        None where an effect's own motion is too fast for the steps: the next chunk is gone through in finer ones."""
+        None if an effect's own motion is too fast for the steps: the next chunk is integrated in finer ones."""
         kernel, segment, size = self._wide, chunk.segment, len(self._active)
         rows = chunk.rows
         values = self._neutral.copy()
@@ -293,7 +299,7 @@ class LiveDiagnosis:
         return None
 
     def _room(self, purpose: str, *shape: int) -> Array:
-        """An array for whatever, used again and again: a large one that is new each time costs as much as its use."""
+        """An array that is used again and again: allocating a large one each time costs as much as using it."""
         size = math.prod(shape)
         if len(self._rooms.get(purpose, ())) < size:
             self._rooms[purpose] = np.empty(size)
@@ -301,8 +307,8 @@ class LiveDiagnosis:
 
 
 def substeps(kernel: Kernel, values: Array, base: Problem, period: float) -> int:
-    """Steps a row of `period` s that the fastest motion at rest asks for, by differences, as the kernel has no
-    derivatives of what no output depends on."""
+    """Steps per sample of `period` s that the fastest motion at rest needs, by differences, as the kernel has no
+    derivatives of states on which no output depends."""
     short, little = 1e-6, 1e-4
     rest = moment_at_rest(kernel, base.segments, short)
     moved = little * np.concatenate((np.zeros((1, len(kernel.states))), np.eye(len(kernel.states))))
@@ -312,7 +318,8 @@ def substeps(kernel: Kernel, values: Array, base: Problem, period: float) -> int
 
 
 def parts(chunk: Chunk, outputs: int) -> Iterator[tuple[slice, float, float]]:
-    """A long chunk in parts of the usual length: which of its numbers (rows x outputs), when it begins and how long."""
+    """A long chunk in parts of the usual length: which of its numbers (samples x outputs), begin and duration of
+    each."""
     time = chunk.segment.time[chunk.rows].tolist()
     for first in range(0, len(time), CHUNK):
         last = min(first + CHUNK, len(time))

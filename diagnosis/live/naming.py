@@ -1,8 +1,8 @@
 """From the products of a live diagnosis to names: which effects stand out, since when, and what they are tied with.
 
-An effect is named when its odds against none (`diagnosis.live.odds`) exceed what chance reaches where nothing is
-missing. Named with it is every effect that these odds do not tell from it yet: soon after its onset these may be
-several, later fewer. Where nothing in the catalogue explains what came, no name is given.
+An effect is named when its odds against none (`diagnosis.live.odds`) exceed what chance reaches if nothing is missing.
+Every effect that these odds do not distinguish from it yet is named with it: soon after its onset these may be several,
+later fewer. If nothing in the catalogue explains the data, no name is given.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ Array = NDArray[np.float64]
 LEVEL = 0.01
 """Probability of naming an effect in the first minute, if nothing is missing; as much for each e-fold of time later."""
 LOOKS = 2.0
-"""Looks at one effect that are as good as independent, in a minute.
+"""Tests of one effect in a minute that are as good as independent.
 
 Counted in 51 minutes of multisine with nothing missing: in a tenth of them the best of 21 effects has odds of 440, in
 a twentieth 800."""
 DETECTABLE = float(2.0 * norm.isf(0.01))
-"""Standard errors of a size that is found with 99 % probability at 1 % false alarms."""
+"""Standard errors of an amplitude that is found with 99 % probability at 1 % false alarms."""
 EXPLAINED = 0.1
-"""Share of what came since its onset that an effect must explain to be named."""
+"""Share of the excess energy since its onset that an effect must explain to be named."""
 SHORTEST = 2
-"""s that an effect must have acted to be named. What sets in is like much else at first."""
+"""s that an effect must have acted to be named. At its onset an effect resembles many others."""
 KEPT = 32
-"""s back within which an onset is looked for, one that was found excepted."""
+"""s back within which an onset is searched for, except for one that was found."""
 MOST = 3
 """Effects that are named at once."""
 FURTHER = 0.05
-"""Share of the statistics of those named that a further effect has to have: at one shape, and one linear step away, a
+"""Share of the statistics of those named that a further effect has to reach: in one shape and with one linear step, a
 formula fits less well than one that is refitted."""
 NEAR = 0.5
-"""Of the logarithm of the odds of a name, from which on an effect is looked at every second: what sets in passes it in
-half the time that it takes to a name, and without it every other second is looked at."""
+"""Share of the logarithm of odds that a name needs, from which on effects are tested every second instead of every
+other one: an effect that sets in reaches it in half the time to its name."""
 BEGUN = {each.onset_of: each.name for each in CATALOGUE.values() if each.onset_of}
-"""What an effect is called that was not there from the beginning."""
+"""Name of an effect that was not there from the beginning."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveFinding:
-    """An effect that shows. `since` s from the first cycle, 0 where it was there from the beginning."""
+    """An effect that shows. `since` s from the first cycle, 0 if it was there from the beginning."""
 
     effect: str
     family: str
@@ -92,8 +92,8 @@ class LiveFinding:
 
 @dataclass(frozen=True, slots=True)
 class LiveResult:
-    """What is known now. `seconds` of free motion that it rests on, `detectable` by effect, in its first amplitude;
-    `disturbance`: the random force at each joint, which no effect explains."""
+    """What is known now. `seconds`: free motion that it is based on. `detectable`: minimum detectable effect, in the
+    first amplitude of each. `disturbance`: the random force at each joint, which no effect explains."""
 
     findings: tuple[LiveFinding, ...]
     detectable: Mapping[str, float]
@@ -123,11 +123,11 @@ class LiveResult:
         }
 
 
-TOO_LITTLE = LiveResult((), {}, 0, "too little free motion yet to tell")
+TOO_LITTLE = LiveResult((), {}, 0, "too little free motion so far")
 
 
 class Gathered:
-    """What has come in so far, and what it tells, renewed every second or two."""
+    """The data that have come in so far, and the result from them, renewed every second or two."""
 
     def __init__(
         self, entries: Sequence[Entry], order: NDArray[np.int64], products: Products, about: Array, *, whole: bool
@@ -135,9 +135,9 @@ class Gathered:
         self._whole = whole
         self._entries = {each.amplitudes.name: each for each in entries}
         self.about = about
-        """What the unknowns of the recursion count from."""
+        """The point from which the unknowns of the recursion are counted."""
         self.order = order
-        """The columns of the recursion in the order that `Products` wants; those of candidates follow them."""
+        """The columns of the recursion in the order that `Products` needs; those of candidates follow them."""
         self.products = products
         self._began: list[float] = []
         self._filled = 0.0
@@ -146,7 +146,7 @@ class Gathered:
 
     @classmethod
     def of(cls, base: Problem, candidates: Sequence[Candidate], seen: Seen, *, whole: bool) -> Gathered:
-        """Columns in the order that `Products` wants: nuisances, effects that the model has, candidates. `whole`: it
+        """Columns in the order that `Products` needs: nuisances, effects that the model has, candidates. `whole`: it
         begins where the run does."""
         free = [base.model.parameters[place].name for place in base.free]
         there = [each for each in base.model.effects if set(each.amplitudes) <= set(free)]
@@ -160,7 +160,7 @@ class Gathered:
             entries.append(Entry.of(effect, tuple(range(place, place + len(scales))), tuple(map(float, scales))))
             place += len(scales)
         order = np.array([*nuisances, *theirs])
-        # Nuisances count from where they are now, as they are linear near by only; the model's own effects from none.
+        # Nuisances count from their present values, about which they are linear; the model's own effects from zero.
         about = np.zeros(len(seen.prior))
         about[: len(seen.z)] = seen.z
         about[theirs] = 0.0
@@ -168,13 +168,13 @@ class Gathered:
         return cls(entries, order, products, about[: len(seen.z)], whole=whole)
 
     def completes(self, further: float, part: float) -> bool:
-        """Whether as many `further` s complete a second, where parts last `part` s."""
+        """Whether so many `further` s complete a second, in parts that last `part` s."""
         return self._filled + further >= 1.0 - 0.5 * part
 
     def add(self, columns: Array, parts: Iterable[tuple[slice, float, float]]) -> bool:
-        """Further numbers (n, m): which of them belong together, when these began and how long they last, in s.
+        """Further numbers (n, m): `parts` are those that belong together, when they began and how long they last, in s.
 
-        Whether they complete a second.
+        Returns whether they complete a second.
         """
         first = 0
         for rows, begin, span in parts:
@@ -191,19 +191,19 @@ class Gathered:
         return first > 0
 
     def forget(self, effect: str) -> None:
-        """What was gathered of this one, whose shape is another from now on."""
+        """Forget what was gathered of this effect, whose shape is another from now on."""
         if effect in self._entries:
             self.products.forget(self._entries[effect].amplitudes.columns)
 
     def is_due(self) -> bool:
-        """Whether the last complete second is looked at: every one while anything is near a name, else every other."""
+        """Whether the last complete second is evaluated: every one while an effect is near a name, else every other."""
         return self._near or self.products.seconds % 2 == 0
 
     def look(self, shapes: Mapping[str, tuple[float, float, str]], tries: Mapping[str, int]) -> LiveResult:
-        """Name what stands out, the strongest first, each with those before it taken for granted.
+        """Name the effects that stand out, the strongest first, each with those before it taken as given.
 
-        `shapes`: values, standard deviations and units of parameters that were picked from the data, `tries` by effect
-        among how many.
+        `shapes`: values, standard deviations and units of parameters that were picked from the data; `tries`, by
+        effect: the number of values they were picked from.
         """
         if self.products.seconds <= SHORTEST:
             return TOO_LITTLE
@@ -224,9 +224,11 @@ class Gathered:
                 break
             best = simplest(found)
             if best.explained < EXPLAINED:
-                reason = f"since {self._began[best.onset.second]:.0f} s something acts that no effect explains yet"
+                reason = (
+                    f"since {self._began[best.onset.second]:.0f} s something acts that no known effect explains yet"
+                )
                 break  # never beside another name: `explained` is 1 then
-            if best.onset.statistic < self._asked(best.onset, named):
+            if best.onset.statistic < self._needed(best.onset, named):
                 break
             findings.append(self._finding(best, found, looks, shapes))
             named.append(best.onset)
@@ -237,12 +239,12 @@ class Gathered:
         second = weighed.onset.second
         return second != BEGINNING and self.products.seconds - second < SHORTEST
 
-    def _asked(self, onset: Onset, named: Sequence[Onset]) -> float:
-        """The statistic that a further effect has to have: no formula and no onset is exact."""
+    def _needed(self, onset: Onset, named: Sequence[Onset]) -> float:
+        """The statistic that a further effect has to reach: no formula and no onset is exact."""
         effect = self._entries[onset.effect.name].effect
 
         def left(other: Effect) -> float:
-            """Share of what `other` explains that may pass for the effect."""
+            """Share of what `other` explains that may be confused with the effect."""
             return max(FURTHER, other.formula_error) if confusable(effect, other) else FURTHER
 
         return sum(left(self._entries[each.effect.name].effect) * each.statistic for each in named)
@@ -265,7 +267,7 @@ class Gathered:
                 entry.parameters, best.sizes, best.standard_errors, entry.scale, strict=True
             )
         }
-        sizes |= {name: told for name, told in shapes.items() if name.startswith(f"{best.effect.name}.")}
+        sizes |= {name: shape for name, shape in shapes.items() if name.startswith(f"{best.effect.name}.")}
         since = 0.0 if self._from_the_beginning(best) else self._began[best.second]
         called = self._called(best)
         kind = called.partition("@")[0]
@@ -282,8 +284,8 @@ class Gathered:
         )
 
     def _from_the_beginning(self, onset: Onset) -> bool:
-        """What an effect did in the second before its onset is free: an onset in the second one says nothing of before,
-        unless something sudden came there, in which the predictor lost the vehicle."""
+        """The amplitudes in the second before an onset are free: an onset in the second one says nothing about the time
+        before, unless something sudden came there, in which the predictor lost the vehicle."""
         return onset.second == BEGINNING or (self._whole and onset.second == BEGINNING + 1)
 
     def _called(self, onset: Onset) -> str:
@@ -294,7 +296,7 @@ class Gathered:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """An effect and its columns. `scale` (k,) is the size of a unit of each column."""
+    """An effect and its columns. `scale` (k,) is the amplitude per unit of each column."""
 
     effect: Effect
     amplitudes: Amplitudes
@@ -312,7 +314,7 @@ class Entry:
 
 
 def simplest(found: Sequence[Weighed]) -> Weighed:
-    """The effect of fewest amplitudes among those that are as likely as the first, but for what formulas may leave."""
+    """The effect with the fewest amplitudes among those that are as likely as the first, except for formula errors."""
     error = found[0].onset.effect.formula_error
     near = [
         each
@@ -325,13 +327,13 @@ def simplest(found: Sequence[Weighed]) -> Weighed:
 def _explain(
     called: str, effect: Effect, sizes: Mapping[str, tuple[float, float, str]], since: float, tied: Sequence[str]
 ) -> str:
-    told = ", ".join(
+    values = ", ".join(
         f"{name.split('.')[-1]} = {value:.{significant(std)}f} ± {std:.{significant(std)}f}"
         + ("" if unit == "1" else f" {unit}")
         for name, (value, std, unit) in sizes.items()
     )
     when = f", since {since:.0f} s" if since else ""
-    text = f"{called}: {effect.title} ({effect.equation}); {told}{when}."
+    text = f"{called}: {effect.title} ({effect.equation}); {values}{when}."
     if tied:
         text += f" Tied with {', '.join(tied)}. {effect.separated_by}"
-    return text + " A first answer, in one linear step: upright diagnose RECORDING refits it."
+    return text + " This is a first answer, from one linear step: upright diagnose RECORDING refits it."

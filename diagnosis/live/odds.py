@@ -1,16 +1,17 @@
-"""How likely is each effect, whenever it set in? The odds of effects against none, from the products of seconds.
+"""How likely is each effect, for any onset? The odds of effects against none, from the products of seconds.
 
-What each effect gains in likelihood at each second at which it may have set in, with what it did in the second before
-left free (`diagnosis.live.onset`), is counted from the same nuisances alone. So effects compare although each is
-likeliest at a second of its own. No second is believed in beforehand, so their likelihoods are averaged:
+The log-likelihood ratio of each effect at each second at which it may have set in, with its amplitudes in the second
+before left free (`diagnosis.live.onset`), is relative to the same nuisances alone. So effects can be compared although
+the most likely onset of each is a different second. All onsets have the same prior, so their likelihoods are averaged:
 
     odds = tries^-1 mean over onsets of exp(gain / 2 - chance) n^(-(k - 1) / 2)
 
-for k amplitudes and n numbers since the onset, as the Bayes information criterion prices what one has and another has
-not. Odds of one effect against none exceed x with a probability of about 1 / x where nothing is missing.
+for k amplitudes and n numbers since the onset, where gain is twice the rise of the log-likelihood; the last factor is
+the price of further parameters by the Bayes information criterion. Odds of one effect against none exceed x with a
+probability of about 1 / x if nothing is missing.
 
 Sources: Kass and Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995) 773-795;
-Ville's inequality for a likelihood ratio that is looked at again and again.
+Ville's inequality for a likelihood ratio that is evaluated again and again.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ from diagnosis.live.products import Products
 Array = NDArray[np.float64]
 
 SHORTEST = 3
-"""Parts of which it is known what is usual."""
+"""Parts before an onset that are needed to know the usual energy."""
 YOUNGEST = 1
-"""s ago at which an onset is looked for at the latest."""
-ALIKE = 0.9
+"""Latest onset that is considered, s ago."""
+TIED = 0.9
 """Share of the best logarithm of odds from which on an effect is tied with it: their directions correlate by 0.95."""
 
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
-    """An effect, at its likeliest `onset`, with the natural logarithm of its odds against none, whenever it set in.
+    """An effect at its most likely `onset`, with the natural logarithm of its odds against none, for any onset.
 
-    `explained` is the share that it explains of what came since then beyond what had come before, in the seconds in
-    which it does anything; 1 where no more came than noise may be. `tied`: it may as well be the likeliest.
+    `explained` is the share that it explains of the energy since the onset in excess of the usual energy before, in the
+    seconds in which the effect acts; 1 if the excess may be noise. `tied`: it may as well be the most likely one.
     """
 
     onset: Onset
@@ -53,11 +54,11 @@ class Weighed:
 def weigh(
     products: Products, effects: Sequence[Amplitudes], known: Sequence[Onset], tries: Mapping[str, int], least: float
 ) -> tuple[list[Weighed], dict[str, float]]:
-    """The effects beside the `known` that are tied with the likeliest of them, which is the first, and perhaps more;
-    none where no logarithm of odds reaches `least`.
+    """The effects beside the `known` that are tied with the most likely of them, which comes first, and perhaps more;
+    none if no logarithm of odds reaches `least`.
 
-    `tries`: among how many the shape of an effect was picked. With them, of every effect that can be told from the
-    nuisances, the standard error of its first amplitude.
+    `tries`: number of shapes among which that of an effect was picked. The second result is the standard error of the
+    first amplitude of every effect that is distinguishable from the nuisances.
     """
     blocks, starts = products.latest()
     nuisances = len(products.prior)
@@ -73,14 +74,14 @@ def weigh(
     gains = _gains(left, fitted, nuisances, windows)
     counts = np.array([len(effect.columns) for effect in left])
     energies = blocks[:, -1, -1] / np.diff(np.append(starts, products.seconds))
-    # An output that is known better than any model is has next to no energy, and no vote.
+    # An output that is known better than any model is has next to no energy, and does not count.
     numbers = float(np.median(energies)) * (products.seconds - starts[windows])
-    # A second before that is free gains by chance as much as it has amplitudes.
+    # Free amplitudes in the second before raise twice the log-likelihood by their number, by chance alone.
     price = np.where(windows == 0, 0.0, 0.5)[:, None] * counts + 0.5 * np.log(numbers)[:, None] * (counts - 1)
     price += np.log(len(windows)) + np.log([float(tries.get(effect.name, 1)) for effect in left])
     odds = np.logaddexp.reduce(0.5 * gains - price, axis=0)
-    told = fitted.errors(np.array([effect.columns[0] - nuisances for effect in left], dtype=np.int64)).tolist()
-    errors = {effect.name: error for effect, error in zip(left, told, strict=True) if math.isfinite(error)}
+    stds = fitted.errors(np.array([effect.columns[0] - nuisances for effect in left], dtype=np.int64)).tolist()
+    errors = {effect.name: error for effect, error in zip(left, stds, strict=True) if math.isfinite(error)}
     found: list[Weighed] = []
     if odds.max(initial=-math.inf) < least:
         return found, errors
@@ -97,13 +98,13 @@ def weigh(
         if onset is None:
             continue
         likely = _averaged(gains[:, place] / onset.inflation, price[:, place])
-        # What is known has taken its share of the energies.
+        # Known effects have already taken their share of the energies.
         acts = blocks[:, where[0], where[0]] > 0.0
         share = 1.0 if known else _explained(float(gains[likeliest, place]), energies, window, acts)
         found.append(Weighed(onset, likely, share))
         places.append(place)
         best = max(best, likely)
-    # Two that are nearly alike scatter alike: what tells them apart is what they gain.
+    # Two nearly identical effects scatter identically: only the likelihood distinguishes them.
     scatter = min((each.onset.inflation for each in found if each.log_odds == best), default=1.0)
     for number, (each, place) in enumerate(zip(found, places, strict=True)):
         beside = _averaged(gains[:, place] / min(scatter, each.onset.inflation), price[:, place])
@@ -112,18 +113,18 @@ def weigh(
 
 
 def _averaged(gains: Array, price: Array) -> float:
-    """The logarithm of the mean over onsets, whose number is in the `price` (w,)."""
+    """The logarithm of the mean over onsets; their number is contained in the `price` (w,)."""
     return float(np.logaddexp.reduce(0.5 * gains - price))
 
 
 def tied_from(highest: float) -> float:
     """The logarithm of odds from which on an effect is tied with one that has the `highest`."""
-    return min(highest - STRONG, ALIKE * highest)
+    return min(highest - STRONG, TIED * highest)
 
 
 def _explained(gain: float, energies: Array, window: int, acts: NDArray[np.bool_]) -> float:
-    """Share that a gain is of the energy that came since `window`, where the effect `acts` (b,), beyond what was usual
-    before and three standard deviations of noise. `energies` (b,) are those of a second."""
+    """`gain` as a share of the energy since `window`, where the effect `acts` (b,), in excess of the usual energy
+    before and three standard deviations of noise. `energies` (b,) are per second."""
     if window < SHORTEST:
         return 1.0
     usual, seconds = float(np.median(energies[:window])), int(np.count_nonzero(acts[window:]))
@@ -133,9 +134,9 @@ def _explained(gain: float, energies: Array, window: int, acts: NDArray[np.bool_
 
 
 def _gains(effects: Sequence[Amplitudes], fitted: Fitted, nuisances: int, windows: NDArray[np.int64]) -> Array:
-    """Twice what each effect gains in log likelihood at each window, (w, e), what it did in the part before included.
+    """Twice the rise of the log-likelihood by each effect at each window, (w, e), including the part before it.
 
-    Amplitudes that cannot be gain nothing; of several, of which not all can be, the best alone counts."""
+    Amplitudes outside their bounds give no rise; of several, of which not all are inside, only the best one counts."""
     columns = np.array([place - nuisances for effect in effects for place in effect.columns])
     lower = np.array([bound for effect in effects for bound in effect.lower])
     upper = np.array([bound for effect in effects for bound in effect.upper])
@@ -152,19 +153,19 @@ def _gains(effects: Sequence[Amplitudes], fitted: Fitted, nuisances: int, window
 
 
 def _alone(where: NDArray[np.int64], lower: Array, upper: Array, fitted: Fitted, windows: NDArray[np.int64]) -> Array:
-    """Single columns (c,), all at once, (w, c).
+    """`_gains` of single columns (c,), all at once, (w, c).
 
     One amplitude holds from the part before a window on, and a change of it from the window on."""
     own = np.diagonal(fitted.own, axis1=1, axis2=2)[:, where]
     information, score = fitted.information[:, where], fitted.score[:, where]
-    told = information > LEAST * np.maximum(own, 1e-300)
+    identifiable = information > LEAST * np.maximum(own, 1e-300)
     gains = np.zeros((len(windows), len(where)))
-    size = score[0] / np.where(told[0], information[0], 1.0)
-    gains[0] = np.where(told[0] & (size >= lower) & (size <= upper), size * score[0], 0.0)
+    size = score[0] / np.where(identifiable[0], information[0], 1.0)
+    gains[0] = np.where(identifiable[0] & (size >= lower) & (size <= upper), size * score[0], 0.0)
     after, part = windows[1:], windows[1:] - 1
     both = own[after] - np.einsum("bpm,bpm->bm", fitted.cross[part][:, :, where], fitted.turned[after][:, :, where])
     determinant = information[part] * information[after] - both * both
-    clear = told[part] & told[after] & (determinant > LEAST * information[part] * information[after])
+    clear = identifiable[part] & identifiable[after] & (determinant > LEAST * information[part] * information[after])
     safe = np.where(clear, determinant, 1.0)
     early = (information[after] * score[part] - both * score[after]) / safe
     change = (information[part] * score[after] - both * score[part]) / safe
@@ -177,7 +178,7 @@ def _alone(where: NDArray[np.int64], lower: Array, upper: Array, fitted: Fitted,
 def _together(
     where: NDArray[np.int64], lower: Array, upper: Array, fitted: Fitted, windows: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """The columns (e, k) of effects together, (w, e), and whether their amplitudes can be."""
+    """`_gains` of the columns (e, k) of effects together, (w, e), and whether their amplitudes are within bounds."""
     count, size = where.shape
     cross, turned, score = fitted.cross[:, :, where], fitted.turned[:, :, where], fitted.score[:, where]
     own = fitted.own[:, where[:, :, None], where[:, None, :]]
@@ -197,7 +198,7 @@ def _together(
 
 
 def _solved(information: Array, score: Array) -> tuple[Array, Array]:
-    """What sizes (..., k) without bounds gain, (...), and these sizes."""
+    """Twice the rise of the log-likelihood by amplitudes (..., k) without bounds, (...), and these amplitudes."""
     scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
     unit = information / (scale[..., :, None] * scale[..., None, :]) + 1e-9 * np.eye(scale.shape[-1])
     scaled = score / scale

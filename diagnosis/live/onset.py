@@ -1,13 +1,14 @@
-"""Since when does which effect show? The generalised likelihood ratio of every effect at every onset.
+"""Which effect shows, and since when? The generalised likelihood ratio of every effect at every onset.
 
 Whitened innovations y are, for small changes, N t + C a + noise: nuisances t with their prior, and an effect's
-amplitudes a, which act from an unknown second on. All that is needed of a second of data are the products of its
-columns, so that they are gathered once and every onset is looked at without going through data again:
+amplitudes a, which act from an unknown second on. Only the products of the columns of a second of data are needed. So
+they are gathered once, and every onset is evaluated without processing the data again:
 
     with H = (N'N + prior)^-1 N'C(onset):   score s = C'y - H'N'y,   information F = C'C - H'N'C,
-    size F^-1 s,   statistic T = s' F^-1 s, twice the rise of the log likelihood.
+    amplitude F^-1 s,   statistic T = s' F^-1 s, twice the rise of the log-likelihood.
 
-An effect sets in somewhere within a second, so what it does in that one is free: else its neighbours fit better.
+An effect sets in somewhere within a second, so its amplitudes in that second are free: otherwise its neighbours fit
+better.
 
 Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
 systems", IEEE Transactions on Automatic Control 21 (1976) 108-112.
@@ -24,9 +25,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BEGINNING = 0
-"""The onset of what was there from the beginning."""
+"""The onset of an effect that was there from the beginning."""
 LEAST = 1e-9
-"""Share of its own information that an effect must keep beside the nuisances."""
+"""Share of its own information that an effect must keep when the nuisances are projected out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +45,10 @@ class Amplitudes:
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """An effect at its likeliest onset, a number of a second, `BEGINNING` for from the beginning.
+    """An effect at its most likely onset, the number of a second, or `BEGINNING` if it was there from the beginning.
 
-    `statistic` has innovations that are not quite white taken into account by `inflation`. `sizes` and
-    `standard_errors` (k,).
+    `statistic` is corrected by `inflation` for innovations that are not quite white. `sizes` and `standard_errors` (k,)
+    of the amplitudes.
     """
 
     effect: Amplitudes
@@ -62,8 +63,8 @@ class Onset:
 class Fitted:
     """The nuisances fitted to all data, and what is left of all other columns from each second on.
 
-    `own` (b, m, m) their products; `cross` (b, p, m) those with the nuisances, `turned` (b, p, m) the H; `information`
-    (b, m) what is left of the diagonal, `score` (b, m).
+    `own` (b, m, m): their products. `cross` (b, p, m): products with the nuisances. `turned` (b, p, m): the H.
+    `information` (b, m): what is left of the diagonal. `score` (b, m).
     """
 
     own: Array
@@ -88,10 +89,10 @@ class Fitted:
         return cls(own, cross, turned, information, score)
 
     def errors(self, places: NDArray[np.int64]) -> Array:
-        """Standard errors of amplitudes that act from the beginning; infinite where nothing tells one."""
+        """Standard errors of amplitudes that act from the beginning; infinite if one is not identifiable."""
         left, own = self.information[0, places], self.own[0, places, places]
-        told = left > LEAST * np.maximum(own, 1e-300)
-        return np.where(told, 1.0 / np.sqrt(np.where(told, left, 1.0)), np.inf)
+        identifiable = left > LEAST * np.maximum(own, 1e-300)
+        return np.where(identifiable, 1.0 / np.sqrt(np.where(identifiable, left, 1.0)), np.inf)
 
 
 def examine(
@@ -103,7 +104,7 @@ def examine(
     window: int,
     second: int,
 ) -> Onset | None:
-    """The effect from `window` on. What it may have done in the second before is one more nuisance."""
+    """The effect from `window` on. Its amplitudes in the second before are further nuisances."""
     count = len(prior)
     total = blocks.sum(axis=0)
     late = blocks[window:].sum(axis=0)
@@ -129,7 +130,7 @@ def examine(
 
 
 def _allowed(effect: Amplitudes, information: Array, score: Array) -> Array:
-    """The sizes (k,) within the bounds that gain most: the best over all sets of which the others are zero."""
+    """The amplitudes (k,) within the bounds that raise the likelihood most: the best subset, the others zero."""
     width = len(score)
     best, most = np.zeros(width), 0.0
     for chosen in range(2**width - 1, 0, -1):
@@ -156,9 +157,9 @@ def _inflation(
     turned: Array,
     base: Array,
 ) -> float:
-    """By how much scores scatter more from second to second than their information says, at least 1.
+    """Variance inflation, at least 1: by how much scores scatter more from second to second than by their information.
 
-    From what is left of the innovations when the effect itself is taken out, with the nuisances `base` fitted again.
+    It is computed from the innovations without the effect itself, with the nuisances `base` fitted again.
     """
     count = len(base) - len(free)
     acts = (np.arange(len(blocks)) >= window).astype(np.float64)[:, None]
@@ -179,7 +180,7 @@ def _inflation(
 
 
 def _inverse(square: Array) -> Array:
-    """Of a positive definite matrix (k, k) in whatever units; zero where nothing is known at all."""
+    """Inverse of a positive definite matrix (k, k) in any units; zero where nothing is known at all."""
     known = np.diag(square) > 1e-100
     scale = np.where(known, 1.0 / np.sqrt(np.where(known, np.diag(square), 1.0)), 0.0)
     unit = square * scale[:, None] * scale + 1e-12 * np.eye(len(square))
@@ -187,7 +188,7 @@ def _inverse(square: Array) -> Array:
 
 
 def with_known(blocks: Array, starts: NDArray[np.int64], nuisances: int, known: Sequence[Onset]) -> Array:
-    """`blocks` with the columns of what is known, from its onset on and in the second before, among the nuisances."""
+    """`blocks` with the columns of known effects, from their onset on and in the second before, among the nuisances."""
     if not known:
         return blocks
     picks: list[int] = []

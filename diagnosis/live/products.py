@@ -1,4 +1,4 @@
-"""All that is kept of a second of data: the products of its columns, from which any stretch can be fitted again."""
+"""All that is kept of a second of data: the products of its columns, from which any span of seconds can be refitted."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Array = NDArray[np.float64]
 
 
 class Products:
-    """The products of the columns of each second, the last ones apart and earlier ones together, in `kept` parts.
+    """The products of the columns of each second, the last ones separately and earlier ones summed, in `kept` parts.
 
     Columns (n, `width`) are the nuisances first, then those of effects, the innovations last. `prior` (p,) is one over
-    the variances of the p nuisances, `mean` (p,) where they are expected.
+    the variances of the p nuisances, `mean` (p,) their expected values.
     """
 
     def __init__(self, prior: Array, mean: Array, width: int, kept: int) -> None:
@@ -28,12 +28,12 @@ class Products:
         """Numbers gathered."""
 
     def add(self, columns: Array) -> None:
-        """Further rows (n, width) of the running second."""
+        """Further rows (n, width) of the current second."""
         self._running += columns.T @ columns
         self.rows += len(columns)
 
     def end_second(self, held: Iterable[int] = ()) -> None:
-        """The running second is over. The seconds `held`, and those before them, stay apart from earlier ones."""
+        """The current second is over. The seconds `held`, and those before them, stay separate from earlier ones."""
         self._blocks[len(self._starts)] = self._running
         self._starts.append(self.seconds)
         self._running[:] = 0.0
@@ -46,11 +46,11 @@ class Products:
             del self._starts[one]
 
     def forget(self, columns: Sequence[int]) -> None:
-        """These columns are others from now on."""
+        """Clear these columns, which have another meaning from now on."""
         for block in (self._blocks, self._running[None]):
             block[:, columns, :] = 0.0
             block[:, :, columns] = 0.0
 
     def latest(self) -> tuple[Array, NDArray[np.int64]]:
-        """Products of each part (n, width, width), and the second with which it begins (n,)."""
+        """Products of each part (n, width, width), and the second at which it begins (n,)."""
         return self._blocks[: len(self._starts)], np.array(self._starts)

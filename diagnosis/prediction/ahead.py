@@ -1,19 +1,20 @@
-"""How far off a predictor is some time ahead, and how far off a right model would be, with the same sensors.
+"""The error of a predictor some time ahead, and that of a correct model with the same sensors.
 
-The filter follows a record; from every few rows on, its state runs free, and the error is read off at each horizon. Two
-floors are under it. Of a right model with the noise that it states (`floors`) the error is the innovations e of
-covariance S that came in since, each carried on by the state it corrected through the gain K,
+The filter follows a record; every few samples its state is propagated without correction, and the error is evaluated at
+each horizon. There are two floors. For a correct model with the noise that it states (`floors`) the error consists of
+the innovations e of covariance S that came in since, each propagated through the state that it corrected by the gain K,
 
     covariance(h) = S + sum over 0 < j < h of  D_j K S K' D_j',    D_j = d y(k + j) / d x(k),
 
 with D_j differentiated along the record itself, so that friction counts as it is in motion and not as it is at rest.
-The sensors alone (`sensor_floors`) make less of it: R of the row itself, the error P that their noise makes of the
-filtered state, and what a roll filter integrates of it on the way, Q,
+The error from the sensors alone (`sensor_floors`) is smaller: R of the sample itself, the error P of the filtered state
+due to their noise, and the part Q of that noise that a roll filter integrates on the way,
 
     covariance(h) = R + D_h P D_h' + sum over 0 < j < h of  D_j Q D_j'.
 
-There process noise, by which a model admits that something is missing, has no part but in the filter's gain: only that
-of a disturbance (models.random.disturbance), which no model predicts, is in Q and P as the fit found it.
+Process noise, by which a model admits that something is missing, enters there only through the filter's gain. The
+exception is the disturbance (models.random.disturbance), which no model predicts: it is in Q and P as the fit estimated
+it.
 Source: Ljung, "System identification", 2nd ed., section 3.2.
 """
 
@@ -39,16 +40,15 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 BEGINNING = 0.75
-"""Time scales (estimators.data.time_scale; 0.3 s of the MONOCAB) in which the state that a record begins with is looked
-for first."""
+"""Time scales (estimators.data.time_scale; 0.3 s of the MONOCAB) from which the initial state is estimated first."""
 
 
 def on(fit: Fit, task: Problem) -> Fit:
-    """`fit` on the data of `task`, its parameters and noise as they are; the initial states alone are fitted there.
+    """`fit` on the data of `task`, with its parameters and noise as they are; only the initial states are fitted.
 
-    Without that, what the first row's noise does to the start would count as an error of the model. A state that is not
-    measured is looked for in the first moments and without the effects, then with them, then in all data: from rest, a
-    friction would not let it go.
+    Otherwise the effect of the first sample's noise on the initial state would count as an error of the model. A state
+    that is not measured is estimated from the first moments without the effects, then with them, then from all data:
+    started at rest, it would be held there by friction.
     """
     weights = np.linalg.inv(np.linalg.cholesky(fit.covariance))
     task = task.like(fit.problem)
@@ -83,7 +83,7 @@ def _beginning(segment: Segment, span: float) -> Segment:
 
 
 def errors(fit: Fit, horizons: Sequence[float]) -> list[Array]:
-    """Measured less predicted, (m, ny) for each of `horizons` (s): from a state a shortest horizon on from the last."""
+    """Measured less predicted, (m, ny) for each of `horizons` (s), from states that are one shortest horizon apart."""
     found: list[list[Array]] = [[] for _ in horizons]
     for segment, start in zip(fit.problem.segments, fit.starts, strict=True):
         steps = _steps(segment, horizons)
@@ -101,7 +101,7 @@ def errors(fit: Fit, horizons: Sequence[float]) -> list[Array]:
 
 
 def times(fit: Fit, horizon: float) -> Array:
-    """When the errors at one `horizon` (s) alone are read off, s, (m,): row by row as `errors` gives them."""
+    """Times (s, (m,)) of the errors that `errors` gives for one `horizon` (s) alone."""
     found = []
     for segment in fit.problem.segments:
         (step,) = _steps(segment, (horizon,))
@@ -110,23 +110,23 @@ def times(fit: Fit, horizon: float) -> Array:
 
 
 def floors(fit: Fit, gain: Array, covariance: Array, horizons: Sequence[float]) -> Array:
-    """RMS error of a right model at each of `horizons` (s), (nh, ny), with its filter gain and innovation covariance.
+    """RMS error of a correct model at each of `horizons` (s), (nh, ny), with its filter gain and innovation covariance.
 
-    `fit` gives the trajectory along which an error in the state is carried on. `gain` (nx, ny), `covariance` (ny, ny).
+    `fit` gives the trajectory along which an error of the state is propagated. `gain` (nx, ny), `covariance` (ny, ny).
     """
     kick = gain @ np.linalg.cholesky(covariance)
     return _carried(fit, np.zeros_like(kick), kick, covariance, horizons)
 
 
 def sensor_floors(fit: Fit, horizons: Sequence[float], *, disturbed: bool = True) -> Array:
-    """RMS error at each of `horizons` (s) that sensor noise and the disturbance alone would make with the filter of
-    `fit`, (nh, ny); without the disturbance where it is not `disturbed`."""
+    """RMS error at each of `horizons` (s) from sensor noise and the disturbance alone, with the filter of `fit`, (nh,
+    ny); without the disturbance if not `disturbed`."""
     return _carried(fit, *_sensor_errors(fit, disturbed), horizons)
 
 
 def _carried(fit: Fit, begin: Array, each: Array, sensor: Array, horizons: Sequence[float]) -> Array:
-    """RMS at each horizon, (nh, ny), of errors with the roots `begin` (nx, .) at the start, `each` (nx, .) at every row
-    in between, and the covariance `sensor` (ny, ny) at the end."""
+    """RMS at each horizon, (nh, ny), of errors with the covariance roots `begin` (nx, .) at the start and `each` (nx,
+    .) at every sample in between, and the covariance `sensor` (ny, ny) at the end."""
     kernel = fit.problem.kernel
     states, outputs = len(kernel.states), len(kernel.outputs)
     columns = tuple(len(kernel.parameters) + place for place in range(states))
@@ -150,10 +150,10 @@ def _carried(fit: Fit, begin: Array, each: Array, sensor: Array, horizons: Seque
 
 
 def _sensor_errors(fit: Fit, disturbed: bool) -> tuple[Array, Array, Array]:
-    """Roots (nx, nx) of the covariance of the filtered state's error and of what a row adds to it, both by sensor noise
-    alone, and the covariance of that noise (ny, ny)."""
+    """Roots (nx, nx) of the covariance of the filtered state's error and of what a sample adds to it, both from sensor
+    noise alone, and the covariance of that noise (ny, ny)."""
     task, values = fit.problem, fit.values.copy()
-    # Linearised in motion: at rest a friction is a wall.
+    # Linearised in motion: linearised at rest, friction has an enormous slope.
     values[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
     noise, known = NoiseModel.of(task), densities(fit) if disturbed else {}
     process = np.array([known.get(state.name, 0.0) for state in task.model.states])
@@ -181,7 +181,7 @@ def _steps(segment: Segment, horizons: Sequence[float]) -> list[int]:
 
 
 def _filtered(fit: Fit, segment: Segment, start: Array, stride: int) -> Iterator[tuple[int, Memory]]:
-    """Every `stride` rows the filter's memory, its state corrected by that row."""
+    """Every `stride` samples the filter's memory, its state corrected by that sample."""
     task, values = fit.problem, fit.values
     memory = task.kernel.memory(start)
     predicted, nothing = np.empty_like(segment.measured), np.empty((*segment.measured.shape, 0))

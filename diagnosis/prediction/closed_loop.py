@@ -1,9 +1,9 @@
-"""What a model would do in an experiment that was not run: the loop of the compiled model and its controller.
+"""The response of a model in an experiment that was not run: the closed loop of the compiled model and its controller.
 
-Sample by sample the model shows its outputs, the controller answers with the inputs, and the model goes on: without
-noise, from rest, or settled from there. The controller is a plain callable, so that the vehicle's own can be used here.
-A command is held from its row on; an input that is a measurement (the gimbals' motion, say) is given for the row after,
-which it leads to.
+At each sample the controller computes the inputs from the outputs of the model, and the model goes on: without noise,
+from rest, or settled from there. The controller is a plain callable, so that the vehicle's own can be used here. A
+command is held from its sample on; an input that is a measurement (the gimbals' motion, say) is given for the next
+sample, to which it leads.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 ROOM = 0.8
-"""Share of a limit that a prediction may reach: the rest is for noise, and for what the model does not know."""
+"""Share of a limit that a prediction may reach: the rest is a margin for noise and model errors."""
 
 Controller = Callable[[float, Mapping[str, float]], Mapping[str, float]]
-"""From the time, s, and the outputs by name to the inputs by name; further channels that have a limit may be in it."""
+"""From the time, s, and the outputs by name to the inputs by name, and further channels that have a limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """The largest size of a channel; `unit` and `factor` say it to people, `meaning` says why."""
+    """The largest magnitude of a channel; `unit` and `factor` to show it in, `meaning` says why."""
 
     channel: str
     largest: float
@@ -45,9 +45,9 @@ class Limit:
 class Experiment:
     """An excitation of the vehicle that could be run.
 
-    `parameters` as the vehicle file has them; `duration` s; `period` s of the control loop; `controller()` makes a
-    fresh one with the excitation in it. `shorter(s)` is the same experiment in less time, None where it cannot be.
-    Before it the controller has had `settling` s, at times below zero.
+    `parameters` as in the vehicle file; `duration` s; `period` s of the control loop; `controller()` makes a new
+    controller with the excitation in it. `shorter(s)` is the same experiment in less time, None if that is not
+    possible. The controller runs for `settling` s before it, at times below zero.
     """
 
     name: str
@@ -62,20 +62,20 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """`rows` of the experiment as the model predicts them. `broken`: the limit that it comes too near to, or ""."""
+    """`rows` of the experiment as the model predicts them. `broken`: the limit that it comes too close to, or ""."""
 
     rows: Segment
     broken: str
 
 
 def causal(model: Model) -> Model:
-    """`model` with no input that acts before it is given, as a fit of the clocks may end with."""
+    """`model` without negative input delays, which a fit of clock offsets may give."""
     early = {name for each in model.inputs for name in each.delays if model.parameter(name).value < 0.0}
     return model.change(dict.fromkeys(early, 0.0))
 
 
 def simulate(model: Model, experiment: Experiment) -> Course:
-    """The closed loop of `model` (see `causal`) and the controller, up to the row at which a limit is broken."""
+    """The closed loop of `model` (see `causal`) and the controller, up to the sample at which a limit is broken."""
     first = round(experiment.settling / experiment.period)
     count = first + round(experiment.duration / experiment.period) + 1
     time = experiment.period * np.arange(-first, count - first, dtype=np.float64)
@@ -89,7 +89,7 @@ def simulate(model: Model, experiment: Experiment) -> Course:
     for row, seen, given in steps(task, task.kernel.vector(), rows, start, experiment.controller()):
         for limit in experiment.limits:
             value = abs(given[limit.channel] if limit.channel in given else seen[limit.channel])
-            # Until it has settled a model comes from where the vehicle was not.
+            # Until it has settled, the model is in states in which the vehicle never was.
             if not value <= (ROOM * limit.largest if row >= first else np.inf):
                 return Course(course, _broken(limit, value, float(time[row])))
     return Course(course, "")
@@ -105,11 +105,11 @@ def steps(
     first: int = 0,
     shocks: tuple[Array, Array] | None = None,
 ) -> Iterator[tuple[int, Mapping[str, float], Mapping[str, float]]]:
-    """Close the loop from row `first` on: each row with what the controller saw there and what it gave.
+    """Close the loop from sample `first` on: each sample with what the controller saw there and the inputs it gave.
 
-    Outputs are written to `rows.measured`, and to `rows.inputs` what the controller gives; other inputs stay. `memory`
-    is the model's at row `first`, whose outputs are in `rows` unless it is the first of all. `shocks` (m, ny) and
-    (m, nx), a row each from `first` on, are added to what is measured and to the state: noise.
+    Outputs are written to `rows.measured`, the inputs that the controller gives to `rows.inputs`; other inputs stay.
+    `memory` is the model's at sample `first`, whose outputs are in `rows` unless it is the first of all. `shocks` (m,
+    ny) and (m, nx), one row per sample from `first` on, are noise that is added to the measurements and to the state.
     """
     kernel = task.kernel
     move = kernel.ready(
@@ -128,12 +128,12 @@ def steps(
         for number, name in enumerate(kernel.inputs):
             if name in given and holds[name] is Hold.CUBIC:
                 curved = True
-                # The curve to the next row depends on the one after, which nobody knows yet: straight on.
+                # The curve to the next sample depends on the one after, which is not known yet: extrapolate linearly.
                 chord = given[name] - rows.row_inputs[row, number]
                 rows.row_inputs[row + 1 : row + 3, number] = given[name] + chord * np.arange(len(rows) - row - 1)[:2]
             elif name in given:
                 rows.row_inputs[row, number] = given[name]
-        if curved and before is not None:  # only now the curve to this row is known
+        if curved and before is not None:  # only now the curve to this sample is known
             memory.go_back(before)
             move(row - 1, row, True)
         rows.measured[row] += noise
@@ -144,7 +144,7 @@ def steps(
 
 def _broken(limit: Limit, value: float, time: float) -> str:
     if not np.isfinite(value):
-        return f"the model runs away {time:.1f} s after the start" if time >= 0.0 else "the model does not settle"
+        return f"the model diverges {time:.1f} s after the start" if time >= 0.0 else "the model does not settle"
     return (
         f"{limit.channel} would reach {limit.factor * value:.3g} {limit.unit} after {time:.1f} s, more than"
         f" {100.0 * ROOM:g} % of the {limit.factor * limit.largest:.3g} {limit.unit} {limit.meaning}"

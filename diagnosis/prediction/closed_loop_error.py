@@ -1,19 +1,21 @@
-"""A model in the loop with the controller that was there while a record was made: simulated against recorded motion.
+"""A model in the loop with the controller of a recording: simulated against recorded motion.
 
 The excitation of the record drives the loop from the recorded state on; no measurement corrects it after that. So an
-unstable plant is simulated for as long as the record is, and all that a predictor is forgiven row by row adds up.
+unstable plant is simulated for the length of the record, and all errors add up that a predictor corrects sample by
+sample.
 
     error over floor = rms(recorded - simulated) / rms(simulated with noise - simulated)
 
 The floor is the scatter of the same loop with the model's own noise in it: innovations e of the floor's covariance S,
-which the controller sees and which move the state by K e (diagnosis.lack_of_fit.floor), and a start as uncertain as a
-filtered state is. What is counted has the white noise that its innovations show: a model states more, so that nothing
-builds on it, and a controller that was given as much would fight it. A right model has about 1, or less where the model
-states more noise than there is. So has one that lacks an effect which is too small to show in a loop that fights all
-errors: `adequate` is the sharper test, this one says how far the model is good for control.
+which the controller sees and which move the state by K e (diagnosis.lack_of_fit.floor), and an initial state as
+uncertain as a filtered state is. A counted output has the white noise that its innovations show: a model states more,
+so that no test builds on it, and a controller that was given as much would react to it. A correct model has a ratio of
+about 1, or less if the model states more noise than there is. So has a model that lacks an effect which is too small to
+show in a loop that counteracts all errors: `adequate` is the sharper test, this one says how well the model is suited
+for control.
 
-Time offsets of the inputs are as the model states them, up to a fraction of a row: more than that is a delay, which a
-simulation has to have from the model. Inputs that the loop does not give are as recorded.
+Time offsets of the inputs are as the model states them, up to a fraction of a sample: more than that is a delay, which
+a simulation has to take from the model. Inputs that the loop does not give are as recorded.
 Source: Ljung, "System identification", 2nd ed., section 16.5; Van den Hof, Annual Reviews in Control 22 (1998) 173.
 """
 
@@ -36,22 +38,22 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 DRAWS = 8
-"""Of the loop with noise: with the rows of each, enough that the record scatters more than the floor."""
+"""Simulations of the loop with noise: enough that the record scatters more than the floor."""
 SEED = 20
-"""Of the draws: the same comparison gives the same numbers."""
+"""Seed of the draws: the same comparison gives the same numbers."""
 BEYOND = 5.0
-"""Times the recorded range at which a simulation has run away."""
+"""Multiple of the recorded range beyond which a simulation has diverged."""
 SHORTEST = 5.0
-"""Time scales (estimators.data.time_scale; 2 s of the MONOCAB) of a comparison: less is the start's error alone."""
+"""Time scales (estimators.data.time_scale; 2 s of the MONOCAB) of a comparison: less shows the initial error alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """What closed the loop around the vehicle on one recording, from `begins` to `ends` (s from its first row).
+    """The controller that closed the loop on one recording, from `begins` to `ends` (s from its first sample).
 
-    `controller()` is the controller as it was at `begins`, its time s as in the recording; it needs the outputs `needs`
-    and gives the inputs `gives`, or those of them that a model has. `channels` are compared. Beyond `limits`, of these
-    channels, a vehicle is not controlled any more: a simulation that comes there is none.
+    `controller()` is the controller as it was at `begins`, with its time in s as in the recording; it needs the outputs
+    `needs` and gives the inputs `gives`, or those of them that a model has. `channels` are compared. Beyond the
+    `limits` of these channels the vehicle is no longer controlled: a simulation that exceeds them is invalid.
     """
 
     begins: float
@@ -63,19 +65,19 @@ class Loop:
     limits: tuple[Limit, ...] = ()
 
     def of_part(self, begin: float) -> Loop:
-        """The same on a part of the recording whose first row is at `begin` s."""
+        """The same on a part of the recording whose first sample is at `begin` s."""
         return replace(self, begins=self.begins - begin, ends=self.ends - begin)
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """A simulation in the loop beside the record: `time` (m,) s from the recording's first row, `measured` and
-    `simulated` (m,) by channel, the RMS `floor` of their difference by channel. Empty where there is none: `reason`
-    says why. `stretch` (m,) numbers recordings."""
+    """A simulation in the loop and the record: `time` (m,) s from the recording's first sample, `measured` and
+    `simulated` (m,) by channel, the RMS `floor` of their difference by channel. Empty if there is no simulation:
+    `reason` says why. `part` (m,) numbers recordings."""
 
     reason: str = ""
     time: Array = field(default_factory=lambda: np.zeros(0))
-    stretch: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    part: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     measured: Mapping[str, Array] = field(default_factory=dict)
     simulated: Mapping[str, Array] = field(default_factory=dict)
     floor: Mapping[str, float] = field(default_factory=dict)
@@ -85,19 +87,19 @@ class ClosedLoop:
         return _rms(self.measured[channel] - self.simulated[channel])
 
     def fit_percent(self, channel: str) -> float:
-        """100 % less that over the channel's own movement about its mean."""
+        """100 % less `rmse` over the channel's own movement about its mean."""
         return float(100.0 * (1.0 - self.rmse(channel) / max(float(np.nanstd(self.measured[channel])), 1e-300)))
 
     def over_floor(self, channel: str) -> float:
-        """How many times what noise alone would make; about 1 for a right model."""
+        """`rmse` over what noise alone would make; about 1 for a correct model."""
         return self.rmse(channel) / self.floor[channel]
 
     def to_json(self) -> dict[str, Any]:
-        """`closed_loop` of a model in `compare --json`; without a simulation no numbers but the reason."""
+        """`closed_loop` of a model in `compare --json`; without a simulation the reason instead of numbers."""
         return {
             "available": not self.reason,
             "reason": self.reason,
-            "seconds": _span(self.time, self.stretch),
+            "seconds": _span(self.time, self.part),
             "fit_percent": {channel: self.fit_percent(channel) for channel in self.measured},
             "rmse": {channel: self.rmse(channel) for channel in self.measured},
             "noise_floor": dict(self.floor),
@@ -113,9 +115,9 @@ def closed_loop(
     draws: int = DRAWS,
     floor: Mapping[str, float] | None = None,
 ) -> ClosedLoop:
-    """`found` in the loops of the recordings; `owners` tells whose each stretch is. A text in place of a loop says why
-    a recording has none: it is left out. Without any loop there is no simulation. Noise is drawn `draws` times for the
-    `floor` by channel, where that is not known."""
+    """`found` in the loops of the recordings; `owners` gives the recording of each segment. A text in place of a loop
+    says why a recording has none: it is left out. Without any loop there is no simulation. Noise is drawn `draws` times
+    for the `floor` by channel, if that is not known."""
     parts, reasons = [], []
     for place, loop in enumerate(loops):
         try:
@@ -131,7 +133,7 @@ def closed_loop(
     weights = [len(part.time) for part in parts]
     return ClosedLoop(
         time=np.concatenate([part.time for part in parts]),
-        stretch=np.repeat(np.arange(len(parts)), weights),
+        part=np.repeat(np.arange(len(parts)), weights),
         measured={name: np.concatenate([part.measured[name] for part in parts]) for name in channels},
         simulated={name: np.concatenate([part.simulated[name] for part in parts]) for name in channels},
         floor={
@@ -142,19 +144,19 @@ def closed_loop(
 
 
 class _NotPossible(Exception):
-    """Why a model cannot be simulated in a loop."""
+    """A model cannot be simulated in a loop; the message says why."""
 
 
 def _one(
     found: Innovations, numbers: Sequence[int], loop: Loop, draws: int, floor: Mapping[str, float] | None
 ) -> ClosedLoop:
-    """One recording, whose stretches have these `numbers`; `draws` and `floor` as of closed_loop."""
+    """One recording, whose segments have these `numbers`; `draws` and `floor` as in closed_loop."""
     model = found.problem.model
     lacking = loop.needs - {each.name for each in model.outputs}
     if lacking:
         raise _NotPossible(f"the controller needs {', '.join(sorted(lacking))}, which the model does not have")
     if loop.gives.isdisjoint(each.name for each in model.inputs):
-        raise _NotPossible("no input of the model is what the controller moves")
+        raise _NotPossible("the controller gives none of the inputs that the model has")
     number, first, last = _rows(found, numbers, loop)
     segment = _part(found.problem.segments[number], last)
     measured = dict(_trajectories(found, loop, segment, segment))
@@ -166,7 +168,7 @@ def _one(
         away = np.flatnonzero(~(np.abs(values - measured[name])[first:] < limit[name]))
         if len(away):
             after = segment.time[first + away[0]] - segment.time[first]
-            raise _NotPossible(f"with this model in it the loop runs away {after:.1f} s after its start")
+            raise _NotPossible(f"with this model the closed loop diverges {after:.1f} s after its start")
     return ClosedLoop(
         time=segment.time[first:],
         measured={name: values[first:] for name, values in measured.items()},
@@ -185,18 +187,18 @@ def _floor(
     limit: Mapping[str, float],
     draws: int,
 ) -> dict[str, float]:
-    """RMS by channel of what noise alone does to the loop that is `simulated` without."""
+    """RMS by channel of the deviation that noise alone makes from the loop `simulated` without noise."""
     random = np.random.default_rng(SEED)
     drawn = [_run(found, loop, segment, first, begin, random) for _ in range(draws)]
     if not all(np.all(np.abs(draw[name][first:]) < BEYOND * limit[name]) for draw in drawn for name in draw):
-        raise _NotPossible("with this model in it noise alone lets the loop run away")
+        raise _NotPossible("with this model noise alone makes the closed loop diverge")
     return {
         name: _rms(np.array([draw[name] - values for draw in drawn])[:, first:]) for name, values in simulated.items()
     }
 
 
 def _check(loop: Loop, simulated: Mapping[str, Array], time: Array, first: int) -> None:
-    """Raises _NotPossible where a limit is passed, with the one that is passed first."""
+    """Raises _NotPossible if a limit is exceeded, with the one that is exceeded first."""
     passed = [
         (int(away[0]), limit)
         for limit in loop.limits
@@ -205,12 +207,12 @@ def _check(loop: Loop, simulated: Mapping[str, Array], time: Array, first: int) 
     if passed:
         row, limit = min(passed, key=lambda each: each[0])
         after = time[first + row] - time[first]
-        size = f"{limit.channel} passes the {limit.factor * limit.largest:.3g} {limit.unit} {limit.meaning}"
-        raise _NotPossible(f"with this model in the loop {size}, {after:.1f} s after its start")
+        size = f"{limit.channel} exceeds the {limit.factor * limit.largest:.3g} {limit.unit} {limit.meaning}"
+        raise _NotPossible(f"with this model in the loop {size}, {after:.1f} s after the start")
 
 
 def _rows(found: Innovations, numbers: Sequence[int], loop: Loop) -> tuple[int, int, int]:
-    """The stretch that the loop's beginning is in, and the first and last row of it that are in the loop."""
+    """The segment in which the loop begins, and its first and last sample that are in the loop."""
     shortest = SHORTEST * time_scale(found.problem.model, found.problem.segments)
     for number in numbers:
         time = found.problem.segments[number].time
@@ -225,7 +227,7 @@ def _rows(found: Innovations, numbers: Sequence[int], loop: Loop) -> tuple[int, 
 
 
 def _part(segment: Segment, last: int) -> Segment:
-    """Up to and with row `last`."""
+    """`segment` up to and including sample `last`."""
     rows, samples = last + 1, segment.earlier + last + 1
     return replace(
         segment,
@@ -237,7 +239,7 @@ def _part(segment: Segment, last: int) -> Segment:
 
 
 def _values(found: Innovations) -> Array:
-    """Parameter values (np,): time offsets moved from what the model states by no more than a row, and causal."""
+    """Parameter values (np,): time offsets at most a sample away from what the model states, and causal."""
     model, row = found.problem.model, found.floor.spacing
     values = found.fit.values.copy()
     for name in {name for each in model.inputs for name in each.delays}:
@@ -247,7 +249,7 @@ def _values(found: Innovations) -> Array:
 
 
 def _filtered(found: Innovations, number: int, segment: Segment, first: int) -> Memory:
-    """The model's memory at row `first`, its state corrected by all rows up to there."""
+    """The model's memory at sample `first`, its state corrected by all samples up to there."""
     task, fit = found.problem, found.fit
     memory, predicted = task.kernel.memory(fit.starts[number]), np.empty_like(segment.measured)
     nothing = np.empty((*predicted.shape, 0))
@@ -265,7 +267,7 @@ def _run(
     begin: Memory,
     random: np.random.Generator | None = None,
 ) -> dict[str, Array]:
-    """The loop from row `first` on, by channel (n,); before it as recorded. With `random`, with noise in it."""
+    """The loop from sample `first` on, by channel (n,); as recorded before it. With `random`, noise is added."""
     inputs = found.problem.kernel.inputs
     rows = replace(segment, knots=segment.knots.copy(), inputs=segment.inputs.copy(), measured=segment.measured.copy())
     for place, name in enumerate(inputs):
@@ -290,7 +292,7 @@ def _run(
 
 
 def _shown_covariance(found: Innovations) -> Array:
-    """Of the innovations, (ny, ny): the floor's, in which what is counted has no more white noise than it shows."""
+    """Covariance of the innovations, (ny, ny): the floor's, but a counted output has only the white noise it shows."""
     sensor = np.diag(found.floor.sensor)
     counted = [output.counted for output in found.problem.model.outputs]
     shown = np.minimum(sensor, np.maximum(white_variance(found.errors)[0], QUIETEST**2 * sensor))
@@ -298,7 +300,7 @@ def _shown_covariance(found: Innovations) -> Array:
 
 
 def _start_covariance(found: Innovations) -> Array:
-    """Of a filtered state's error, (nx, nx)."""
+    """Covariance of a filtered state's error, (nx, nx)."""
     floor = found.floor
     return floor.state_covariance - floor.gain @ floor.covariance @ floor.gain.T
 
@@ -309,7 +311,7 @@ def _root(covariance: Array) -> Array:
 
 
 def _trajectories(found: Innovations, loop: Loop, rows: Segment, recorded: Segment) -> Iterator[tuple[str, Array]]:
-    """The loop's channels at the rows' times, from the model's outputs or, where it has none, its inputs."""
+    """The loop's channels at the times of the samples, from the model's outputs or else its inputs."""
     kernel = found.problem.kernel
     for name in loop.channels:
         if name in kernel.outputs:
@@ -323,6 +325,6 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def _span(time: Array, stretch: NDArray[np.int64]) -> float:
-    """s of all stretches together."""
-    return float(sum(np.ptp(time[stretch == number]) for number in np.unique(stretch)))
+def _span(time: Array, part: NDArray[np.int64]) -> float:
+    """s of all recordings together."""
+    return float(sum(np.ptp(time[part == number]) for number in np.unique(part)))

@@ -1,10 +1,10 @@
-"""Model against measurement: how far it predicts, what force it misses, and whether that is more than noise.
+"""Model against measurement: how well it predicts, what force it lacks, and whether that is more than noise.
 
-For any model: its kernel is run over the record as a Kalman predictor whose gain and floor come from the process noise
-that the model states and from the sensors' noise in the record itself (diagnosis.lack_of_fit.floor). What is no
-property of the vehicle, a fraction of a sample of misalignment between a device's samples and the rows, and the initial
-states, is fitted along; everything else stays as the model says. `adequate` is the outcome of four views
-(where_it_fails), which together call a right model inadequate once in a hundred records.
+This works for any model: its kernel is run over the record as a Kalman predictor whose gain and floor come from the
+process noise that the model states and from the sensors' noise in the record itself (diagnosis.lack_of_fit.floor).
+Quantities that are not properties of the vehicle are fitted, too: a fraction of a sample of misalignment between a
+device's samples and those of the record, and the initial states. Everything else stays as in the model. `adequate` is
+the outcome of four views (where_it_fails), which together call a correct model inadequate once in a hundred records.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from models.segment import Segment
 from telemetry.recording import Recording
 
 DOUBTFUL = 2.0
-"""Of its own standard deviations beyond which a time offset is told as doubtful."""
+"""Deviation of a time offset from its prior, in standard deviations, beyond which it is reported as doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One model against one or several recordings. Figures by channel are of predictions `shown_horizon` s ahead, half
-    a second of the MONOCAB; `fails` has the four views, all empty where the model is adequate. `offsets` are the time
-    offsets that were fitted along, s by name."""
+    """One model against one or several recordings. Numbers by channel are for predictions `shown_horizon` s ahead, half
+    a second of the MONOCAB; `fails` has the four views, all empty if the model is adequate. `offsets` are the time
+    offsets that were fitted, too, s by name."""
 
     name: str
     fit_percent: Mapping[str, float]
@@ -59,15 +59,15 @@ class Comparison:
 
     @property
     def summary(self) -> list[str]:
-        """Where it fails, in words; empty where it does not."""
+        """Where it fails, in words; empty if it does not."""
         words = summary(self.fails)
         for parameter in self.innovations.problem.parameters:
             offset = self.offsets[parameter.name]
             if words and 0.0 < DOUBTFUL * parameter.std < abs(offset - parameter.value):
                 sentence = (
-                    f"{parameter.name} was fitted along and came out at {1e3 * offset:.1f} ms, more than it can be:"
+                    f"{parameter.name} was fitted, too, and came out at {1e3 * offset:.1f} ms, more than is plausible:"
                 )
-                words.append(f"{sentence} it has taken on a part of what is missing.")
+                words.append(f"{sentence} it has absorbed a part of what is missing.")
         return words
 
     def to_json(self) -> dict[str, Any]:
@@ -112,10 +112,11 @@ def compare(
 ) -> list[Comparison]:
     """Every model, by name, against all of `recordings` together; `support` as in estimators.data.segments.
 
-    `loops` tell what closed the loop on each recording, or why that is not known, for `Comparison.closed_loop`.
+    `loops` are the controllers that closed the loop on each recording, or why one is not known, for
+    `Comparison.closed_loop`.
 
-    Raises DataError where the data are not fit for a model, ModelError where a model is wrong, EstimationError where
-    it has no stable predictor or runs away from the record.
+    Raises DataError if the data cannot be used for a model, ModelError if a model is wrong, EstimationError if it has
+    no stable predictor or diverges from the record.
     """
     tasks = {name: _task(ready(model, recordings), recordings, support, progress) for name, model in models.items()}
     shaken = {name: _shaken(task) for name, (task, _) in tasks.items()}
@@ -126,8 +127,8 @@ def compare(
 
 
 def _shaken(task: Problem) -> Fit | None:
-    """The disturbances that the model of `task` leaves with the values that it has, its nuisances beside them; None
-    where it has no joint, or cannot follow the record."""
+    """The disturbances that the model of `task` leaves with the values that it has, estimated with its nuisances; None
+    if it has no joint, or cannot follow the record."""
     times = [task.kernel.index(name) for name in sorted(is_of_disturbance(task.model))]
     if not times:
         return None
@@ -139,25 +140,25 @@ def _shaken(task: Problem) -> Fit | None:
 
 
 def _best(task: Problem, shaken: Iterable[Fit | None]) -> Fit | None:
-    """The likeliest of those that have the outputs of `task`: a vehicle is shaken by what the best model leaves, and
-    each model runs through a filter that knows as much."""
-    confusable = [each for each in shaken if each is not None and each.problem.kernel.outputs == task.kernel.outputs]
-    return min(confusable, key=lambda each: each.minimum.cost, default=None)
+    """The most likely of those that have the outputs of `task`: the disturbance is what the best model leaves, and each
+    model runs through a filter with that disturbance."""
+    comparable = [each for each in shaken if each is not None and each.problem.kernel.outputs == task.kernel.outputs]
+    return min(comparable, key=lambda each: each.minimum.cost, default=None)
 
 
 def _task(
     model: Model, recordings: Sequence[Recording], support: float | None, progress: Progress | None
 ) -> tuple[Problem, list[int]]:
-    """The data for `model`, of which no parameter is sought: one that is out of its bounds is no obstacle here. And of
-    which recording each stretch is."""
+    """The data for `model`, with no parameter estimated, so that one out of its bounds is no obstacle; and the
+    recording of each segment."""
     inside = [p.name for p in model.parameters if p.lower <= p.value <= p.upper and p.lower < p.upper]
-    told = [(row, place) for place, recording in enumerate(recordings) for row in _stretches(model, recording, support)]
-    task = problem(model, recordings, estimate=inside[:1], rows=[row for row, _ in told], progress=progress)
-    return replace(task, model=model, free=()), [place for _, place in told]
+    used = [(row, place) for place, recording in enumerate(recordings) for row in _segments(model, recording, support)]
+    task = problem(model, recordings, estimate=inside[:1], rows=[row for row, _ in used], progress=progress)
+    return replace(task, model=model, free=()), [place for _, place in used]
 
 
-def _stretches(model: Model, recording: Recording, support: float | None) -> Iterator[Segment]:
-    """With the inputs that the model does not use, too: what it lacks may go with one of them."""
+def _segments(model: Model, recording: Recording, support: float | None) -> Iterator[Segment]:
+    """With the inputs that the model does not use, too: what it lacks may depend on one of them."""
     used = channels_of(model)
     idle = {place: each.name for place, each in enumerate(model.inputs) if each.name not in used and each.usual is None}
     for segment in segments(model, [recording], support=support):

@@ -1,13 +1,13 @@
-"""Measured against predicted some time ahead: from the filtered state on, every quarter of a time scale.
+"""Measured against predicted some time ahead, from the filtered state every quarter of a time scale.
 
-Of a right model the error is sensor noise alone: the innovations e of covariance S that came in since, each carried on
-by the state it corrected,
+For a correct model the error is due to noise alone: the innovations e of covariance S that came in since, each
+propagated through the state that it corrected,
 
     covariance(h) = S + sum over j < h of  D_j K S K' D_j',    D_j = d y(k + j) / d x(k),
 
-with D_j differentiated along the record, so that friction counts as it is in motion. On an unstable plant it grows with
-the poles, so that only the ratio of error and floor says anything. Source: Ljung, "System identification", 2nd ed.,
-section 3.2.
+with D_j differentiated along the record, so that friction counts as it is in motion. For an unstable plant it grows
+with the poles, so that only the ratio of error and floor is meaningful. Source: Ljung, "System identification", 2nd
+ed., section 3.2.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from models.natural_time import rounded
 Array = NDArray[np.float64]
 
 HORIZONS = (0.125, 0.5, 1.25, 5.0)
-"""Time scales (estimators.data.time_scale) ahead that predictions reach, where a stretch of the record is more than
-twice as long: 0.05, 0.2, 0.5 and 2 s of the MONOCAB."""
+"""Time scales (estimators.data.time_scale) that predictions reach ahead, if a segment of the record is more than twice
+as long: 0.05, 0.2, 0.5 and 2 s of the MONOCAB."""
 STRIDE = 0.25
 """Time scales between the states that predictions start from."""
 
@@ -34,11 +34,11 @@ STRIDE = 0.25
 @dataclass(frozen=True, slots=True)
 class Prediction:
     """At `horizon` s ahead: `time` (m,), `measured` and `predicted` (m,) by channel, and the `floor` of their RMS
-    difference. `stretch` (m,) numbers gapless stretches; time is s from their recording's first row."""
+    difference. `segment` (m,) numbers gapless segments; time is s from their recording's first sample."""
 
     horizon: float
     time: Array
-    stretch: NDArray[np.int64]
+    segment: NDArray[np.int64]
     measured: Mapping[str, Array]
     predicted: Mapping[str, Array]
     floor: Mapping[str, float]
@@ -82,7 +82,7 @@ def predictions(found: Innovations) -> list[Prediction]:
             Prediction(
                 horizon=horizon,
                 time=time,
-                stretch=numbers,
+                segment=numbers,
                 measured=dict(zip(names, measured.T, strict=True)),
                 predicted=dict(zip(names, ahead.T, strict=True)),
                 floor=dict(zip(names, map(float, floor), strict=True)),
@@ -92,8 +92,9 @@ def predictions(found: Innovations) -> list[Prediction]:
 
 
 def _free_runs(found: Innovations, number: int, rows: int, every: float) -> Iterator[tuple[int, Array, Array | None]]:
-    """From `every` so many s of a stretch on, `rows` rows without correction: the row, what is predicted (n, ny) and,
-    once in so many rows, its derivatives by the state there (n, ny, nx). The arrays are used again."""
+    """Every `every` s of a segment, a prediction over `rows` samples without correction: the sample, the predicted
+    outputs (n, ny) and, once in so many samples, their derivatives with respect to the state there (n, ny, nx). The
+    arrays are reused."""
     task, fit = found.problem, found.fit
     kernel, segment = task.kernel, task.segments[number]
     states, stride = len(kernel.states), max(1, round(every / found.floor.spacing))

@@ -1,4 +1,4 @@
-"""What a disturbance costs: the best possible prediction of a record, with it and without it."""
+"""How much a disturbance limits predictions: the best possible prediction of a record, with it and without it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from estimators.fit.maximum_likelihood import Fit
 
 @dataclass(frozen=True, slots=True)
 class PredictionLimit:
-    """The RMS error, by channel in its unit, of the best possible prediction `horizon` s ahead, beside the disturbance,
-    and without it, by the sensors' noise alone."""
+    """The RMS error, by channel in its unit, of the best possible prediction `horizon` s ahead: with the disturbance,
+    and without it, from the sensors' noise alone."""
 
     horizon: float
     disturbed: Mapping[str, float]
@@ -27,7 +27,7 @@ class PredictionLimit:
 
 
 def prediction_limit(fitted: Fit) -> PredictionLimit | None:
-    """Of the predictor `fitted`; None where the record is too short to say, or has no joint that is disturbed."""
+    """The limit of the predictor `fitted`; None if the record is too short, or no joint has a disturbance."""
     task = fitted.problem
     if not any(state.correlation_time for state in task.model.base_states):
         return None

@@ -1,10 +1,11 @@
-"""How much an effect matters: the share of a model's errors that it makes, however significant it is.
+"""How much an effect matters: the share of a model's errors that it accounts for, however significant it is.
 
     share = (E without - E with) / E without
 
 E is the mean energy of the error, over that of the floor, some time ahead, and in a simulation of the closed loop; both
 models run through one filter, that of the best model's disturbance and the sensors' noise. A long record shows effects
-that no prediction and no controller would miss: what makes less than a percent of both errors is negligible.
+without which predictions and controllers would be as good: an effect that accounts for less than a percent of both
+errors is negligible.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from estimators.data.time_scale import horizon
 from estimators.fit.maximum_likelihood import Fit
 
 DRAWS = 1
-"""Of the noise in the loop: it tells well enough what an error of one channel weighs beside that of another."""
+"""Draws of the noise in the loop: one is enough to weigh the error of one channel against that of another."""
 NEGLIGIBLE = 1.0
-"""Percent of an error's energy below which what makes it is negligible."""
+"""Percent of an error's energy below which an effect is negligible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Relevance:
-    """Percent of the error energy that an effect makes: `ahead`, `horizon` s ahead, and in the `closed_loop`, None
-    where no loop could be simulated with and without it. Of a model without it, that has all that was found before."""
+    """Percent of the error energy that an effect accounts for: `ahead`, `horizon` s ahead, and in the `closed_loop`,
+    None if no loop could be simulated with and without it. The model without it has all that was found before."""
 
     horizon: float
     ahead: float
@@ -40,7 +41,7 @@ class Relevance:
 
     @property
     def negligible(self) -> bool:
-        """Whether it makes less than NEGLIGIBLE of either error."""
+        """Whether it accounts for less than NEGLIGIBLE of either error."""
         return max(self.ahead, self.closed_loop or 0.0) < NEGLIGIBLE
 
     def to_json(self) -> dict[str, Any]:
@@ -53,20 +54,20 @@ class Relevance:
         }
 
     def __str__(self) -> str:
-        """`It makes 43 % of the error 0.5 s ahead, and 70 % of that in the closed loop.`"""
-        shares = [f"{percent(self.ahead)} of the error {self.horizon:g} s ahead"]
+        """`It accounts for 43 % of the error energy 0.5 s ahead, and for 70 % of that in the closed loop.`"""
+        shares = [f"{percent(self.ahead)} of the error energy {self.horizon:g} s ahead"]
         if self.closed_loop is not None:
             shares.append(f"{percent(self.closed_loop)} of that in the closed loop")
-        return f"It makes {', and '.join(shares)}{': negligible' if self.negligible else ''}."
+        return f"It accounts for {', and for '.join(shares)}{': negligible' if self.negligible else ''}."
 
 
 def relevances(
     steps: Sequence[Fit], best: Fit, owners: Sequence[int] = (), loops: Sequence[Loop | str] = ()
 ) -> list[Relevance | None]:
-    """Of what each of `steps` has more than the one before it; None where it cannot be said.
+    """Relevance of what each of `steps` adds to the one before it; None if it cannot be computed.
 
-    `best` is the fit whose disturbance is the vehicle's; `owners` tells of which recording each segment is, and `loops`
-    what closed the loop on each recording, or why that is not known."""
+    `best` is the fit whose disturbance is the vehicle's; `owners` gives the recording of each segment, and `loops` the
+    controller that closed the loop on each recording, or why that is not known."""
     seen = [_seen(each, best) for each in steps]
     reach = horizon(best.problem.model, best.problem.segments)
     ahead = [None if each is None else _ahead(each, reach) for each in seen]
@@ -87,7 +88,7 @@ def _seen(fitted: Fit, best: Fit) -> Innovations | None:
 
 
 def _ahead(found: Innovations, reach: float) -> float | None:
-    """Mean energy of the error `reach` s ahead over that of a right model, of all outputs."""
+    """Mean energy of the error `reach` s ahead over that of a correct model, of all outputs."""
     try:
         least = sensor_floors(found.fit, (reach,))[0]
     except EstimationError:
@@ -100,8 +101,8 @@ def _ahead(found: Innovations, reach: float) -> float | None:
 def _looped(
     seen: Sequence[Innovations | None], owners: Sequence[int], loops: Sequence[Loop | str]
 ) -> list[float | None]:
-    """Mean energy of each one's error in the closed loop over what noise alone makes, of all channels; that is of the
-    last one, which has most in it, for all."""
+    """Mean energy of each model's error in the closed loop, over that from noise alone, of all channels; the latter is
+    that of the last model, which has most effects, for all."""
     best = closed_loop(seen[-1], owners, loops, draws=DRAWS) if seen and seen[-1] is not None and loops else None
     if best is None or best.reason:
         return [None] * len(seen)
@@ -109,8 +110,8 @@ def _looped(
     return [None if each is None else _in_loop(each) for each in (*before, best)]
 
 
-def _in_loop(told: ClosedLoop) -> float | None:
-    return None if told.reason else float(np.mean([told.over_floor(channel) ** 2 for channel in told.measured]))
+def _in_loop(loop: ClosedLoop) -> float | None:
+    return None if loop.reason else float(np.mean([loop.over_floor(channel) ** 2 for channel in loop.measured]))
 
 
 def _share(without: float | None, with_it: float | None) -> float | None:
@@ -120,5 +121,5 @@ def _share(without: float | None, with_it: float | None) -> float | None:
 
 
 def percent(share: float) -> str:
-    """`43 %`, and of less than one percent one digit."""
-    return f"{share:.0f} %" if share >= 1.0 else f"{share:.1g} %" if share > 0.0 else "nothing"
+    """`43 %`; less than one percent with one digit."""
+    return f"{share:.0f} %" if share >= 1.0 else f"{share:.1g} %" if share > 0.0 else "none"

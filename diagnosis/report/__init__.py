@@ -1,4 +1,4 @@
-"""Readings as self-contained HTML pages: of a diagnosis, of a comparison, of an identification."""
+"""Results as self-contained HTML pages: of a diagnosis, of a comparison, of an identification."""
 
 from __future__ import annotations
 

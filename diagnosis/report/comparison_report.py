@@ -1,4 +1,4 @@
-"""A comparison as a page: every model's verdict on every recording, then recording by recording how and where."""
+"""A comparison as a page: every model's verdict on every recording, then the details recording by recording."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ def _headline(comparisons: Sequence[Comparison], models: Sequence[str]) -> tuple
     right = [name for name in models if not fails[name]]
     wrong = [name for name in models if fails[name]]
     if not wrong:
-        return "adequate", f"{', '.join(right)}: adequate, as far as the noise lets it be seen"
+        return "adequate", f"{', '.join(right)}: adequate, to within the noise"
     if not right:
         return "missing_effect", f"{', '.join(wrong)}: not adequate"
     return "adequate", f"{', '.join(right)}: adequate; {', '.join(wrong)}: not"
 
 
 def loop_errors(comparisons: Sequence[Comparison]) -> Iterator[tuple[str, ...]]:
-    """By channel and model, simulated in the closed loop: fit in percent, RMS error with unit, over that of noise."""
+    """By channel and model, simulated in the closed loop: fit in percent, RMS error with unit, RMS error over noise."""
     for channel in dict.fromkeys(name for each in comparisons for name in each.closed_loop.measured):
         for each in comparisons:
             loop = each.closed_loop
@@ -103,7 +103,7 @@ class VerdictRow:
 
 
 def verdict(recording: str, comparison: Comparison) -> VerdictRow:
-    """In short."""
+    """A comparison in short."""
     loop = comparison.closed_loop
     return VerdictRow(
         recording=file_name(recording),

@@ -37,14 +37,14 @@ def write_report(
     seconds: float | None = None,
     progress: Progress | None = None,
 ) -> str:
-    """The page as text. `model` and `recordings` are what `diagnosis` is of, `support` as it was there. `seconds` are
-    those that it was allowed to take, where that is known.
+    """The page as text. `diagnosis` is that of `model` and `recordings`, with the same `support`. `seconds`: its time
+    budget, if known.
 
-    `progress` is told in words what is being done.
+    `progress` is called with a text that says what is being done.
     """
-    tell = progress or (lambda text: None)
-    comparisons, why = _comparisons(diagnosis, recordings, support, tell)
-    tell("drawing")
+    report = progress or (lambda text: None)
+    comparisons, why = _comparisons(diagnosis, recordings, support, report)
+    report("drawing")
     return render(
         "report.html",
         [model.name],
@@ -74,17 +74,17 @@ def write_report(
 
 
 def _comparisons(
-    diagnosis: Diagnosis, recordings: Sequence[Recording], support: float | None, tell: Progress
+    diagnosis: Diagnosis, recordings: Sequence[Recording], support: float | None, report: Progress
 ) -> tuple[list[Comparison], str]:
-    """The model without and with what was found against the recordings, or why that cannot be."""
+    """The model without and with the findings against the recordings, or why that is not possible."""
     if not diagnosis.steps:
         return [], "There is nothing to draw: no model could be fitted to these recordings."
     models = {ALONE: diagnosis.steps[0].fitted}
     if diagnosis.findings:
         models = {BEFORE: diagnosis.steps[0].fitted, AFTER: diagnosis.steps[-1].fitted}
     try:
-        tell("comparing before and after")
-        return compare(models, recordings, support=support, progress=tell), ""
+        report("comparing before and after")
+        return compare(models, recordings, support=support, progress=report), ""
     except EstimationError as error:
         return [], f"The models could not be run over the recordings: {error}"
 
@@ -99,21 +99,21 @@ def _figures(diagnosis: Diagnosis, comparisons: Sequence[Comparison], why: str) 
 
 
 def _stairs(diagnosis: Diagnosis) -> tuple[list[str], list[float]]:
-    """Names and innovation energies over the floor: as given, fitted, and after each effect, all of them beside the
+    """Names and innovation energies over the floor: as given, fitted, and after each effect, all of them with the
     disturbance that the last one leaves."""
     names, ratios = [], []
     known: set[str] = set()
     first, last = diagnosis.steps[0].fit, diagnosis.steps[-1].fit
     as_given = over_floor(first, last, first.problem.kernel.vector())
-    if np.isfinite(as_given):  # values with which the model runs away have no error to show
+    if np.isfinite(as_given):  # values with which the model diverges have no error to show
         ratios.append(as_given)
         names.append("as given")
     for place, step in enumerate(diagnosis.steps):
-        # The diagnosis' own are beside all that it found, something without a name included.
-        told = diagnosis.innovation_ratio_before if place == 0 else diagnosis.innovation_ratio_after
+        # The diagnosis' own ratios are with the disturbance beside everything found, including what has no name.
+        own = diagnosis.innovation_ratio_before if place == 0 else diagnosis.innovation_ratio_after
         ends = place in (0, len(diagnosis.steps) - 1)
-        ratios.append(told if ends and told is not None else over_floor(step.fit, last))
-        # Findings stand by how much they matter, steps in the order in which they were made.
+        ratios.append(own if ends and own is not None else over_floor(step.fit, last))
+        # Findings are ordered by how much they matter, steps by when they were made.
         added = [each.name for each in step.model.effects if each.name not in known]
         known.update(added)
         names.append("fitted" if place == 0 else f"with {' and '.join(added)}")

@@ -26,7 +26,7 @@ from estimators.identify.rows import (
 from estimators.identify.table import Domain
 
 WIDE, LOW = 10.0, 0.75
-"""in, and of its own height: the least width of the figure, and how high it is."""
+"""Least width of the figure, in inches, and the factor by which its height is reduced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def write_identification(
     """The page as text, of a `document` of `estimators.identify.run` for the model of this name.
 
     `truth` has true values by name. `comparisons` are of the model before and with the estimates to rely on, against
-    the recordings; where there are none, `why` says so.
+    the recordings; if there are none, `why` says why.
     """
     if progress is not None:
         progress("drawing")
@@ -73,10 +73,10 @@ def write_identification(
         figure=_figure(document, truth or {}),
         tables=list(_tables(document, begun, truth or {})),
         drives=[
-            (name, value_text(told), told["unit"])
+            (name, value_text(found), found["unit"])
             for entry in begun.values()
             if entry["domain"] == Domain.DRIVES
-            for name, told in entry["parameters"].items()
+            for name, found in entry["parameters"].items()
         ],
         remarks=list(remarks(document["methods"])),
         part=part,
@@ -86,10 +86,10 @@ def write_identification(
 
 
 def _fit_note(document: Mapping[str, Any]) -> str:
-    """What the column of the fit says."""
+    """What the column of the fit means."""
     if not document["fit_measured_alike"]:
-        return "Own fit: each method's own measure of the channel that it explains worst; they cannot be compared."
-    return f"Fit: how well the channel that is predicted worst is predicted {document['fit_horizon']:.2g} s ahead."
+        return "Own fit: each method's own measure for the channel that it explains worst; these cannot be compared."
+    return f"Fit: of the prediction {document['fit_horizon']:.2g} s ahead, for the channel that is predicted worst."
 
 
 def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -104,14 +104,14 @@ def _estimates(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 
 def _figure(document: Mapping[str, Any], truth: Mapping[str, float]) -> str:
-    """The methods side by side, "" where no method was asked for what is known from before."""
+    """The methods side by side, "" if no method estimates a parameter that has a prior value."""
     from diagnosis.report.figures.drawing import styled, svg
     from diagnosis.report.figures.methods import method_figure
 
     @styled
     def drawn() -> str:
         figure = method_figure(document, truth=truth)
-        # Wider than high, also for few methods: on paper it is to stand below the estimates.
+        # Wider than high, also for few methods, so that it fits below the estimates on paper.
         figure.set_size_inches(max(WIDE, figure.get_figwidth()), LOW * figure.get_figheight())
         return svg(figure, "methods", "Parameters by method, each run and their mean")
 

@@ -1,7 +1,7 @@
-"""What the reports have in common: where they are from, and the page that is filled in.
+"""What the reports have in common: their provenance, and the page template that is filled in.
 
-Each is one HTML file that can be mailed and printed: no script, no other file, nothing to load. The caller says what a
-pure function cannot know: who, which files, when.
+Each is one HTML file that can be mailed and printed: no script, no other file, nothing to load. The caller supplies
+what a pure function cannot know: vehicle, files and date.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from diagnosis.prediction.compare import Comparison
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where a report is from. `hashes`: SHA-256 of each recording by its name. `date` is shown as it is given."""
+    """Where a report comes from. `hashes`: SHA-256 of each recording by its name. `date` is shown as given."""
 
     vehicle: str = ""
     version: str = ""
@@ -25,7 +25,7 @@ class Provenance:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Inline SVG, empty where there is none; `missing` says in words why."""
+    """Inline SVG, empty if there is none; `missing` says in words why."""
 
     overlay: str = ""
     loop: str = ""
@@ -51,7 +51,7 @@ def render(template: str, models: Sequence[str], provenance: Provenance | None, 
 
 
 def compared_figures(comparisons: Sequence[Comparison], name: str = "") -> Figures:
-    """The figures of models beside each other on the same recordings; `name` keeps those of several sets apart."""
+    """The figures of models side by side on the same recordings; `name` distinguishes those of several sets."""
     from diagnosis.report.figures import diagnosis as pictures
     from diagnosis.report.figures.loop import closed_loop
 

@@ -1,4 +1,4 @@
-"""What is said of a diagnosis on every page: the disturbance, what was left untried, what matters of what was found."""
+"""Sentences about a diagnosis that every page shows: the disturbance, what was left untried, which findings matter."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from diagnosis.report.revision_words import readable
 from estimators.disturbance_estimate import DisturbanceEstimate, in_words
 
 NOTHING_MATTERS = "nothing is missing that matters"
-"""Of a model all of whose findings are negligible."""
+"""Said of a model all of whose findings are negligible."""
 MORE = 5.0
-"""Times the budget that is named as the remedy where it was too short."""
+"""Multiple of the time budget that is named as the remedy if it was too short."""
 
 
 def mattering(diagnosis: Diagnosis) -> list[Finding]:
@@ -20,25 +20,24 @@ def mattering(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def negligible(diagnosis: Diagnosis) -> list[Finding]:
-    """The findings that make no error that matters."""
+    """The findings that account for no error that matters."""
     return [each for each in diagnosis.findings if each.negligible]
 
 
 def to_within(diagnosis: Diagnosis) -> str:
-    """How well an adequate model explains its recordings: to within what."""
+    """How accurately an adequate model explains its recordings."""
     shown = [each for each in diagnosis.disturbance if each.acts]
     sizes = [each.size + (f" at {each.joint}" if len(shown) > 1 else "") for each in shown]
     return "to within their noise" + (f" and a random disturbance of {' and '.join(sizes)}" if sizes else "")
 
 
 def disturbance_text(found: Sequence[DisturbanceEstimate]) -> str:
-    """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, with the joint where there are several; or empty."""
+    """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, with the joint if there are several; or empty."""
     return "; ".join(f"{each.joint}: {each}" if len(found) > 1 else str(each) for each in found)
 
 
 def disturbance_sentences(diagnosis: Diagnosis) -> str:
-    """What shakes the vehicle, what that costs a prediction, and what its sensors err by; empty where nothing is
-    known."""
+    """The disturbance, how much it limits a prediction, and the random errors of sensors; empty if nothing is known."""
     return " ".join(filter(None, (_shaking(diagnosis), _erring(diagnosis))))
 
 
@@ -47,29 +46,30 @@ def _erring(diagnosis: Diagnosis) -> str:
     errors = {each.channel: each for part in (*diagnosis.parts, diagnosis) for each in part.sensor_errors}
     if not errors:
         return ""
-    told = "; ".join(f"{channel} by {each.scaled(*readable(each.unit))}" for channel, each in errors.items())
-    return f"Sensors err beside the white noise of outputs, which is no property of the vehicle: {told}."
+    sizes = "; ".join(f"{channel}: {each.scaled(*readable(each.unit))}" for channel, each in errors.items())
+    return f"Random sensor errors in addition to the white noise of outputs, not a property of the vehicle: {sizes}."
 
 
 def _shaking(diagnosis: Diagnosis) -> str:
-    """What shakes the vehicle, and what that costs a prediction."""
+    """The disturbance, and how much it limits a prediction."""
     words = in_words(diagnosis.disturbance)
     if not words:
         return ""
     shown = any(each.acts for each in diagnosis.disturbance)
-    told = f"{words[:1].upper()}{words[1:]}{'; no effect explains it' if shown else ''}."
+    disturbance = f"{words[:1].upper()}{words[1:]}{'; no effect explains it' if shown else ''}."
     limits = " and ".join(_limits(diagnosis, shown))
     if diagnosis.prediction_limit is None or not limits:
-        return told
-    # What happened once is in the reason, which the pages show where there is no finding.
+        return disturbance
+    # Events are in the reason, which the pages show if there is no finding.
     happened = "".join(f" {each}" for each in diagnosis.events) if diagnosis.findings else ""
     return (
-        f"{told} The best possible prediction {diagnosis.prediction_limit.horizon:.3g} s ahead has {limits}.{happened}"
+        f"{disturbance} The best possible prediction {diagnosis.prediction_limit.horizon:.3g} s ahead has an error of"
+        f" {limits}.{happened}"
     )
 
 
 def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:
-    """Of the coordinates at which the disturbance acts, those that are measured."""
+    """The limits for the measured ones of the coordinates at which the disturbance acts."""
     limit = diagnosis.prediction_limit
     if limit is None or not diagnosis.steps:
         return
@@ -80,17 +80,17 @@ def _limits(diagnosis: Diagnosis, shown: bool) -> Iterator[str]:
         if output.name in coordinates and output.name in limit.disturbed:
             unit, factor = readable(output.unit)
             error, without = (factor * each[output.name] for each in (limit.disturbed, limit.undisturbed))
-            apart = f" with it, {two_digits(without)} {unit} without" if shown else ""
+            apart = f" ({two_digits(without)} {unit} without the disturbance)" if shown else ""
             yield f"{two_digits(error)} {unit} RMS in {output.name}{apart}"
 
 
 def two_digits(value: float) -> str:
-    """`0.032`, `840`: two digits, and no power of ten in place of a large number."""
+    """`0.032`, `840`: two digits, and no power of ten for a large number."""
     return f"{float(f'{value:.2g}'):.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
 def untried_sentence(diagnosis: Diagnosis, seconds: float | None = None) -> str:
-    """What was left for want of time, and the remedy; empty where nothing was. `seconds` of the budget, where known."""
+    """What was left untried for want of time, and the remedy; empty if nothing was. `seconds`: the budget, if known."""
     if not diagnosis.untried:
         return ""
     within = "" if seconds is None else f" ({seconds:.0f} s)"

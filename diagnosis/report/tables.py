@@ -1,4 +1,4 @@
-"""The report's tables as rows of finished text: effects by probability, parameters, errors, what would have shown."""
+"""The report's tables as rows of finished text: effects by probability, parameters, errors, detectable sizes."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from telemetry.recording import Recording
 HARD_SPACE = "\N{NO-BREAK SPACE}"
 UNKNOWN = "–"
 NOTHING = "nothing"
-"""Stands among the effects for a model that lacks none of them."""
+"""Row among the effects for a model that lacks none of them."""
 LEAST_SHOWN = 5e-4
-"""Probability below which an effect is left out of a ranking, except for the FEWEST first."""
+"""Probability below which an effect is left out of a ranking, except for the first FEWEST."""
 FEWEST = 4
 LARGE = 1000.0
 """Standard deviation from which on its last digits are left out."""
@@ -50,7 +50,7 @@ class Ranked:
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """One step of the diagnosis: what was found, in words, and all that came into question, the likeliest first."""
+    """One step of the diagnosis: what was found, in words, and all candidates, the most likely first."""
 
     finding: Finding | None
     title: str
@@ -65,7 +65,7 @@ class Ranking:
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """A parameter as it was known (CAD), as the model alone fits it, and with the effects; text."""
+    """A parameter as it was known (CAD), as fitted by the model alone, and with the effects; text."""
 
     name: str
     unit: str
@@ -77,7 +77,7 @@ class ParameterRow:
 
 @dataclass(frozen=True, slots=True)
 class Relevant:
-    """What share of the errors a finding makes, as text, and whether that is negligible."""
+    """The share of the errors that a finding accounts for, as text, and whether that is negligible."""
 
     name: str
     title: str
@@ -87,7 +87,7 @@ class Relevant:
 
 
 def relevances(diagnosis: Diagnosis) -> list[Relevant]:
-    """One for each finding, in order: those that are negligible last. Empty where no share is known."""
+    """One for each finding, in order: those that are negligible last. Empty if no share is known."""
     if all(each.relevance is None for each in diagnosis.findings):
         return []
     return [
@@ -105,13 +105,13 @@ def relevances(diagnosis: Diagnosis) -> list[Relevant]:
 
 
 def horizon(diagnosis: Diagnosis) -> str:
-    """Of the relevances, with its unit."""
+    """The horizon of the relevances, with its unit."""
     known = next((each.relevance for each in diagnosis.findings if each.relevance), None)
     return f"{known.horizon:.3g}{HARD_SPACE}s" if known else ""
 
 
 def shaken(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Joint, the disturbance that the model alone leaves there, and that which is left with all that was found."""
+    """Joint, the disturbance that the model alone leaves there, and the disturbance that is left with all findings."""
     if not diagnosis.disturbance:
         return []
     before = {each.joint: str(each) for each in disturbances(diagnosis.steps[0].fit)}
@@ -119,7 +119,7 @@ def shaken(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def limits(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """By channel, the RMS error of the best possible prediction: beside the disturbance, and by the sensors alone."""
+    """By channel, the RMS error of the best possible prediction: with the disturbance, and from the sensors alone."""
     limit = diagnosis.prediction_limit
     if limit is None or not diagnosis.steps:
         return []
@@ -135,7 +135,7 @@ def limits(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def rankings(diagnosis: Diagnosis) -> list[Ranking]:
-    """One for each finding; where there is none, what the score test alone says of those that came nearest."""
+    """One for each finding; if there is none, the effects that came nearest in the score test."""
     if not diagnosis.findings:
         return [_nearest(diagnosis.score_tests[0])] if diagnosis.score_tests and diagnosis.score_tests[0].scores else []
     return [_ranking(finding, finding.score_test) for finding in diagnosis.findings if finding.score_test is not None]
@@ -151,7 +151,7 @@ def _ranking(finding: Finding, score_test: ScoreTest) -> Ranking:
     rows.sort(key=lambda row: (row.group != "tied", row.name != finding.effect, -row.probability))
     kept = [row for place, row in enumerate(rows) if place < FEWEST or row.probability >= LEAST_SHOWN or row.group]
     nothing = max(0.0, 1.0 - finding.probability * sum(finding.odds.values()))
-    # A hundredth of LEAST_SHOWN is what rounding leaves of a difference.
+    # Rounding may leave a hundredth of LEAST_SHOWN of a difference.
     title = "a model that lacks none of these"
     kept.append(Ranked(NOTHING, title, nothing if nothing > 0.01 * LEAST_SHOWN else 0.0, "", "", "", ""))
     return Ranking(
@@ -173,12 +173,12 @@ def _row(score: Score, probability: float, group: str, size: str) -> Ranked:
 
 def _found(finding: Finding, score: Score) -> str:
     """All its parameters, from the fit."""
-    told = [
+    found = [
         f"{_own(name)} ={HARD_SPACE}{value_text(each)}{_unit(each.unit)}"
         for name, each in finding.parameters.items()
         if each.value is not None
     ]
-    return "; ".join(told) if told else _by_score(score)
+    return "; ".join(found) if found else _by_score(score)
 
 
 def _by_score(score: Score) -> str:
@@ -190,26 +190,26 @@ def _by_score(score: Score) -> str:
 
 
 def detectable(score: Score) -> str:
-    """The least size of its first amplitude that would have shown."""
+    """The smallest detectable size of its first amplitude."""
     if not np.isfinite(score.detectable):
-        return "none that this record could show"
+        return "not detectable in this record"
     first = _own(score.candidate.amplitudes[0])
     return f"{first} ={HARD_SPACE}{score.detectable:.2g}{_amplitude_unit(score)}"
 
 
 def detectables(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Effect, its title, the least size that the recordings would have shown; by name."""
+    """Effect, its title, the smallest size detectable in the recordings; by name."""
     scores = diagnosis.score_tests[0].scores if diagnosis.score_tests else ()
     return sorted((score.candidate.name, score.candidate.effect.title, detectable(score)) for score in scores)
 
 
 def parameters(diagnosis: Diagnosis) -> list[ParameterRow]:
-    """What was estimated, with what was known before beside it."""
+    """The estimated parameters, with their prior values."""
     if not diagnosis.steps:
         return []
-    told = [result(step.fit, 0.0).parameters for step in (diagnosis.steps[0], diagnosis.steps[-1])]
-    before, after = told
-    # Start values, not those of a fit: the model of a step still has them.
+    fitted = [result(step.fit, 0.0).parameters for step in (diagnosis.steps[0], diagnosis.steps[-1])]
+    before, after = fitted
+    # The start values: the model of a step still has them.
     known = {p.name: p for p in diagnosis.steps[0].model.parameters}
     rows = []
     for name, each in after.items():
@@ -234,7 +234,7 @@ def parameters(diagnosis: Diagnosis) -> list[ParameterRow]:
 
 
 def remarks(diagnosis: Diagnosis) -> list[str]:
-    """Why a value is not told; parameters of the same reason together."""
+    """Why a value is not stated; parameters with the same reason together."""
     because: dict[str, list[str]] = {}
     if diagnosis.steps:
         for name, each in result(diagnosis.steps[-1].fit, 0.0).parameters.items():
@@ -246,7 +246,7 @@ def remarks(diagnosis: Diagnosis) -> list[str]:
 def value_text(estimate: ParameterEstimate) -> str:
     """Value and standard deviation, two digits of the latter."""
     if estimate.value is None or estimate.std is None:
-        return "not told"
+        return "not determined"
     return with_std(estimate.value, estimate.std)
 
 
@@ -260,7 +260,7 @@ def with_std(value: float, std: float) -> str:
 
 
 def errors(comparisons: Sequence[Comparison]) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
-    """By channel, a model each: fit in percent, RMS error with its unit, the same over that of noise."""
+    """By channel, for each model: fit in percent, RMS error with its unit, RMS error over that of noise."""
     outputs = {output.name: output for output in comparisons[0].innovations.problem.model.outputs}
     for channel in comparisons[0].fit_percent:
         factor, unit = shown(outputs[channel].unit)
@@ -282,7 +282,7 @@ def p_text(value: float) -> str:
 
 
 def left_out(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Effects that were not looked for, those with the same reason together, and the reason."""
+    """Effects that were not tested, those with the same reason together, and the reason."""
     because: dict[str, list[str]] = {}
     for name, reason in sorted((diagnosis.left_out or {}).items()):
         because.setdefault(reason.removeprefix(f"effect {name}: "), []).append(name)
@@ -290,7 +290,7 @@ def left_out(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def used(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
-    """How much of the recordings the diagnosis rests on."""
+    """How much of the recordings the diagnosis is based on."""
     if not diagnosis.steps:
         return ""
     whole = sum(recording.duration for recording in recordings)
@@ -298,7 +298,7 @@ def used(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
 
 
 def held(diagnosis: Diagnosis) -> Mapping[str, str]:
-    """Values that were not asked for, by name: what all the others rest on."""
+    """Values that were not estimated, by name: all others are based on them."""
     if not diagnosis.steps:
         return {}
     last = diagnosis.steps[-1]
@@ -315,7 +315,7 @@ def _own(name: str) -> str:
 
 
 def _unit(unit: str) -> str:
-    """After a number, from which no line break parts it."""
+    """`unit` to follow a number, with no line break between them."""
     return "" if unit == "1" else f"{HARD_SPACE}{unit.replace(' ', HARD_SPACE)}"
 
 

@@ -14,7 +14,8 @@ from models.effect import Effect
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """`kind` is the verdict as a word that also names its colour and its icon; `text` the line; `next_step` to do."""
+    """`kind` is the verdict as a word, which also names its colour and icon; `text` the line; `next_step` the
+    advice."""
 
     kind: str
     word: str
@@ -23,7 +24,7 @@ class Headline:
 
 
 def headline(diagnosis: Diagnosis) -> Headline:
-    """What a person reads first."""
+    """The line that a person reads first."""
     if diagnosis.verdict is Verdict.MISSING_EFFECT and not mattering(diagnosis):
         return Headline(Verdict.ADEQUATE.value, "Negligible effect", NOTHING_MATTERS, next_step(diagnosis))
     return Headline(
@@ -40,7 +41,7 @@ def _line(diagnosis: Diagnosis) -> str:
     match diagnosis.verdict:
         case Verdict.ADEQUATE:
             if diagnosis.unexplained is not None and diagnosis.unexplained.impacts:
-                return "no known effect is missing; what is left may be the instants of its impacts"
+                return "no known effect is missing; what is left may be due to the timing of the impacts"
             return f"the model explains these recordings {to_within(diagnosis)}"
         case Verdict.MISSING_EFFECT:
             alone = matter[0] if len(matter) == 1 else None
@@ -51,7 +52,7 @@ def _line(diagnosis: Diagnosis) -> str:
             found = f"{names} would explain a part; " if names else ""
             return f"{found}the model lacks something that {explained_by_none(diagnosis.untried)}"
         case Verdict.INSUFFICIENT_DATA:
-            return "these recordings cannot tell what the model lacks"
+            return "these recordings cannot show what the model lacks"
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -60,7 +61,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _named(finding: Finding) -> str:
-    """With what it cannot be told apart from."""
+    """With the effects that are indistinguishable from it."""
     return " or ".join((finding.effect, *finding.tied_with))
 
 
@@ -72,37 +73,37 @@ def next_step(diagnosis: Diagnosis) -> str:
         case Verdict.ADEQUATE:
             return "Use the model with the fitted values; there is nothing to add."
         case Verdict.INSUFFICIENT_DATA:
-            return "Mend what the reason below names, record again, and diagnose again."
+            return "Correct what the reason below names, record again, and diagnose again."
         case Verdict.UNKNOWN:
             return (
-                "Look at where it still fails below, describe the effect that you suspect in a file, and diagnose again"
-                " with --also FILE.toml."
+                "See below where the model still fails, describe the effect that you suspect in a file, and diagnose"
+                " again with --also FILE.toml."
             )
         case Verdict.MISSING_EFFECT:
-            return _add_or_tell_apart(diagnosis)
+            return _add_or_distinguish(diagnosis)
 
 
-def _add_or_tell_apart(diagnosis: Diagnosis) -> str:
+def _add_or_distinguish(diagnosis: Diagnosis) -> str:
     matter = mattering(diagnosis)
     if not matter:
-        return "Use the model with the fitted values; what is negligible may be left out."
+        return "Use the model with the fitted values; the negligible effects may be left out."
     for place, finding in enumerate(matter):
         if finding.tied_with:
             how = effect_of(diagnosis, place, finding.effect).separated_by.rstrip(".")
             others = _listed(finding.tied_with)
-            return f"Tell {finding.effect} apart from {others} before you build on it: {how[:1].lower()}{how[1:]}."
+            return f"Distinguish {finding.effect} from {others} before you rely on it: {how[:1].lower()}{how[1:]}."
     names = _listed([finding.effect for finding in matter])
     return f"Add {names} to the model (upright model add), and check it on a recording that it was not fitted to."
 
 
 def effect_of(diagnosis: Diagnosis, step: int, name: str) -> Effect:
-    """The effect called `name` that was looked for when finding number `step` was found."""
+    """The effect called `name` that was among the candidates when finding number `step` was found."""
     scored = diagnosis.findings[step].score_test
     assert scored is not None
     return scored.score(name).candidate.effect
 
 
 def _experiment(suggested: Mapping[str, Any]) -> str:
-    """In its own words, where it has some."""
+    """In its own words, if it has some."""
     text = suggested.get("text") or f"record {suggested['experiment']}"
     return f"Record once more, then diagnose again: {text}."

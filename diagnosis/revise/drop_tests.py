@@ -1,7 +1,7 @@
-"""Is every effect of a model still needed? Each is left out in turn, and all that is left is fitted again.
+"""Backward elimination: is every effect of a model still needed? Each is left out in turn, and the rest is refitted.
 
-An effect that was right when it was added may have become useless since another, better one came in: viscous friction
-that stood in for dry friction goes to zero once dry friction is there.
+An effect that was needed when it was added may become useless when a better one is added: viscous friction that
+imitated dry friction goes to zero once dry friction is in the model.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from telemetry.recording import Recording
 
 @dataclass(frozen=True, slots=True)
 class DropTest:
-    """`likelihood_ratio`: twice the fall of the log likelihood without the effect, chi squared of `degrees` where there
-    is no such effect. `bic_difference`: BIC without it less BIC with it. `surety`: by how many standard deviations
-    its size is away from zero."""
+    """`likelihood_ratio`: twice the fall of the log-likelihood without the effect, chi-squared with `degrees` of
+    freedom if there is no such effect. `bic_difference`: BIC without it less BIC with it. `t_ratio`: number of standard
+    deviations by which its amplitude differs from zero."""
 
     effect: str
     likelihood_ratio: float
@@ -32,12 +32,12 @@ class DropTest:
 
     @property
     def odds(self) -> float:
-        """For the effect."""
+        """Odds for the effect."""
         return exp(min(max(0.5 * self.bic_difference, -700.0), 700.0))
 
     @property
     def needed(self) -> bool:
-        """Whether the records ask for it."""
+        """Whether the records support it."""
         return asked_for(0.5 * self.likelihood_ratio, self.degrees, self.t_ratio)
 
     @property
@@ -63,27 +63,27 @@ def drop_tests(
     progress: Callable[[str, float], None] | None = None,
 ) -> list[DropTest]:
     """One test for every effect of `model`, those that can go first. Raises DataError and EstimationError."""
-    told = progress or (lambda text, share: None)
+    report = progress or (lambda text, share: None)
     if not model.effects:
         return []
     count = 1.0 + len(model.effects)
-    told("fitting the whole model", 0.0)
+    report("fitting the whole model", 0.0)
     model = ready(model, recordings)
     samples = training(model, recordings, support)
     whole = Estimated.of(alone(model, samples))
     found = []
     for place, attached in enumerate(model.effects):
-        told(f"fitting without {attached.name}", (1.0 + place) / count)
+        report(f"fitting without {attached.name}", (1.0 + place) / count)
         without = Estimated.of(alone(model.remove(attached.name), samples))
         found.append(
             DropTest(
                 effect=attached.name,
-                # What the priors gain may cost the likelihood a little.
+                # With priors the likelihood alone may fall a little when an effect is added.
                 likelihood_ratio=max(0.0, 2.0 * (whole.log_likelihood - without.log_likelihood)),
                 degrees=len(whole.values) - len(without.values),
                 bic_difference=without.bic - whole.bic,
                 t_ratio=whole.t_ratio(attached.name),
             )
         )
-    told("done", 1.0)
+    report("done", 1.0)
     return sorted(found, key=lambda each: each.bic_difference)

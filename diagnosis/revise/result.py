@@ -1,4 +1,4 @@
-"""What adding an effect did to a model: errors before and after, the error budget, and what it proves."""
+"""The result of adding an effect to a model: errors before and after, the error budget, and what it proves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from estimators.disturbance_estimate import DisturbanceEstimate
 from models.model import Model
 
 CLEARLY = 3.0
-"""Standard errors from which a difference of held-out errors counts."""
+"""Standard errors above which a difference of held-out errors counts."""
 
 Errors = Mapping[str, tuple[float, ...]]
 """Channel to RMS error at each horizon, in the channel's unit."""
@@ -20,7 +20,7 @@ Errors = Mapping[str, tuple[float, ...]]
 
 @dataclass(frozen=True, slots=True)
 class FittedParameter:
-    """`status` and `reason` as of an estimate; value and std are told also where it is not known well enough."""
+    """`status` and `reason` as in an estimate; value and std are given even if it is not known well enough."""
 
     value: float
     std: float
@@ -33,8 +33,8 @@ class FittedParameter:
 class Side:
     """The model without (before) or with (after) the effect, fitted.
 
-    `training` and `held_out` are RMS errors; `innovation_ratio` is the innovations' energy over that of a right model;
-    `disturbance` what this model leaves of one at each joint.
+    `training` and `held_out` are RMS errors; `innovation_ratio` is the innovations' energy over that of a correct
+    model; `disturbance` is the disturbance that this model leaves at each joint.
     """
 
     log_likelihood: float
@@ -48,9 +48,9 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Shares of the held-out error energy, the last horizon ahead and before the effect was added; they sum to 1.
+    """Shares of the held-out error energy at the last horizon, before the effect was added; they sum to 1.
 
-    `before` and `after` are that energy over a right model's, the mean of all channels.
+    `before` and `after` are that energy over a correct model's, the mean of all channels.
     """
 
     sensors: float
@@ -61,26 +61,26 @@ class Budget:
 
     @classmethod
     def of(cls, before: float, after: float) -> Budget:
-        """From the two energies. An effect that makes it worse has no share, and the rest is what was there before."""
+        """From the two energies. An effect that increases the error has no share; the rest is as before."""
         left = min(before, after)
         sensors = min(1.0, left)
         return cls(sensors / before, (before - left) / before, (left - sensors) / before, before, after)
 
     @property
     def fall(self) -> float:
-        """By which share the RMS error falls; negative where it rises."""
+        """Share by which the RMS error falls; negative if it rises."""
         return 1.0 - sqrt(self.after / self.before)
 
     @property
     def closed_percent(self) -> float | None:
-        """Of what exceeds a right model's error, RMS, the part that is gone; None where nothing exceeds it."""
+        """Percentage removed of the RMS error in excess of a correct model's; None if there is no excess."""
         excess = sqrt(self.before) - 1.0
         return 100.0 * (sqrt(self.before) - sqrt(self.after)) / excess if excess > 0.0 else None
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A parameter known before (CAD), and how far each fit is from that, in standard deviations of what was known."""
+    """A parameter known before (CAD), and the deviation of each fit from that, in standard deviations of the prior."""
 
     cad: float
     std: float
@@ -89,17 +89,17 @@ class Moved:
 
     @property
     def back(self) -> bool:
-        """Whether the effect let it move back towards its CAD value."""
+        """Whether it moved back towards its CAD value with the effect."""
         return abs(self.after) < abs(self.before)
 
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another effect in the place of the one that was added. `bic_difference`: its BIC less that of the added one.
+    """Another effect instead of the one that was added. `bic_difference`: its BIC less that of the added one.
 
-    `fall`: share by which the held-out RMS error falls with it. `surety`: by how many standard errors its held-out
-    error energy is below that of the added one. `correlation` of the two score directions, 0 to 1, None where this
-    record shows nothing of one of them.
+    `fall`: share by which the held-out RMS error falls with it. `t_ratio`: number of standard errors by which its
+    held-out error energy is below that of the added one. `correlation` of the two score directions, 0 to 1, None if
+    this record shows nothing of one of them.
     """
 
     effect: str
@@ -111,28 +111,28 @@ class Neighbour:
 
     @property
     def odds(self) -> float:
-        """For it, against the effect that was added."""
+        """Odds for it, against the effect that was added."""
         return exp(min(max(-0.5 * self.bic_difference, -700.0), 700.0))
 
     @property
     def better(self) -> bool:
-        """The odds are for it, and so is the data that neither was fitted to."""
+        """Whether both the odds and the held-out data are clearly for it."""
         return likelier(-0.5 * self.bic_difference) and self.t_ratio > CLEARLY
 
     @property
     def tied(self) -> bool:
-        """It explains as much: the odds are not against it, or for it without helping on held-out data."""
+        """Whether it explains as much: the odds are not against it, or are for it without a gain on held-out data."""
         return not self.better and self.odds * ODDS >= 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Revision:
-    """What `diagnosis.revise.revision.repair` tells. `model` is the one with the effect and all values fitted.
+    """The result of `diagnosis.revise.revision.revise`. `model` is the one with the effect and all values fitted.
 
-    `recordings` and `held_out` say in words what was fitted and what was tried. `horizons`: s ahead at which errors are
-    told. `floor_training` and `floor_held_out`
-    are what the sensors alone would make of a right model. `moved` are the parameters known before, by name. `surety`:
-    by how many standard deviations the effect's size is away from zero.
+    `recordings` and `held_out` say in words which data were fitted and held out. `horizons`: s ahead at which errors
+    are given. `floor_training` and `floor_held_out` are the errors of a correct model from the sensors alone. `moved`
+    are the parameters known before, by name. `t_ratio`: number of standard deviations by which the effect's amplitude
+    differs from zero.
     """
 
     model: Model
@@ -155,28 +155,28 @@ class Revision:
 
     @property
     def odds(self) -> float:
-        """For the model with the effect, against the one without, by BIC."""
+        """Odds for the model with the effect, against the one without, by BIC."""
         return exp(min(max(0.5 * (self.before.bic - self.after.bic), -700.0), 700.0))
 
     @property
     def needed(self) -> bool:
-        """Whether these records ask for the effect at all."""
+        """Whether these records support the effect at all."""
         return asked_for(*self._log_ratio, self.t_ratio)
 
     @property
     def p_value(self) -> float:
-        """Probability that chance alone gains as much likelihood."""
+        """Probability that chance alone raises the likelihood as much."""
         return by_chance(*self._log_ratio)
 
     @property
     def _log_ratio(self) -> tuple[float, int]:
-        """Log likelihood, and by how many parameters."""
-        gain = self.after.log_likelihood - self.before.log_likelihood
-        return gain, len(self.after.parameters) - len(self.before.parameters)
+        """Rise of the log-likelihood, and the number of further parameters."""
+        log_ratio = self.after.log_likelihood - self.before.log_likelihood
+        return log_ratio, len(self.after.parameters) - len(self.before.parameters)
 
     @property
     def units(self) -> dict[str, str]:
-        """Of the channels."""
+        """Units of the channels."""
         return {output.name: output.unit for output in self.model.outputs}
 
     def to_json(self) -> dict[str, Any]:

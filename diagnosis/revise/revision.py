@@ -1,14 +1,14 @@
 """A model with an effect added: does the error fall, on data it was not fitted to either, and does that prove anything?
 
-The model is fitted without and with the effect by prediction error, from the same CAD values, and both are held against
-the same records: those they were fitted to, and those that were held out. The error budget is that of the error half a
-second ahead, not of the innovations: from one row to the next the sensors' noise is nearly all there is, while what is
-missing in the equations adds up over time, and that is what a controller or a simulation meets. Channels count by their
-energy over what the sensors alone would make of a right model (diagnosis.prediction.ahead.sensor_floors), on held-out
-data.
+The model is fitted without and with the effect by prediction error, from the same CAD values, and both are compared on
+the same records: those that they were fitted to, and those that were held out. The error budget is that of the error
+half a second ahead, not of the innovations: from one sample to the next nearly all of the error is sensor noise, while
+what is missing in the equations adds up over time, and that is what matters to a controller or a simulation. Channels
+are weighted by their energy over that of a correct model with the sensors alone
+(diagnosis.prediction.ahead.sensor_floors), on held-out data.
 
 A falling error alone proves little: a neighbour, an effect that does almost the same to this record, makes it fall
-nearly as far. So the effect's neighbours are fitted too, and told with their odds.
+nearly as far. So the effect's neighbours are fitted, too, and reported with their odds.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-"""Estimated in words what is done, and the share that is over, 0 to 1."""
+"""Called with a text that says what is being done, and the share that is done, 0 to 1."""
 
 HORIZONS = (0.125, 0.5, 1.25)
-"""Time scales (estimators.data.time_scale) ahead at which errors are told, 0.05, 0.2 and 0.5 s of the MONOCAB; the last
-is that of the budget."""
+"""Time scales (estimators.data.time_scale) ahead at which errors are given, 0.05, 0.2 and 0.5 s of the MONOCAB; the
+last is that of the budget."""
 BLOCKS = 10
-"""Parts of the held-out data whose scatter tells how sure a difference between two models is."""
+"""Parts of the held-out data whose scatter gives the standard error of a difference between two models."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """Held-out data, and a right model's RMS errors there at each of `horizons` (s), (nh, ny)."""
+    """Held-out data, and a correct model's RMS errors there at each of `horizons` (s), `floor` (nh, ny)."""
 
     recordings: Sequence[Recording]
     support: float | None
@@ -70,7 +70,7 @@ class _Held:
         return errors(_on(fitted, self.recordings, self.support), self.horizons)
 
     def energy(self, found: Sequence[Array]) -> Array:
-        """Over a right model's, at the last horizon, the mean of the channels: (m,)."""
+        """Energy over a correct model's, at the last horizon, the mean of the channels: (m,)."""
         return np.asarray(np.nanmean((found[-1] / self.floor[-1]) ** 2, axis=1))
 
 
@@ -84,24 +84,24 @@ def revise(
     support: float | None = None,
     progress: Progress | None = None,
 ) -> Revision:
-    """Fit `model` without and with `effect` (at `at`, by default the first place), and tell what the error does.
+    """Fit `model` without and with `effect` (at `at`, by default the first place), and compare the errors.
 
     Its parameter values and standard deviations are the prior of all fits. Without `held_out`, the last third of each
     recording in time is held out, and everything is fitted to the first two. `support` rad: the vehicle is free where
-    its roll is less. A model of actuators alone is held against the rows from which they are diagnosed.
+    its roll is less. A model of actuators alone is compared with the samples from which they are diagnosed.
 
     Raises:
         ModelError: no such effect, or the model cannot have it.
         DataError: the recordings cannot be used; names channel and reason.
-        EstimationError: the fit fails, so there is nothing to tell.
+        EstimationError: the fit fails, so there is no result.
     """
-    told = progress or (lambda text, share: None)
+    report = progress or (lambda text, share: None)
     if of_actuators(model):
         rows = at_samples(model)
-        there, unseen = (looked_at(rows, each, support) for each in (recordings, held_out))
-        found = _revise(rows, effect, there, unseen, at, support, told)
+        fitted, tried = (looked_at(rows, each, support) for each in (recordings, held_out))
+        found = _revise(rows, effect, fitted, tried, at, support, report)
         return replace(found, model=as_recorded_rows(model, found.model))
-    found = _revise(ready(model, recordings), effect, recordings, held_out, at, support, told)
+    found = _revise(ready(model, recordings), effect, recordings, held_out, at, support, report)
     return replace(found, model=unready(model, found.model))
 
 
@@ -112,7 +112,7 @@ def _revise(
     held_out: Sequence[Recording],
     at: str,
     support: float | None,
-    told: Progress,
+    report: Progress,
 ) -> Revision:
     recordings, held_out = (
         without_rests(model, after_settling(model, each, support)) for each in (recordings, held_out)
@@ -121,18 +121,18 @@ def _revise(
     neighbours = _neighbours(model, candidate, recordings)
     training, tried = split(model, recordings, held_out, support)
     samples = fits.training(model, training, support, (candidate, *neighbours))
-    told(f"fitting without {candidate.name}", 0.0)
+    report(f"fitting without {candidate.name}", 0.0)
     without = Estimated.of(fits.alone(model, samples))
     if (with_more := released(model, without.full.fit)) is not model:
         model, without = with_more, Estimated.of(fits.alone(with_more, samples))
-    told(f"fitting with {candidate.name} and its neighbours", 0.2)
+    report(f"fitting with {candidate.name} and its neighbours", 0.2)
     found, scored = fits.each_with(
-        without.full, (candidate, *neighbours), samples, lambda text, share: told(text, 0.2 + 0.6 * share)
+        without.full, (candidate, *neighbours), samples, lambda text, share: report(text, 0.2 + 0.6 * share)
     )
     if candidate.name not in found:
-        why = samples.failed.get(candidate.name, "no fit with it ends")
+        why = samples.failed.get(candidate.name, "no fit with it succeeds")
         raise EstimationError(f"effect {candidate.name}", why, remedy="check the model with `upright compare`.")
-    told("trying them on held-out data", 0.8)
+    report("comparing them on held-out data", 0.8)
     fitted = Estimated.of(found[candidate.name])
     there = _on(fitted, tried, support)
     horizons = horizons_of(there)
@@ -157,7 +157,7 @@ def _revise(
                 separated_by=each.effect.separated_by,
             )
         )
-    told("done", 1.0)
+    report("done", 1.0)
     return Revision(
         model=fitted.model,
         effect=candidate.name,
@@ -181,7 +181,7 @@ def _revise(
 
 
 def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recording]) -> list[Candidate]:
-    """Those effects that leave almost the same as `candidate`, where the model can have them and has not yet, and their
+    """Effects that are confusable with `candidate`, if the model can have them and does not have them yet, and if their
     channels are recorded."""
     found = []
     there = {attached.effect.name for attached in model.effects}
@@ -201,8 +201,8 @@ def _neighbours(model: Model, candidate: Candidate, recordings: Sequence[Recordi
 
 
 def _over_floor(fitted: Estimated, best: Estimated) -> float:
-    """Innovation energy over what a right model leaves, whose gain is that of motion: a friction linearised at rest
-    would be a wall."""
+    """Innovation energy over that of a correct model, whose gain is linearised in motion: at rest friction is too
+    stiff."""
     task, values = shaken_as(fitted.full.fit.problem, fitted.full.fit.values, best.full.fit)
     moving = values.copy()
     moving[[task.kernel.index(name) for each in task.model.effects for name in each.amplitudes]] = 0.0
@@ -214,7 +214,7 @@ def _on(fitted: Estimated, recordings: Sequence[Recording], support: float | Non
 
 
 def horizons_of(fitted: Fit) -> tuple[float, ...]:
-    """s ahead at which errors of a fit are told."""
+    """s ahead at which errors of a fit are given."""
     scale = time_scale(fitted.problem.model, fitted.problem.segments)
     return tuple(rounded(each * scale) for each in HORIZONS)
 
@@ -223,9 +223,9 @@ def _rms(found: Sequence[Array]) -> Array:
     return np.array([np.sqrt(np.nanmean(each**2, axis=0)) for each in found])
 
 
-def _t_ratio(gain: Array) -> float:
-    """The mean of `gain` (m,) over its standard error: from blocks of rows, since neighbouring ones go together."""
-    means = np.array([np.mean(block) for block in np.array_split(gain, BLOCKS)])
+def _t_ratio(difference: Array) -> float:
+    """The mean of `difference` (m,) over its standard error, from blocks, since neighbouring samples are correlated."""
+    means = np.array([np.mean(block) for block in np.array_split(difference, BLOCKS)])
     return float(np.mean(means) / max(np.std(means, ddof=1) / np.sqrt(BLOCKS), 1e-300))
 
 
@@ -234,7 +234,7 @@ def _by_channel(rms: Array, outputs: Sequence[str]) -> Errors:
 
 
 def _side(fitted: Estimated, best: Estimated, held_out: Array, horizons: Sequence[float]) -> Side:
-    """Of one model, beside the disturbance that the `best` leaves."""
+    """One model, with the disturbance that the `best` leaves."""
     outputs = fitted.full.fit.problem.kernel.outputs
     parameters = {
         name: FittedParameter(fitted.values[name], fitted.deviations[name], each.unit, each.status.value, each.reason)

@@ -1,4 +1,4 @@
-"""What a model is fitted to, and what it is then tried on: recordings of their own, or the last third of each."""
+"""The data that a model is fitted to, and those that are held out: other recordings, or the last third of each."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from models.model import Model
 from telemetry.recording import Recording
 
 TRAINING = 2.0 / 3.0
-"""Share of a recording's usable rows, in time, that is fitted where no recording is held out."""
+"""Share of a recording's usable samples, in time, that is fitted if no recording is held out."""
 
 
 def split(
     model: Model, recordings: Sequence[Recording], held_out: Sequence[Recording], support: float | None = None
 ) -> tuple[list[Recording], list[Recording]]:
-    """What to fit and what to try, both non-empty. Raises DataError where `recordings` cannot be used at all."""
+    """The data to fit and to hold out, both non-empty. Raises DataError if `recordings` cannot be used at all."""
     if held_out:
         return list(recordings), list(held_out)
     training, tried = [], []

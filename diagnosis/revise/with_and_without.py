@@ -1,6 +1,6 @@
-"""The fits that a revision compares: a model alone, and with one effect more, by the engine of the search.
+"""The fits that a revision compares: a model alone, and with one more effect, by the engine of the search.
 
-So `upright model add`, `upright model drop-test` and `upright diagnose` say the same of one effect on the same samples.
+So `upright model add`, `upright model drop-test` and `upright diagnose` agree about an effect on the same samples.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from models.model import Model
 from telemetry.recording import Recording
 
 UNKNOWN = 1e6
-"""Typical sizes: the largest standard deviation that is reported, of a parameter that the record does not determine."""
+"""The largest standard deviation that is reported, in typical sizes, if the record does not determine a parameter."""
 DETERMINED = (Status.OK, Status.AT_BOUND)
-"""Of a shape that a record determines."""
+"""Statuses of a shape that a record determines."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """A fit in numbers: what it estimates, and of every estimated parameter, by name, `values` and `deviations`, also
-    of those that `estimate` does not determine. `bic` = parameters ln(rows) - 2 log likelihood."""
+    """A fit in numbers: its `estimate`, and `values` and `deviations` by name of every estimated parameter, including
+    those that `estimate` does not determine. `bic` = parameters ln(rows) - 2 log-likelihood."""
 
     full: FullFit
     estimate: Estimate
@@ -70,7 +70,7 @@ class Estimated:
         return self.full.model.change(self.values, deviations=self.deviations)
 
     def t_ratio(self, effect: str) -> float:
-        """As of diagnosis.fits.refit.t_ratio; infinite for an `effect` none of whose amplitudes is estimated."""
+        """As diagnosis.fits.refit.t_ratio; infinite for an `effect` none of whose amplitudes is estimated."""
         attached = next(each for each in self.full.model.effects if each.name == effect)
         return t_ratio(self.full, effect) if set(attached.amplitudes) & set(self.values) else float("inf")
 
@@ -78,10 +78,10 @@ class Estimated:
 def alone(model: Model, workspace: Workspace) -> FullFit:
     """The fit of `model` to the samples of `workspace`, its CAD values as prior.
 
-    Effects that nothing is known of from before are started from zero as well as from the model's values, since a large
-    friction may be no start at all: at rest, where the first filter gain is made, it is all there is.
+    Effects without a prior are started from zero as well as from the model's values, since a fit may fail to start from
+    a large friction: at rest, where the first filter gain is computed, it dominates everything else.
 
-    Raises EstimationError where the model diverges. A fit that did not settle says so in its estimate.
+    Raises EstimationError if the model diverges. A fit that did not converge says so in its estimate.
     """
     neutral = model.change({
         name: 0.0 for each in model.effects for name in each.amplitudes
@@ -103,39 +103,39 @@ def each_with(
     base: FullFit,
     candidates: Sequence[Candidate],
     workspace: Workspace,
-    tell: Callable[[str, float], None],
+    report: Callable[[str, float], None],
 ) -> tuple[dict[str, FullFit], ScoreTest]:
-    """The model of `base` with each of `candidates`, by name, without those that no fit of ends; and their score test.
+    """The model of `base` with each of `candidates`, by name, without those whose fits all fail; and their score test.
 
-    By its finer formula where the record asks for it. A shape that the record does not determine is held at its usual
-    value.
+    A candidate has its finer formula if the record supports it. A shape that the record does not determine is held at
+    its usual value.
     """
     workspace = replace(workspace, candidates=tuple(candidates))
     scored = tried(partial(look, base, workspace)) or ScoreTest((), {})
-    fits = each_fitted(base, scored, workspace, tell)
+    fits = each_fitted(base, scored, workspace, report)
     likeliest = sorted(fits.values(), key=lambda each: -each.evidence)
     return {each.name: _shapes_held(each, workspace) for each in finest(likeliest, workspace)}, scored
 
 
 def _shapes_held(fitted: FullFit, workspace: Workspace) -> FullFit:
-    """`fitted` with those shapes of its effect held at their usual values that the record does not determine, unless it
-    is likelier with them free: several together may be determined that one by one are not."""
+    """`fitted` with the shapes of its effect held at their usual values that the record does not determine, unless it
+    is more likely with them free: several may be determined together that are not determined one by one."""
     candidate = fitted.candidate
     assert candidate is not None
     attached = next(each for each in fitted.model.effects if each.name == fitted.name)
     shapes = [p.name for p in attached.parameters if p.estimated and p.name not in attached.amplitudes]
     estimates = result(fitted.fit, 0.0).parameters
-    silent = [name for name in shapes if estimates[name].status not in DETERMINED]
-    if not silent:
+    undetermined = [name for name in shapes if estimates[name].status not in DETERMINED]
+    if not undetermined:
         return fitted
     usual = {p.name: p.value for p in fitted.model.remove(fitted.name).add(attached.effect, attached.at).parameters}
     known = {name: value for name, value in fitted.fitted.values.items() if name.startswith(f"{fitted.name}.")}
     held = fitted.model.change(
-        {**known, **{name: usual[name] for name in silent}},
-        estimated=[p.name for p in fitted.model.parameters if p.estimated and p.name not in silent],
+        {**known, **{name: usual[name] for name in undetermined}},
+        estimated=[p.name for p in fitted.model.parameters if p.estimated and p.name not in undetermined],
     )
     end = fitted.fit.end
-    begin = replace(end, values={name: value for name, value in end.values.items() if name not in silent})
+    begin = replace(end, values={name: value for name, value in end.values.items() if name not in undetermined})
     again = tried(partial(full, held, workspace, candidate, begin))
     if again is None or not again.fit.minimum.converged or likelier(fitted.evidence - again.evidence):
         return fitted

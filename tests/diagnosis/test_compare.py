@@ -78,7 +78,7 @@ def test_dry_friction_of_the_virtual_vehicle_goes_with_the_roll_rate() -> None:
     model = virtual_records.true_model()
     (comparison,) = compare({"truth": model}, [virtual_records.multisine("coulomb_friction", seed=3)], support=SUPPORT)
     assert not comparison.adequate
-    assert any("It goes with roll_rate" in sentence for sentence in comparison.summary)
+    assert any("The missing force depends on roll_rate" in sentence for sentence in comparison.summary)
     by_rate = [entry for entry in comparison.fails["state"] if entry["coordinate"] == "roll_rate"]
     outer = [entry for entry in by_rate if entry["from"] * entry["to"] > 0.0]
     assert len(outer) >= 2

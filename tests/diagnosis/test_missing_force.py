@@ -58,7 +58,7 @@ class TestSettled:
 
     def test_one_that_grows_unseen_is_said(self) -> None:
         growing = np.array([[0.9, 0.0, 0.2], [0.0, 1.1, 0.0], [0.0, 0.0, 1.0]])
-        with pytest.raises(EstimationError, match="cannot be told with this predictor"):
+        with pytest.raises(EstimationError, match="cannot be estimated with this predictor"):
             _settled(growing, self.OUTPUT, self.DRIVEN, np.ones(3))
 
 

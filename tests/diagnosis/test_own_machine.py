@@ -102,7 +102,7 @@ def test_a_command_that_is_early_is_no_effect(early: float, model: Path, tmp_pat
 def test_what_no_catalogue_has_is_unknown(effect: str, model: Path, tmp_path: Path) -> None:
     found = diagnosed(model, tmp_path, UNLISTED[effect])
     assert found["verdict"] == "unknown"
-    assert "goes with rate" in found["reason"]
+    assert "depends on rate" in found["reason"]
 
 
 def test_where_nothing_is_missing_nothing_is_found(model: Path, tmp_path: Path) -> None:

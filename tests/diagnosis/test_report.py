@@ -123,7 +123,7 @@ class TestWhatWasFound:
         torque = found().findings[0].parameters["coulomb_friction.torque"].value
         least = found().score_tests[0].score("coulomb_friction").detectable
         assert torque is not None
-        row = page().text.split("smallest to show")[1].split("Probability:")[0]
+        row = page().text.split("smallest detectable")[1].split("Probability:")[0]
         assert f"torque = {torque:.2f} ±" in row
         assert f"torque = {least:.2g} N m" in row
 
@@ -137,7 +137,7 @@ class TestWhatWasFound:
         assert "coulomb_friction.torque N m" in row
 
     def test_what_was_not_looked_at_has_its_reason(self) -> None:
-        rest = page().text.split("What was not looked at")[1]
+        rest = page().text.split("What was not tested")[1]
         reason = (found().left_out or {})["gyro_bias"].removeprefix("effect gyro_bias: ")
         assert reason
         assert f"gyro_bias {reason}" in rest
@@ -159,20 +159,20 @@ class TestWhatShakesTheVehicle:
         limit = found().prediction_limit
         assert limit is not None
         error = np.degrees(limit.disturbed["roll"])
-        assert f"The best possible prediction 0.5 s ahead has {error:.2g} deg RMS in roll" in page().text
+        assert f"The best possible prediction 0.5 s ahead has an error of {error:.2g} deg RMS in roll" in page().text
 
     def test_the_share_of_the_error_stands_beside_each_finding(self) -> None:
         relevance = found().findings[0].relevance
         assert relevance is not None
         section = page().text.split("Which effect")[1].split("probability")[0]
-        assert "makes of the error0.5 s ahead" in section
+        assert "share of the error0.5 s ahead" in section
         assert percent(relevance.ahead) in section
 
     def test_what_is_negligible_stands_apart_and_makes_no_headline(self) -> None:
         shown_page = Page(write_report(of_little_matter(), MODEL, [record()], support=VEHICLE.support))
         assert "Negligible effect: nothing is missing that matters" in shown_page.text
         assert "may be left out" in headline(of_little_matter()).next_step
-        above, below = shown_page.text.split("no controller would miss it.")
+        above, below = shown_page.text.split("as good without them.")
         assert found().findings[0].definition.title in below
         assert "Its nearest neighbour" not in above
 
@@ -208,7 +208,7 @@ class TestOtherVerdicts:
         text = write_report(told, MODEL, [record()], support=VEHICLE.support, provenance=PROVENANCE)
         shown_page = Page(text)
         assert shown_page.figures == []
-        assert "Insufficient data: these recordings cannot tell" in shown_page.text
+        assert "Insufficient data: these recordings cannot show" in shown_page.text
         assert "Roll <of> the vehicle: never moves. Remedy: excite it." in shown_page.text
         assert HASH in shown_page.text
         assert "Parameters" not in shown_page.text
@@ -237,7 +237,7 @@ class TestOtherVerdicts:
         finding = replace(found().findings[0], tied_with=("viscous_friction",))
         told = headline(replace(found(), findings=(finding,)))
         assert "coulomb_friction or viscous_friction" in told.text
-        assert "apart from viscous_friction" in told.next_step
+        assert "Distinguish coulomb_friction from viscous_friction" in told.next_step
 
     def test_a_suggested_experiment_is_the_next_step(self) -> None:
         suggested = {"experiment": "sweep", "text": "60 s of sweep separates a from b"}

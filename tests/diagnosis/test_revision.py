@@ -133,7 +133,7 @@ def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Revision
     assert dry.better
     assert dry.fall > 0.8
     text = " ".join(in_words(wrong))
-    assert "viscous_friction stands in for it" in text
+    assert "viscous_friction imitates it" in text
     assert "proves little" in text
     assert "What would separate viscous_friction" in text
     assert "score directions correlate 0." in text
@@ -229,7 +229,7 @@ def test_an_effect_that_is_not_there_is_not_asked_for() -> None:
     recording = carriage(coulomb=0.0, seed=5)
     answer = revise(bare().add("viscous_friction"), "coulomb_friction", [recording])
     assert not answer.needed
-    assert "do not ask for it" in " ".join(in_words(answer))
+    assert "do not support it" in " ".join(in_words(answer))
     assert answer.budget.effect < 0.2
 
 

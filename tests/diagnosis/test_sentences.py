@@ -80,11 +80,12 @@ def test_what_is_untried_has_its_remedy() -> None:
 def test_what_matters_is_said_first_and_whole() -> None:
     large, small = finding("viscous_friction", 10.0, 43.0), finding("sensor_lag", 90.0, 0.2)
     assert together([large, small]) == (
-        "viscous_friction explained sensor_lag is detectable but negligible: it makes 0.2 % of the error 0.5 s ahead."
+        "viscous_friction explained sensor_lag is detectable but negligible: "
+        "it accounts for 0.2 % of the error energy 0.5 s ahead."
     )
     assert together([small]).startswith("nothing is missing that matters. sensor_lag is detectable")
     assert mattering(Diagnosis(Verdict.MISSING_EFFECT, "", (large, small))) == [large]
-    assert (percent(43.2), percent(0.34), percent(0.0)) == ("43 %", "0.3 %", "nothing")
+    assert (percent(43.2), percent(0.34), percent(0.0)) == ("43 %", "0.3 %", "none")
 
 
 def test_of_two_parts_the_one_that_matters_comes_first_and_all_that_is_untried_is_told() -> None:

@@ -65,7 +65,7 @@ def test_a_hardening_spring_is_found_by_position() -> None:
     found = planted(lambda time, position, rate: -300.0 * position**3)
     assert not found.adequate
     words = summary(found.fails)
-    assert any("It goes with position" in sentence for sentence in words)
+    assert any("The missing force depends on position" in sentence for sentence in words)
     outer = [entry for entry in found.fails["state"] if entry["coordinate"] == "position"]
     assert outer
     assert {entry["joint"] for entry in outer} == {"axis"}
@@ -85,7 +85,7 @@ def test_a_wrong_mass_fails_but_not_by_state() -> None:
     found = looked_at(axis_plant.record(), inertia=2.2)
     assert found.fails["equation"]
     assert not found.fails["state"]
-    assert any("other values of its estimated parameters" in sentence for sentence in summary(found.fails))
+    assert any("other values of the estimated parameters" in sentence for sentence in summary(found.fails))
 
 
 def test_several_recordings_are_one_test_that_says_which_of_them_fails() -> None:

@@ -76,7 +76,7 @@ class TestNames:
         assert found.verdict is Verdict.UNKNOWN
         assert found.unexplained is not None
         assert found.unexplained.shape is not None
-        assert found.unexplained.shape.name == "roll swinging in time"
+        assert found.unexplained.shape.name == "roll times a sinusoid in time"
 
     def test_a_damping_of_one_side_is_no_step(self) -> None:
         # Four times the size that the record would just show, which a step and play had explained between them.

@@ -30,9 +30,9 @@ LARGEST = 3_000_000
 VOID = frozenset({"meta", "br", "link", "img", "input", "hr"})
 FIGURES = (
     "Measured and predicted, by channel, and the prediction errors",
-    "Innovation energy over that of noise, by time and by frequency",
+    "Innovation energy relative to noise, by time and by frequency",
     "Mean missing force by coordinate",
-    "Innovation energy over that of noise, step by step",
+    "Innovation energy relative to noise, step by step",
 )
 
 

@@ -91,7 +91,7 @@ def test_added_it_does_not_show_any_more() -> None:
 def test_a_model_that_falls_over_has_no_number_but_a_reason() -> None:
     # A fiftieth of the torque that the motors have: the supply's limit is reached, and the body tips.
     loop = in_the_loop(recorded("square"), TRUTH.change({"motor_constant": 5.6e-4, "armature_resistance": 20.0}))
-    assert "tilt passes the 8 deg at which the robot has fallen" in loop.reason
+    assert "tilt exceeds the 8 deg at which the robot has fallen" in loop.reason
     assert loop.to_json() == {
         "available": False,
         "reason": loop.reason,

@@ -1,1 +1,1 @@
-"""Figures of reports and of --picture: one module a result, drawn by drawing and matplotlib."""
+"""Figures of reports and of --picture: one module per result, drawn by drawing and matplotlib."""

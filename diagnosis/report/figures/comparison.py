@@ -1,6 +1,6 @@
 """Pictures of a comparison: prediction over measurement, its error by horizon, and the four views of where it fails.
 
-Drawn without pyplot: no display, no global state. Angles in degrees; a colour a model.
+Drawn without pyplot: no display, no global state. Angles in degrees; one colour per model.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def save_comparison(comparisons: Sequence[Comparison], path: Path) -> None:
 
 
 def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
-    """Overlay and errors by horizon; the closed loop where there is one; missing force by time; energies by time and
+    """Overlay and errors by horizon; the closed loop if there is one; missing force by time; energies by time and
     frequency; missing force by every coordinate."""
     joints = [force.joint for force in comparisons[0].views.forces]
     places = _places(comparisons)
@@ -58,7 +58,7 @@ def comparison_figure(comparisons: Sequence[Comparison]) -> Figure:
     for comparison, colour in zip(comparisons, colours, strict=False):
         _steps(by_time, comparison.views.by_time, colour, comparison.fails["time"], ("from", "to"))
         _steps(by_frequency, comparison.views.by_frequency, colour, comparison.fails["frequency"], ("from_hz", "to_hz"))
-    by_time.set(xlabel="s", ylabel="innovation energy over floor", title="by time", yscale="log")
+    by_time.set(xlabel="s", ylabel="innovation energy / floor", title="by time", yscale="log")
     by_frequency.set(xlabel="Hz", title="by frequency", xscale="log", yscale="log")
     for place, (joint, coordinate) in enumerate(places):
         row, column = divmod(place, COLUMNS)
@@ -94,14 +94,14 @@ def _overlay(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[ob
         verdict = "adequate" if comparison.adequate else "not adequate"
         if shown and channel in shown[-1].predicted:
             last = shown[-1]
-            gaps = np.where(np.diff(last.stretch, prepend=last.stretch[0]) != 0, np.nan, 0.0)
+            gaps = np.where(np.diff(last.segment, prepend=last.segment[0]) != 0, np.nan, 0.0)
             fit = f"{last.horizon:g} s ahead: {last.fit_percent(channel):.1f} %"
             label = f"{comparison.name}, {fit}, {verdict}"
             axes.plot(last.time, factor * last.predicted[channel] + gaps, color=colour, lw=0.9, label=label)
         else:
             axes.plot([], [], color=colour, label=f"{comparison.name}, {verdict}")
     measured = np.concatenate([segment.measured[:, names.index(channel)] for segment in task.segments]) * factor
-    # A model that runs away is to leave the measurement in view.
+    # If a model diverges, the measurement has to stay in view.
     low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     reach = max(high - low, 1e-12)
     axes.set_ylim(low - 0.25 * reach, high + (0.25 + LEGEND_ROOM) * reach)
@@ -118,17 +118,17 @@ def _horizons(axes: Axes, comparisons: Sequence[Comparison], colours: Sequence[o
             label = channel if comparison is comparisons[0] else None
             axes.plot(horizons, ratios, marker, ls="-", color=colour, ms=4, lw=0.9, label=label)
     axes.axhline(1.0, color=FLOOR, linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel="error over floor")
+    axes.set(xscale="log", yscale="log", xlabel="s ahead", ylabel="error / floor")
     axes.legend(fontsize=8)
 
 
 def _closed_loop(axes: Axes, loop: ClosedLoop, comparisons: Sequence[Comparison], colours: Sequence[object]) -> None:
-    """The first channel of the loop, recorded, and as each model goes on in it from the start of the excitation."""
+    """The first channel of the loop, as recorded and as simulated with each model from the start of the excitation."""
     channel = next(iter(loop.measured))
     outputs = {output.name: output.unit for each in comparisons for output in each.innovations.problem.model.outputs}
     factor, unit = _shown(outputs.get(channel, ""))
     measured = factor * loop.measured[channel]
-    gaps = np.where(np.diff(loop.stretch, prepend=loop.stretch[0]) != 0, np.nan, 0.0)
+    gaps = np.where(np.diff(loop.part, prepend=loop.part[0]) != 0, np.nan, 0.0)
     axes.plot(loop.time, measured + gaps, color="0.75", lw=2.5, label="measured")
     for comparison, colour in zip(comparisons, colours, strict=False):
         each = comparison.closed_loop
@@ -136,7 +136,7 @@ def _closed_loop(axes: Axes, loop: ClosedLoop, comparisons: Sequence[Comparison]
             label = (
                 f"{comparison.name}: {each.fit_percent(channel):.1f} %, {each.over_floor(channel):.3g} times the floor"
             )
-            gaps = np.where(np.diff(each.stretch, prepend=each.stretch[0]) != 0, np.nan, 0.0)
+            gaps = np.where(np.diff(each.part, prepend=each.part[0]) != 0, np.nan, 0.0)
             axes.plot(each.time, factor * each.simulated[channel] + gaps, color=colour, lw=0.9, label=label)
         else:
             axes.plot([], [], color=colour, label=f"{comparison.name}: {each.reason}")
@@ -159,7 +159,7 @@ def _force_by_time(axes: Axes, forces: Sequence[MissingForce], colours: Sequence
 def _steps(
     axes: Axes, energies: Sequence[Energy], colour: object, fails: Sequence[dict[str, object]], ends: tuple[str, str]
 ) -> None:
-    """A level for each part of the record, the channel that is worst; bold where it fails."""
+    """A horizontal line for each part of the record, at its worst channel; bold if it fails."""
     failing = {(entry[ends[0]], entry[ends[1]]) for entry in fails}
     worst: dict[tuple[float, float], float] = {}
     for each in energies:
@@ -173,7 +173,7 @@ def _steps(
 
 
 def _by_coordinate(axes: Axes, comparison: Comparison, joint: str, coordinate: str, colour: object) -> None:
-    """The missing force row by row, and the means by bins of what no other parameter values would mend."""
+    """The missing force by sample, and the means by bins of what no other parameter values would explain."""
     binned = next(
         (each for each in comparison.views.binned if (each.joint, each.coordinate.name) == (joint, coordinate)), None
     )
@@ -194,7 +194,7 @@ def _by_coordinate(axes: Axes, comparison: Comparison, joint: str, coordinate: s
 
 
 def _bars(binned: Binned) -> tuple[Array, Array, Array]:
-    """Edges, mean forces and standard deviations, NaN where a bin tells nothing."""
+    """Edges, mean forces and standard deviations, NaN for a bin that determines no force."""
     unknown = float("nan")
     forces = [unknown if term is None else term.force for term in binned.terms]
     deviations = [unknown if term is None else term.std for term in binned.terms]
@@ -202,7 +202,7 @@ def _bars(binned: Binned) -> tuple[Array, Array, Array]:
 
 
 def _shown(unit: str) -> tuple[float, str]:
-    """Factor and unit in which a person reads it."""
+    """Factor and unit in which people read it."""
     if unit.startswith("rad"):
         return float(np.degrees(1.0)), unit.replace("rad", "deg", 1)
     return 1.0, unit

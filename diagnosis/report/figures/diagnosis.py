@@ -38,17 +38,17 @@ BAND = 2.0
 """Standard deviations of a band."""
 COLUMNS = 3
 MOST_PANELS = 9
-"""Coordinates by which the missing force is shown, those that explain most of it."""
+"""Coordinates by which the missing force is shown: those that explain most of it."""
 MOST_IN_ONE_LINE = 4
 """Steps whose names fit beside each other."""
 IN_A_ROW = "s, the recordings one after the other"
 HIGHEST = 99.5
-"""Percentile of the errors that the figure shows: a model that runs away leaves the others in view."""
+"""Percentile of the errors that the figure shows: if a model diverges, the others stay in view."""
 
 
 @styled
 def overlay(comparisons: Sequence[Comparison], name: str = "overlay") -> str:
-    """Every channel: measured, predicted by each model, and below it the errors within the band that noise makes."""
+    """Every channel: measured, predicted by each model, and below it the errors with the band due to noise."""
     ahead = [_shown(each) for each in comparisons]
     task = comparisons[0].innovations.problem
     channels = [output for output in task.model.outputs if output.name in task.kernel.outputs]
@@ -75,7 +75,7 @@ def overlay(comparisons: Sequence[Comparison], name: str = "overlay") -> str:
     panels[-1].set_xlabel("s" if len(firsts) < 2 else IN_A_ROW)
     handles, labels = panels[0].get_legend_handles_labels()
     handles.append(Patch(color="0.88"))
-    labels.append(f"what noise and disturbance make (±{BAND:g} std)")
+    labels.append(f"noise and disturbance alone (±{BAND:g} std)")
     figure.legend(handles, labels, loc="outside upper left", ncols=4)
     return svg(figure, name, "Measured and predicted, by channel, and the prediction errors")
 
@@ -93,8 +93,8 @@ def _ends(comparison: Comparison) -> tuple[list[float], list[float]]:
 def _predicted(
     upper: Axes, lower: Axes, ahead: Prediction, channel: str, factor: float, shifts: Array, look: Look, name: str
 ) -> None:
-    gaps = np.where(np.diff(ahead.stretch, prepend=ahead.stretch[0]) != 0, np.nan, 0.0)
-    time = ahead.time + shifts[ahead.stretch]
+    gaps = np.where(np.diff(ahead.segment, prepend=ahead.segment[0]) != 0, np.nan, 0.0)
+    time = ahead.time + shifts[ahead.segment]
     predicted = factor * ahead.predicted[channel] + gaps
     error = factor * (ahead.measured[channel] - ahead.predicted[channel]) + gaps
     time, predicted, error = thinned(time, predicted, error)
@@ -103,7 +103,7 @@ def _predicted(
 
 
 def _limits(upper: Axes, lower: Axes, ahead: Sequence[Prediction], channel: str, factor: float) -> None:
-    """A model that runs away is to leave the measurement in view."""
+    """Set the limits so that the measurement stays in view if a model diverges."""
     if not ahead:
         return
     measured = factor * ahead[-1].measured[channel]
@@ -119,7 +119,7 @@ def _limits(upper: Axes, lower: Axes, ahead: Sequence[Prediction], channel: str,
 
 @styled
 def energies(comparisons: Sequence[Comparison], name: str = "energies") -> str:
-    """Innovation energy over the floor, by time and by frequency; what noise does not explain has a marker."""
+    """Innovation energy over the floor, by time and by frequency, with a marker where noise does not explain it."""
     figure = Figure(figsize=(WIDTH, 2.5), layout="constrained")
     by_time, by_frequency = figure.subplots(1, 2, width_ratios=(1.7, 1.0), sharey=True)
     for comparison, look in zip(comparisons, looks(len(comparisons)), strict=True):
@@ -138,14 +138,14 @@ def energies(comparisons: Sequence[Comparison], name: str = "energies") -> str:
     several = len({segment.source for segment in comparisons[0].innovations.problem.segments}) > 1
     by_frequency.set(xscale="log", xlabel="Hz", title="by frequency")
     by_frequency.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    by_time.set(xlabel=IN_A_ROW if several else "s", ylabel="innovation energy\nover that of noise", title="by time")
+    by_time.set(xlabel=IN_A_ROW if several else "s", ylabel="innovation energy\nrelative to noise", title="by time")
     handles, labels = by_time.get_legend_handles_labels()
     markers = tuple(Line2D([], [], **look.points, markersize=4) for look in looks(len(comparisons)))
     handles += [markers, Line2D([], [], color=FLOOR, linewidth=1.4)]
     labels += ["more than noise explains", "noise alone"]
     both = {tuple: HandlerTuple(ndivide=None)}
     figure.legend(handles, labels, loc="outside upper left", ncols=4, handler_map=both)
-    return svg(figure, name, "Innovation energy over that of noise, by time and by frequency")
+    return svg(figure, name, "Innovation energy relative to noise, by time and by frequency")
 
 
 Level = tuple[float, float, float, bool]
@@ -196,7 +196,7 @@ def _levels(axes: Axes, levels: Sequence[Level], look: Look, name: str) -> None:
 
 @styled
 def forces(comparisons: Sequence[Comparison], name: str = "forces") -> str:
-    """The mean missing force by each coordinate, with bands; empty where the record tells it by none."""
+    """The mean missing force by each coordinate, with bands; empty if the record determines it for none."""
     ranked: dict[tuple[str, str], float] = {}
     for comparison in comparisons:
         for each in comparison.views.binned:
@@ -260,13 +260,13 @@ def staircase(names: Sequence[str], ratios: Sequence[float]) -> str:
         "noise alone", (1.0, 1.0), xycoords=("axes fraction", "data"), xytext=(-2, 2), textcoords="offset points",
         ha="right", va="bottom", color=FLOOR, fontsize=7,
     )  # fmt: skip
-    # Room for three steps at least, and on the right for the words.
+    # Space for three steps at least, and on the right for the words.
     right = max(len(names), 3)
-    axes.set(yscale="log", ylabel="innovation energy\nover that of noise", xlim=(-0.6, 1.12 * right - 0.4))
+    axes.set(yscale="log", ylabel="innovation energy\nrelative to noise", xlim=(-0.6, 1.12 * right - 0.4))
     axes.set_ylim(lowest, 2.0 * max(*ratios, 1.0))
     broken = [name.replace("_", "_\n") if len(names) > MOST_IN_ONE_LINE else name for name in names]
     axes.set_xticks(places, broken, parse_math=False)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.grid(False, axis="x")
-    return svg(figure, "staircase", "Innovation energy over that of noise, step by step")
+    return svg(figure, "staircase", "Innovation energy relative to noise, step by step")

@@ -1,7 +1,7 @@
 """How the report's figures look: inline SVG whose text is text, in colours that differ in lightness, too.
 
-Before is orange, dashed and hollow, after is blue, full and filled: either tells them apart without the other, for
-people who see no red or green and for paper without colour. Drawn without pyplot: no display, no global state.
+Before is orange, dashed and hollow, after is blue, solid and filled: colour and style each suffice to distinguish them,
+for colour-blind readers and for paper without colour. Drawn without pyplot: no display, no global state.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from models.model import Model
 Array = NDArray[np.float64]
 
 WIDTH = 7.2
-"""in, about what A4 leaves between its margins: text is as large on paper as it says here."""
+"""Inches, about the width of A4 between its margins: text has the stated size on paper."""
 MOST_POINTS = 1500
-"""Of a curve: more than paper or a screen of that width shows."""
+"""Points of a curve: more than paper or a screen of that width shows."""
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "upright",
@@ -52,7 +52,7 @@ MEASURED, FLOOR = "0.72", "0.35"
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Of one model's curves."""
+    """The look of one model's curves."""
 
     colour: str
     dash: Any
@@ -83,7 +83,7 @@ OTHERS = (
 
 
 def looks(count: int) -> tuple[Look, ...]:
-    """Of a model alone, which is as it stays, or of one before and after; of more, each its own as far as they go."""
+    """The looks of `count` models: of one alone, of one before and after, or of more; after the last they repeat."""
     return (AFTER,) if count == 1 else tuple(islice(cycle((BEFORE, AFTER, *OTHERS)), count))
 
 
@@ -99,7 +99,7 @@ def styled(draw: Callable[..., str]) -> Callable[..., str]:
 
 
 def svg(figure: Figure, name: str, label: str) -> str:
-    """`figure` as an element of a page, read out as `label`. `name` keeps its ids apart from those of others."""
+    """`figure` as an element of a page, read out as `label`. `name` distinguishes its ids from those of others."""
     text = StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     body = text.getvalue()
@@ -108,7 +108,7 @@ def svg(figure: Figure, name: str, label: str) -> str:
     body = re.sub(r'\bid="', f'id="{name}-', body)
     body = re.sub(r'href="#', f'href="#{name}-', body)
     body = body.replace("url(#", f"url(#{name}-")
-    # Whoever lacks the font that the layout was made for gets one as wide.
+    # If the font that the layout was made for is missing, one of the same width is used.
     body = body.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
     # A hundredth of a point is finer than any printer.
     body = re.sub(r'\b(?:d|x|y|transform)="[^"]*"', lambda found: re.sub(r"(\d\.\d\d)\d+", r"\1", found[0]), body)
@@ -118,25 +118,25 @@ def svg(figure: Figure, name: str, label: str) -> str:
 
 
 def thinned(*columns: Array) -> list[Array]:
-    """Every so many points of a curve, the same of all `columns`."""
+    """Every so many points of a curve, the same for all `columns`."""
     step = max(1, -(-len(columns[0]) // MOST_POINTS))
     return [column[::step] for column in columns]
 
 
 def shown(unit: str) -> tuple[float, str]:
-    """Factor and unit in which a person reads it: angles in degrees."""
+    """Factor and unit in which people read it: angles in degrees."""
     if unit.startswith("rad"):
         return float(np.degrees(1.0)), unit.replace("rad", "deg", 1)
     return 1.0, unit
 
 
 def units(model: Model) -> dict[str, str]:
-    """Of what a model takes and gives, by name."""
+    """Units of a model's inputs and outputs, by name."""
     return {each.name: each.unit for each in model.inputs} | {each.name: each.unit for each in model.outputs}
 
 
 def in_a_row(begins: Sequence[float], ends: Sequence[float]) -> Array:
-    """s by which each part of several recordings is shifted to stand after the one before, (n,).
+    """s by which each part of several recordings is shifted to follow the one before, (n,).
 
     Parts are in order; where time goes back, another recording begins.
     """
@@ -155,7 +155,7 @@ def file_name(source: str) -> str:
 
 
 def separate(axes: Axes, begins: Sequence[float], names: Sequence[str]) -> None:
-    """Where each recording begins, and its name, where there are several."""
+    """Mark where each recording begins, with its name, if there are several."""
     if len(begins) < 2:
         return
     for begin, name in zip(begins, names, strict=True):

@@ -1,4 +1,4 @@
-"""The report's figure of the closed loop: each channel as recorded and as each model goes on from the excitation on."""
+"""The report's figure of the closed loop: each channel as recorded and as simulated from the excitation on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from diagnosis.report.figures.drawing import MEASURED, WIDTH, Array, in_a_row, l
 
 @styled
 def closed_loop(comparisons: Sequence[Comparison], name: str = "loop") -> str:
-    """Every channel of the loop: recorded, simulated with each model, and the differences; "" where there is none."""
+    """Every channel of the loop: recorded, simulated with each model, and the differences; "" if there is no loop."""
     simulated = [(each, look) for each, look in zip(comparisons, looks(len(comparisons)), strict=True)]
     simulated = [(each, look) for each, look in simulated if each.closed_loop.measured]
     if not simulated:
@@ -45,18 +45,18 @@ def closed_loop(comparisons: Sequence[Comparison], name: str = "loop") -> str:
         lower.set_ylim(-1.1 * max(most, 1.5 * floor), 1.1 * max(most, 1.5 * floor))
         upper.set_ylabel(f"{channel}, {unit}")
         lower.set_ylabel(f"error, {unit}")
-    panels[-1].set_xlabel("s" if not first.closed_loop.stretch.any() else IN_A_ROW)
+    panels[-1].set_xlabel("s" if not first.closed_loop.part.any() else IN_A_ROW)
     handles, labels = panels[0].get_legend_handles_labels()
     handles.append(Patch(color="0.88"))
-    labels.append(f"what noise and disturbance make (±{BAND:g} std)")
+    labels.append(f"noise and disturbance alone (±{BAND:g} std)")
     figure.legend(handles, labels, loc="outside upper left", ncols=4)
     return svg(figure, name, "Recorded and simulated in the closed loop, by channel, and the differences")
 
 
 def _in_a_row(loop: ClosedLoop, *columns: Array) -> list[Array]:
-    """Its time with one recording after the other, and `columns` with a gap between them."""
-    numbers = np.unique(loop.stretch)
-    parts = [loop.time[loop.stretch == number] for number in numbers]
+    """The time of `loop` with one recording after the other, and `columns` with gaps between the recordings."""
+    numbers = np.unique(loop.part)
+    parts = [loop.time[loop.part == number] for number in numbers]
     shifts = in_a_row([float(part[0]) for part in parts], [float(part[-1]) for part in parts])
-    gaps = np.where(np.diff(loop.stretch, prepend=loop.stretch[0]) != 0, np.nan, 0.0)
-    return [loop.time + shifts[np.searchsorted(numbers, loop.stretch)], *(column + gaps for column in columns)]
+    gaps = np.where(np.diff(loop.part, prepend=loop.part[0]) != 0, np.nan, 0.0)
+    return [loop.time + shifts[np.searchsorted(numbers, loop.part)], *(column + gaps for column in columns)]

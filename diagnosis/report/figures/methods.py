@@ -1,9 +1,9 @@
-"""The methods side by side as in the paper's figure 3: one panel a parameter, runs small, their mean large, CAD beside.
+"""The methods side by side as in the paper's figure 3: one panel per parameter, with single runs, their mean and CAD.
 
-Small markers are single recordings with their standard deviation, the large one is their mean. Dashed is the reference:
-the truth where it is given (a virtual vehicle has one), otherwise the mean of the method to rely on. What lies outside
-of the panel is an arrow with its value. Colours are those of Okabe and Ito, which the colour-blind can tell apart, and
-the groups have markers of their own. Drawn without pyplot: no display, no global state.
+Small markers are single recordings with their standard deviation, the large one is their mean. The dashed line is the
+reference: the true value if it is given (a virtual vehicle has one), otherwise the mean of the method to rely on. A
+value outside the panel is an arrow with its number. The colours are those of Okabe and Ito, which colour-blind people
+can distinguish, and the groups have markers of their own. Drawn without pyplot: no display, no global state.
 
 Source: Griese et al., figure 3.
 """
@@ -33,14 +33,14 @@ STYLES = {
 """By group: colour and marker."""
 CAD_COLOUR = "0.25"
 WIDEST = 0.3
-"""Share of the reference on either side beyond which the panel does not reach, for a method's sake."""
+"""Share of the reference on either side to which the panel extends at most to show a method's results."""
 MEAN, FIRST, LAST = -0.27, -0.05, 0.35
-"""Where in the room of a method, 1 wide, its mean is drawn, and the first and the last of its runs."""
+"""Positions of the mean, and of the first and the last run, in the column of a method, which is 1 wide."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The results of one method for one parameter; `why` is its status where it has none."""
+    """The results of one method for one parameter; `why` is its status if it has none."""
 
     name: str
     domain: Domain
@@ -50,9 +50,9 @@ class Column:
 
 
 def check_suffix(path: Path) -> None:
-    """Raises EstimationError where `path` does not say one of SUFFIXES."""
+    """Raises EstimationError if the suffix of `path` is not one of SUFFIXES."""
     if path.suffix not in SUFFIXES:
-        what = f"pictures are not kept as {path.suffix or 'files without a suffix'}"
+        what = f"pictures are not saved as {path.suffix or 'files without a suffix'}"
         raise EstimationError(str(path), what, remedy=f"use one of {', '.join(SUFFIXES)}.")
 
 
@@ -63,9 +63,9 @@ def save_methods(document: Mapping[str, Any], path: Path, *, truth: Mapping[str,
 
 
 def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | None = None) -> Figure:
-    """The figure of a document of `estimators.identify.run`: a panel for each parameter that is known from before.
+    """The figure of a document of `estimators.identify.run`: a panel for each parameter that has a prior value.
 
-    `truth`: true values by name. Raises EstimationError where no method has been asked for such a parameter.
+    `truth`: true values by name. Raises EstimationError if no method estimates such a parameter.
     """
     truth = truth or {}
     methods = {name: entry for name, entry in document["methods"].items() if entry["domain"] != Domain.DRIVES}
@@ -93,8 +93,8 @@ def method_figure(document: Mapping[str, Any], *, truth: Mapping[str, float] | N
 def _columns(methods: Mapping[str, Mapping[str, Any]], parameter: str) -> list[Column]:
     columns = []
     for name, entry in methods.items():
-        told = [run["parameters"].get(parameter, {}) for run in entry["runs"]]
-        runs = [(each["value"], each["std"]) for each in told if each.get("value") is not None]
+        found = [run["parameters"].get(parameter, {}) for run in entry["runs"]]
+        runs = [(each["value"], each["std"]) for each in found if each.get("value") is not None]
         mean = entry["mean"].get(parameter, {}).get("value")
         joint = entry["parameters"].get(parameter, {})
         if mean is None and joint.get("value") is not None:
@@ -196,7 +196,7 @@ def _name_groups(axes: Axes, columns: Sequence[Column]) -> None:
 
 
 def _label(column: Column) -> str:
-    """The method's name without that of its group, a word a line."""
+    """The method's name without that of its group, one word per line."""
     name = column.name
     for prefix in ("frequency_", "recursive_"):
         name = name.removeprefix(prefix)

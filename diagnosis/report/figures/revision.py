@@ -1,6 +1,6 @@
-"""A repair as a picture: the error by horizon before and after over the sensors' floor, and what the error was made of.
+"""A revision as a picture: the error by horizon before and after, the sensors' floor, and the parts of the error.
 
-One panel a channel; full lines are held-out data, dashed ones those that were fitted. The bar is the error budget of
+One panel per channel; solid lines are held-out data, dashed ones the data of the fit. The bar is the error budget of
 the last horizon on held-out data (diagnosis.revise.result.Budget), as energies, so that its parts add up. Angles in
 degrees. Drawn without pyplot: no display, no global state.
 """
@@ -21,12 +21,12 @@ NARROWEST = 0.06
 
 
 def save_revision(revision: Revision, path: Path) -> None:
-    """Write `repair_figure` to `path`; its suffix (.png, .svg, .pdf) is the format."""
+    """Write `revision_figure` to `path`; its suffix (.png, .svg, .pdf) is the format."""
     revision_figure(revision).savefig(path, dpi=130)
 
 
 def revision_figure(revision: Revision) -> Figure:
-    """Errors by horizon, a panel a channel, and the budget below."""
+    """Errors by horizon, one panel per channel, and the budget below."""
     channels = revision.units
     figure = Figure(figsize=(max(7.0, 3.6 * len(channels)), 5.2), layout="constrained")
     grid = figure.add_gridspec(2, len(channels), height_ratios=(3.2, 1.0))
@@ -74,5 +74,5 @@ def _draw_budget(axes: Axes, revision: Revision) -> None:
             axes.text(start + 0.5 * share, 0.0, text, ha="center", va="center", color=shade, fontsize=9)
         start += share
     axes.set(xlim=(0.0, 1.0), yticks=(), xticks=())
-    axes.set_xlabel(f"held-out error energy {revision.horizons[-1]:g} s ahead, before {revision.effect} was there")
+    axes.set_xlabel(f"held-out error energy {revision.horizons[-1]:g} s ahead, before {revision.effect} was added")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.5), ncols=3, fontsize=8, frameon=False)
