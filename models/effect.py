@@ -20,7 +20,7 @@ At all of them `time_scale` is a number, the natural time of the model in s (mod
 effect scale with it.
 
 States and parameters have local names. In a model, a parameter is called EFFECT.NAME (EFFECT@PLACE.NAME at any place
-but the first one that supports the effect).
+other than the first one that supports the effect).
 """
 
 from __future__ import annotations

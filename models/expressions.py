@@ -35,7 +35,7 @@ __all__ = ["FUNCTIONS", "check", "length", "name_problem", "names_in", "number",
 
 
 def check(text: str, names: Iterable[str], where: str = "expression") -> None:
-    """Raises ModelError unless `text` is an allowed expression that uses no names but `names`."""
+    """Raises ModelError unless `text` is an allowed expression that uses no names other than `names`."""
     validated(text, frozenset(names), where)
 
 

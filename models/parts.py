@@ -149,8 +149,8 @@ class Disturbance:
 
     `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are the start of their estimation or, if
     `known`, the known values; 0: from the joint's scales. The correlation time is estimated between `shortest` and
-    `longest` (s), by default from two sampling intervals to a tenth of the record. `narrow_band`: a further force
-    beside it.
+    `longest` (s), by default from two sampling intervals to a tenth of the record. `narrow_band`: an additional
+    force.
     """
 
     std: float = 0.0
@@ -189,8 +189,8 @@ class Actuator:
     """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions for the
     motion of the part that it moves, "" if the model does not know it; `gain` is the force at `joint` per unit of rate;
     `inertia` is that of the actuator itself, a part of the joint's. `also`: further inputs that are commands of the
-    same kind, as of two wheels: an effect acts equally on all of them. `lag`: the parameter by which the motion lags
-    behind the command; a further lag is hardly visible beside it. If it is not `commanded`, `command` is a motion and
+    same kind, e.g. of two wheels: an effect acts equally on all of them. `lag`: the parameter by which the motion lags
+    behind the command; a further lag is hardly visible in addition. If it is not `commanded`, `command` is a motion and
     not a command, so that no effect on a command acts there.
     """
 

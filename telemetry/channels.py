@@ -1,6 +1,6 @@
 """Channels: the name, unit, sign and meaning of everything that is recorded, and those that every vehicle has.
 
-Axes are those of ISO 8855: x forward, y left, z up. The channels that a vehicle has beside the common ones are in its
+Axes are those of ISO 8855: x forward, y left, z up. The channels that a vehicle has besides the common ones are in its
 folder (`vehicles.monocab.channels`).
 """
 

@@ -17,8 +17,8 @@ absent if its amplitudes are zero. `upright model add` adds one to a model, `upr
 `upright simulate --hide EFFECT` hides one in the virtual vehicle.
 
 In a model, a parameter is called `EFFECT.NAME`, as in `coulomb_friction.torque`, or `EFFECT@PLACE.NAME` at any place
-but the first one that supports the effect. Units and start values depend on the place: `{force}` is N m if a joint
-turns and N if it slides, `{coordinate}` rad or m; `{command}` and `{angle}` are the actuator's, `{angle}` and
+other than the first one that supports the effect. Units and start values depend on the place: `{force}` is N m if a
+joint turns and N if it slides, `{coordinate}` rad or m; `{command}` and `{angle}` are the actuator's, `{angle}` and
 `{rate}` the sensor's. `force_scale`, `coordinate_scale`, `rate_scale`, `command_scale` and `angle_scale` are typical
 magnitudes that the model states for its joints, actuators and sensors. `time_scale` is the natural time of the model in
 s, coordinate_scale / rate_scale of its slowest joint (0.4 s for the MONOCAB). `smooth_rate` is the rate below which
@@ -92,7 +92,7 @@ def _overview() -> str:
         f"| [`{effect.name}`](#{effect.name}) | {effect.family} | {effect.place} | {effect.title} |"
         for effect in CATALOGUE.values()
     ]
-    return "\n".join(["| effect | family | at a | what it is |", "|---|---|---|---|", *rows]) + "\n\n"
+    return "\n".join(["| effect | family | place | description |", "|---|---|---|---|", *rows]) + "\n\n"
 
 
 def _section(effect: Effect) -> str:
@@ -112,7 +112,7 @@ def _formula(effect: Effect) -> list[str]:
     lines += [f"**Separated by:** {effect.separated_by}", ""]
     more = "It never adds energy. " if effect.dissipative else ""
     if effect.impacts:
-        more += "Its parts collide: a diagnosis fits it from each start, whatever a small amplitude of it does. "
+        more += "Its parts collide: a diagnosis fits it from each start, whatever it does at a small amplitude. "
     if effect.beyond:
         beyond = " and ".join(f"[`{name}`](#{name})" for name in effect.beyond)
         more += f"It is detectable only by what it does beyond {beyond} at its usual shape. "

@@ -17,7 +17,7 @@ from dataclasses import replace
 from models.effect import Effect, EffectParameter, EffectState, Family
 from models.parts import Place
 
-# Bristles that slide fast stay bent. A lag, negligible beside the motion, avoids shorter integration steps for them.
+# Bristles that slide fast stay bent. A lag, negligible for the motion, avoids shorter integration steps for them.
 _BENDING = "(rate - abs(rate) * bend) / (travel + 0.005 * time_scale * abs(rate))"
 _BRISTLES = (
     EffectParameter(

@@ -56,13 +56,13 @@ HYSTERESIS = Effect(
         "backlash",
     ),
     separated_by="The same slow triangle wave at two amplitudes, one smaller than the yield travel: small loops shrink "
-    "to a line, as of a spring, while those of dry friction remain rectangles.",
+    "to a line, like those of a spring, while those of dry friction remain rectangles.",
     dissipative=True,
     source="Bouc (1967); Wen, J. Eng. Mech. 102 (1976) 249, with n = 2, beta = gamma = 1/2",
 )
 
 _QUICK = "(0.005 * time_scale)"
-"""s: lag of the motor's acceleration, negligible beside the crossing of any backlash."""
+"""s: lag of the motor's acceleration, negligible compared with the crossing time of any backlash."""
 _PUSH = f"(gain * rate + load_inertia * (actuator_rate - follower) / {_QUICK})"
 # The motion before the first sample is unknown: an initial distance of the follower does not mean an acceleration.
 _TWIST = f"(begun ** 2 * {_PUSH} / torque - elastic) / {_QUICK}"

@@ -95,7 +95,7 @@ SENSOR_DELAY = Effect(
     family=Family.SENSOR,
     title="delayed readings",
     place=Place.SENSOR,
-    equation="x_shown = x(t - delay) for angle and rate; beside other sensors x - delay x' + delay^2 x'' / 2",
+    equation="x_shown = x(t - delay) for angle and rate; with other sensors x - delay x' + delay^2 x'' / 2",
     parameters=_shift("delay", "age of the readings"),
     angle_reading="angle - delay * angle_1 + 0.5 * delay ** 2 * angle_2",
     rate_reading="rate - delay * rate_1 + 0.5 * delay ** 2 * rate_2",

@@ -120,7 +120,7 @@ def _scales(place: Place) -> dict[str, float]:
 
 
 def _motions(effect: Effect) -> Iterator[Mapping[str, float]]:
-    """Values of all names, small and large, random but the same each time; amplitudes of zero and scales of one."""
+    """Values of all names, small and large, random but reproducible; amplitudes of zero and scales of one."""
     source = random.Random(1)
     scales = _scales(effect.place)
     for _ in range(_TRIES):

@@ -75,7 +75,7 @@ def _with_disturbances(joints: tuple[Joint, ...], entries: Mapping[str, JointSec
         more = [key for key in entry.model_fields_set if key != "disturbance"]
         if more:
             what = "is defined by the base"
-            remedy = "remove it: a file with a base states nothing of a joint but its disturbance."
+            remedy = "remove it: a file with a base states only the disturbance of a joint."
             raise ModelError(f"{file}: joints.{name}.{more[0]}", what, remedy=remedy)
     return tuple(
         replace(joint, disturbance=_disturbance(entries[joint.name], f"{file}: joints.{joint.name}"))

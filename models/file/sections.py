@@ -30,7 +30,7 @@ class Section(BaseModel):
 
 
 class StateSection(Section):
-    """As models.parts.State; the other sections are likewise as the class of their name."""
+    """As models.parts.State; each of the other sections likewise corresponds to the class of its name."""
 
     unit: str
     derivative: Equation
@@ -70,7 +70,7 @@ class OutputSection(Section):
 
 
 class ParameterSection(Section):
-    """A key that is not given is that of the base, of the effect, or the default of models.parts.Parameter."""
+    """A key that is missing is taken from the base, the effect, or the defaults of models.parts.Parameter."""
 
     value: Finite | None = None
     std: NotNegative | None = None
@@ -102,7 +102,7 @@ class DisturbanceSection(Section):
 
 
 class JointSection(Section):
-    """All keys but `disturbance` are required in the user's own equations, and come from the base if there is one."""
+    """All keys except `disturbance` are required in the user's own equations, or come from the base if it exists."""
 
     coordinate: Equation | None = None
     rate: Equation | None = None

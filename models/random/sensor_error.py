@@ -1,4 +1,4 @@
-"""The random errors of a sensor beside white noise: wander and vibration.
+"""The random errors of a sensor besides white noise: wander and vibration.
 
 A first-order or narrow-band error (models.random.part) adds to an output, and to the states that integrate the output's
 noise, as those of a filter do. diagnosis.fits.random_parts decides whether a record requires one.
@@ -53,7 +53,7 @@ def at_outputs(model: Model) -> list[tuple[Output, int]]:
 
 
 def random_count(model: Model) -> int:
-    """Number of parameters of the random parts of `model` beside the first-order disturbance: for each its RMS, its
+    """Number of parameters of the random parts of `model` besides the first-order disturbance: for each its RMS, its
     correlation time and its frequency; for the noise of an input the share that does not act."""
     parts = [*narrow_at_joints(model), *at_outputs(model)]
     return sum(3 if model.base_states[place].frequency else 2 for _, place in parts) + len(noisy_inputs(model))

@@ -830,7 +830,7 @@ class TestDisturbance:
         ("text", "said"),
         [
             ("[joints.rol]\ndisturbance = false\n", "did you mean 'roll'"),
-            ('[joints.roll]\nload = "0"\n', "states nothing of a joint but its disturbance"),
+            ('[joints.roll]\nload = "0"\n', "states only the disturbance of a joint"),
             ("[joints.roll.disturbance]\nrms = 8.0\n", "is not a key"),
             ("[joints.roll.disturbance]\nstd = -1.0\n", "joints.roll.disturbance"),
             ("[joints.roll.disturbance]\nknown = true\n", "give both"),
