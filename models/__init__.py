@@ -1,1 +1,1 @@
-"""Physics of the vehicles: grey-box equations and the control design that rests on them. Pure: no I/O, no clock."""
+"""Physics of the vehicles: grey-box equations and the control design based on them. Pure: no I/O, no clock."""

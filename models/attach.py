@@ -1,4 +1,4 @@
-"""An effect becomes part of a model: at which place, by what its parameters, states and units are called there."""
+"""Attaches an effect to a model: finds its place and names its parameters, states and units there."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ BELONGING: Mapping[Place, tuple[str, ...]] = {
     Place.ACTUATOR: ("command", "delay", "lag"),
     Place.SENSOR: ("angle_reading", "rate_reading", "delay"),
 }
-"""Which attributes of an effect say what it does at its place."""
+"""The attributes that define the action of an effect, by the kind of its place."""
 
 _ARTICLE = {Place.JOINT: "a joint", Place.ACTUATOR: "an actuator", Place.SENSOR: "a sensor"}
 
 
 def attach(model: GreyBox, effect: Effect | str, at: str = "") -> AttachedEffect:
-    """`effect` as part of `model` at the place `at`, by default the first that can have it.
+    """`effect` as part of `model` at the place `at`, by default the first one that supports it.
 
-    Raises ModelError where there is no such effect or place, the place lacks what the effect needs, an expression uses
-    a name that does not exist, or the effect is there already.
+    Raises ModelError if there is no such effect or place, the place lacks what the effect needs, an expression uses an
+    unknown name, or the model has the effect already.
     """
     if isinstance(effect, str):
         effect = find(effect)
@@ -81,7 +81,7 @@ def attach(model: GreyBox, effect: Effect | str, at: str = "") -> AttachedEffect
                 unit,
                 text,
                 initial_std=BEGUN * scale,
-                meaning="error of the filter that makes the angle from the rate",
+                meaning="error of the filter that computes the angle from the rate",
             )
             for (name, text), unit, scale in zip(FILTERED.items(), units, scales, strict=True)
         )
@@ -89,9 +89,9 @@ def attach(model: GreyBox, effect: Effect | str, at: str = "") -> AttachedEffect
 
 
 def starts(model: GreyBox, attached: AttachedEffect, name: str) -> tuple[float, ...]:
-    """Values to start its parameter (local `name`) from: its own value first, then those of `starts`, in its unit.
+    """Start values of its parameter (local `name`), in its unit: first the default value, then those of `starts`.
 
-    Raises ModelError where the effect has no such parameter.
+    Raises ModelError if the effect has no such parameter.
     """
     for parameter in attached.effect.parameters:
         if parameter.name == name:
@@ -104,15 +104,15 @@ def starts(model: GreyBox, attached: AttachedEffect, name: str) -> tuple[float, 
 
 
 def check_names(effect: Effect) -> None:
-    """Raises ModelError unless the expressions belong to the effect's kind of place and use only what that offers."""
+    """Raises ModelError unless the expressions belong to the effect's kind of place and use only its names."""
     own = frozenset(effect.own_names)
     belonging = BELONGING[effect.place]
     strange = [key for keys in BELONGING.values() for key in keys if getattr(effect, key) and key not in belonging]
     if effect.states and effect.place is Place.ACTUATOR:
         strange.append("states")
     if strange:
-        what = f"is on {_ARTICLE[effect.place]}, where {strange[0]} means nothing"
-        raise ModelError(f"effect {effect.name}", what, remedy=f"there it has {' or '.join(belonging)}.")
+        what = f"is on {_ARTICLE[effect.place]}, where {strange[0]} has no meaning"
+        raise ModelError(f"effect {effect.name}", what, remedy=f"use {' or '.join(belonging)}.")
     if not any(getattr(effect, key) for key in belonging):
         raise ModelError(f"effect {effect.name}", "does nothing", remedy=f"give it {' or '.join(belonging)}.")
     for key, text in effect.expressions.items():
@@ -120,7 +120,7 @@ def check_names(effect: Effect) -> None:
         check(text, VOCABULARY[effect.place] | own | more, f"effect {effect.name}, {key}")
     for state in effect.states:
         if state.initial and not (effect.place is Place.SENSOR and state.initial in ("angle", "rate")):
-            remedy = "a sensor's state may begin with its angle or its rate, all others at rest."
+            remedy = "a sensor's state may begin with its angle or its rate; all other states begin at 0."
             raise ModelError(
                 f"effect {effect.name}, state {state.name}", f"cannot begin with {state.initial!r}", remedy=remedy
             )
@@ -131,7 +131,7 @@ def check_names(effect: Effect) -> None:
 
 
 def places_for(model: GreyBox, effect: Effect) -> tuple[str, ...]:
-    """The names of all places where `model` can have the effect. Raises ModelError where there is none."""
+    """The names of all places where `model` can have the effect. Raises ModelError if there is none."""
     _, able = _places(model, effect)
     if not able:
         _place(model, effect, "")
@@ -141,7 +141,7 @@ def places_for(model: GreyBox, effect: Effect) -> tuple[str, ...]:
 def _places(
     model: GreyBox, effect: Effect
 ) -> tuple[Mapping[str, tuple[Joint | Actuator | Sensor, str]], tuple[str, ...]]:
-    """The places of the effect's kind with what each lacks, in words, and the names of those that lack nothing."""
+    """The places of the effect's kind, each with a text of what it lacks, and the names of those that lack nothing."""
     places = {
         place.name: (place, ", ".join(_lacks(model, _formula(model, effect, place), place)))
         for place in places_of(model, effect.place)
@@ -150,14 +150,14 @@ def _places(
 
 
 def _place(model: GreyBox, effect: Effect, at: str) -> tuple[Joint | Actuator | Sensor, str]:
-    """Where the effect goes, and the first place that could have it. Raises ModelError."""
+    """The place of the effect, and the name of the first place that supports it. Raises ModelError."""
     places, able = _places(model, effect)
     if not places:
         remedy = f"model {model.name} cannot have this effect."
-        what = f"needs {_ARTICLE[effect.place]}, and the model has none"
+        what = f"needs {_ARTICLE[effect.place]}, but the model has none"
         if effect.place is Place.ACTUATOR and model.actuators:
             names = ", ".join(each.name for each in model.actuators)
-            what = "acts on a command, and the model says that its actuators move exactly as it was measured"
+            what = "acts on a command, but the model takes the motion of its actuators as measured"
             remedy = f"remove commanded = false from {names}, or use a model that is driven by the command."
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
     if at and at not in places:
@@ -165,17 +165,17 @@ def _place(model: GreyBox, effect: Effect, at: str) -> tuple[Joint | Actuator | 
         raise ModelError(
             f"effect {effect.name}", f"there is no {effect.place.value} {at!r}", remedy=f"use one of: {there}."
         )
-    asked = at or (able[0] if able else next(iter(places)))
-    place, lack = places[asked]
+    chosen = at or (able[0] if able else next(iter(places)))
+    place, lack = places[chosen]
     if lack:
         remedy = f"attach it at {' or '.join(able)}." if able else f"model {model.name} cannot have this effect."
-        what = f"needs {lack}, which {effect.place.value} {asked} does not have"
+        what = f"needs {lack}, which {effect.place.value} {chosen} does not have"
         raise ModelError(f"effect {effect.name}", what, remedy=remedy)
     return place, able[0]
 
 
 def _formula(model: GreyBox, effect: Effect, place: Joint | Actuator | Sensor) -> Effect:
-    """`effect` as it is at `place`."""
+    """`effect`, or its formula `instead` if `place` has everything that formula needs."""
     return effect.instead if effect.instead and not any(_lacks(model, effect.instead, place)) else effect
 
 
@@ -196,7 +196,7 @@ def _lacks(model: GreyBox, effect: Effect, place: Joint | Actuator | Sensor) -> 
 
 
 def _shown(place: Joint | Actuator | Sensor, reading: str) -> str:
-    """The output that is `reading` of a sensor, empty where it has none."""
+    """The output that is the `reading` (angle or rate) of a sensor; empty if it has none."""
     return {"angle": place.angle, "rate": place.rate}.get(reading, "") if isinstance(place, Sensor) else ""
 
 

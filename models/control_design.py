@@ -1,16 +1,16 @@
-"""Linear quadratic integral (LQI) state feedback for a sampled plant, and how much model error it bears.
+"""Linear quadratic integral (LQI) state feedback for a sampled plant, and its robustness to model errors.
 
 The plant x' = A x + B u, y = C x with one input and one output is discretised exactly for a held input that acts one
-period late (the setpoint travels on the bus and waits for the next SYNC). The design state is [x, u of the cycle
-before, q], q being the integral of y, and the law minimises
+period late (the setpoint travels on the bus and waits for the next SYNC). The design state is [x, u of the
+previous cycle, q], where q is the integral of y, and the law minimises
 
     sum over k of  x'Qx + integral * q^2 + effort * u^2,      u = -(state . x + previous * u_before + integral * q)
 
-by the discrete algebraic Riccati equation. Weights are those of the states and the input as such, so they mean the
-same at every sampling rate.
+by the discrete algebraic Riccati equation. The weights apply to the states and the input themselves, so they mean
+the same at every sampling rate.
 
-Robustness is judged on the loop broken at the plant's input: gain margins, phase and delay margin, and the closed-loop
-poles at every corner of the uncertain parameters, each also with one more period of delay.
+Robustness is assessed on the loop broken at the plant's input: gain margins, phase and delay margin, and the
+closed-loop poles at every corner of the uncertain parameters, each also with one more period of delay.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Matrix = NDArray[np.float64]
 
 
 class ControlDesignError(UprightError):
-    """No controller can be had from this model, or the one found does not stand the model's uncertainty."""
+    """No controller exists for this model, or the one found is not robust to the model's uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class LqiWeights:
 
 @dataclass(frozen=True, slots=True)
 class LqiGains:
-    """u = -(states . x + previous * u_before + integral * q); `period` (s) is the one they were designed for."""
+    """u = -(states . x + previous * u_before + integral * q); `period` (s) is the sampling period."""
 
     states: tuple[float, ...]
     previous: float
@@ -55,10 +55,11 @@ class LqiGains:
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How far the loop at the plant's input is from instability.
+    """Stability margins of the loop at the plant's input.
 
-    `gain_decrease` < 1 < `gain_increase` are the factors on the loop gain that it just stands (an unstable plant has a
-    lower one too); `phase` in rad at the worst crossover; `delay` s beyond the designed one; `crossover` rad/s.
+    `gain_decrease` < 1 < `gain_increase` are the factors on the loop gain at the stability limits (an unstable plant
+    has a lower limit, too); `phase` in rad at the worst crossover; `delay` s in addition to the designed one;
+    `crossover` rad/s.
     """
 
     gain_decrease: float
@@ -72,8 +73,8 @@ class Margins:
 class Corner:
     """The closed loop at one corner of the uncertain parameters.
 
-    `factors` holds (parameter, factor on its nominal value); `delay` s in all; `damping` is the worst damping ratio,
-    `slowest` (1/s) the decay rate of the slowest pole, negative where the loop is unstable.
+    `factors` holds (parameter, factor on its nominal value); `delay` is the total delay, s; `damping` is the worst
+    damping ratio, `slowest` (1/s) the decay rate of the slowest pole, negative if the loop is unstable.
     """
 
     factors: tuple[tuple[str, float], ...]
@@ -90,8 +91,8 @@ class Corner:
 
 @dataclass(frozen=True, slots=True)
 class CheckedDesign:
-    """A controller with what is known about it. `poles` (1/s) are those of the nominal closed loop; `worst` is
-    the worst corner `spread` (0.2: 20 %) to either side of the uncertain parameters."""
+    """A controller with the results of its robustness check. `poles` (1/s) are those of the nominal closed loop;
+    `worst` is the worst corner with each uncertain parameter off by `spread` (0.2: 20 %)."""
 
     gains: LqiGains
     poles: tuple[complex, ...]
@@ -110,7 +111,7 @@ class CheckedDesign:
         }
 
     def words(self) -> list[str]:
-        """The same for people, a line each."""
+        """The findings as lines of text."""
         margins = self.margins
         return [
             f"controller: gain margins {margins.gain_decrease:.2f} and {margins.gain_increase:.1f}, phase margin "
@@ -137,12 +138,12 @@ def design_lqi(A: Matrix, B: Matrix, C: Matrix, weights: LqiWeights, period: flo
     Shapes: A (n, n), B (n, 1), C (1, n), `weights.states` n long.
 
     Raises:
-        ControlDesignError: a mode that does not decay by itself cannot be reached by the input (its eigenvalue is
+        ControlDesignError: a mode that does not decay by itself is not controllable by the input (its pole is
             named), or the Riccati equation has no stabilising solution for these weights.
     """
     n = len(A)
     if B.shape != (n, 1) or C.shape != (1, n) or len(weights.states) != n:
-        raise ValueError(f"shapes do not fit: A {A.shape}, B {B.shape}, C {C.shape}, {len(weights.states)} weights")
+        raise ValueError(f"shapes do not match: A {A.shape}, B {B.shape}, C {C.shape}, {len(weights.states)} weights")
     Ad, Bd = discretise(A, B, period)
     F = np.zeros((n + 2, n + 2))
     F[:n, :n], F[:n, n : n + 1] = Ad, Bd
@@ -158,7 +159,7 @@ def design_lqi(A: Matrix, B: Matrix, C: Matrix, weights: LqiWeights, period: flo
     except (LinAlgError, ValueError) as error:
         raise ControlDesignError(
             f"the Riccati equation has no stabilising solution ({error}).",
-            remedy="every weight but the rate's must be positive; check [controller] in the vehicle file.",
+            remedy="every weight except the rate's must be positive; check [controller] in the vehicle file.",
         ) from error
     gains = LqiGains(tuple(float(k) for k in K[:n]), float(K[n]), float(K[n + 1]), period)
     if max(abs(np.linalg.eigvals(F - G @ K[None, :]))) >= 1.0:
@@ -179,12 +180,13 @@ def discretise(A: Matrix, B: Matrix, period: float) -> tuple[Matrix, Matrix]:
 
 
 def closed_loop(model: StateSpace, gains: LqiGains, delay_periods: int = 1) -> Matrix:
-    """The transition matrix of plant, delay and controller over one period; any plant, not the designed one only."""
+    """The transition matrix of plant, delay and controller over one period; `model` need not be that of the design."""
     return _open_loop(*discretise(model.A, model.B, gains.period), model.C, gains, delay_periods)[0]
 
 
 def margins(model: StateSpace, gains: LqiGains) -> Margins:
-    """Margins of the loop broken where the setpoint leaves the controller, from its frequency response to Nyquist."""
+    """Margins of the loop broken where the setpoint leaves the controller, from its frequency response up to the
+    Nyquist frequency."""
     _, F, g, k = _open_loop(*discretise(model.A, model.B, gains.period), model.C, gains, 1)
     omega = np.geomspace(1e-2, np.pi / gains.period, 2000)
     z = np.exp(1j * omega * gains.period)
@@ -203,11 +205,12 @@ def margins(model: StateSpace, gains: LqiGains) -> Margins:
 
 
 ModelAt = Callable[[Mapping[str, float]], StateSpace]
-"""The model with its uncertain parameters at these factors of their nominal values, by name."""
+"""Gives the model with its uncertain parameters at the given factors of their nominal values, by name."""
 
 
 def corners(model_at: ModelAt, uncertain: Sequence[str], gains: LqiGains, spread: float) -> Iterator[Corner]:
-    """The closed loop `spread` (0.2: 20 %) to either side of every `uncertain` parameter, one and two periods late."""
+    """The closed loop with every `uncertain` parameter off by `spread` (0.2: 20 %) in either direction, with one and
+    with two periods of delay."""
     for chosen in itertools.product((1.0 - spread, 1.0 + spread), repeat=len(uncertain)):
         factors = tuple(zip(uncertain, chosen, strict=True))
         model = model_at(dict(factors))
@@ -222,14 +225,14 @@ def checked_design(
 ) -> CheckedDesign:
     """The LQI of the nominal model, checked over the uncertainty of its parameters.
 
-    Raises ControlDesignError where no controller is found or where it is unstable at a corner; the message names it.
+    Raises ControlDesignError if no controller is found or if it is unstable at a corner; the message names the corner.
     """
     model = model_at({})
     gains = design_lqi(model.A, model.B, model.C, weights, period)
     worst = min(corners(model_at, uncertain, gains, spread), key=lambda corner: (corner.slowest > 0.0, corner.damping))
     if worst.slowest <= 0.0:
         raise ControlDesignError(
-            f"the controller falls over where the vehicle differs from its CAD values ({worst}).",
+            f"the closed loop is unstable when the vehicle differs from its CAD values ({worst}).",
             remedy="raise effort_weight (less bandwidth) or the control rate, or narrow the CAD values' uncertainty.",
         )
     poles = continuous_poles(closed_loop(model, gains), period)
@@ -251,7 +254,7 @@ def _damping(poles: list[complex]) -> tuple[float, float]:
 def _open_loop(
     Ad: Matrix, Bd: Matrix, C: Matrix, gains: LqiGains, delay_periods: int
 ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """(closed-loop matrix, F, g, k): state [plant, inputs under way, controller's last output, integral], u = -k x."""
+    """(closed-loop matrix, F, g, k): state [plant, delayed inputs, controller's last output, integral], u = -k x."""
     n, d = len(Ad), delay_periods
     size = n + d + 2
     last, integral = n + d, n + d + 1
@@ -269,7 +272,7 @@ def _open_loop(
     k[:n], k[last], k[integral] = gains.states, gains.previous, gains.integral
     closed = F - np.outer(g, k)
     closed[last] = -k
-    # Broken at the plant's input, the controller still sees its own last output.
+    # With the loop broken at the plant's input, the controller still uses its own last output.
     F[last] = -k
     return closed, F, g, k
 
@@ -283,6 +286,6 @@ def _require_stabilisable(F: Matrix, G: Matrix, period: float) -> None:
         if np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-9:
             pole = np.log(complex(eigenvalue)) / period
             raise ControlDesignError(
-                f"the mode at {pole.real:+.2f} 1/s cannot be reached by the input: not stabilisable.",
+                f"the mode at {pole.real:+.2f} 1/s is not controllable by the input: not stabilisable.",
                 remedy="leave the state out of the model (as the reduced model does) or check angular_momentum.",
             )

@@ -1,6 +1,6 @@
-"""What an equation's text may contain: a whitelist over Python's syntax tree, and the walk over a tree that passed it.
+"""What an equation's text may contain: a whitelist over Python's syntax tree, and the traversal of a validated tree.
 
-Whatever the text is, reading it costs little: its length, its depth, its exponents and its numbers are bounded.
+Validation is cheap for any text: its length, its depth, its exponents and its numbers are bounded.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FUNCTIONS: Mapping[str, tuple[int, Callable[..., float]]] = {
     "min": (2, min),
     "max": (2, max),
 }
-"""Function name to its number of arguments and what it does to floats."""
+"""Function name to its number of arguments and its implementation for floats."""
 
 CONSTANTS: Mapping[str, float] = {"pi": math.pi}
 OPERATIONS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -44,25 +44,25 @@ OPERATIONS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: lambda a, b: a**b,
 }
 LONGEST = 4000
-"""Characters; equations of a vehicle are shorter."""
+"""Characters; the equations of vehicles are shorter."""
 DEEPEST = 100
-"""Brackets in brackets."""
+"""Levels of nesting."""
 LARGEST_EXPONENT = 16
-"""A number as exponent; SymPy works powers of numbers out to the last digit."""
+"""Of a numeric exponent; SymPy computes powers of numbers to the last digit."""
 MOST_BITS = 1100
-"""Of a whole number that SymPy makes: about what a float can hold."""
+"""Of an integer that SymPy computes: about the range of a float."""
 ONE_AT_A_TIME = threading.Lock()
-"""Python before 3.11.8 and 3.12.2 counts one depth for the trees of all threads, and ends in a SystemError where two
-grow at once (https://github.com/python/cpython/issues/106905)."""
+"""Python before 3.11.8 and 3.12.2 has one depth counter for the trees of all threads, and raises a SystemError if two
+are built at once (https://github.com/python/cpython/issues/106905)."""
 
 
 def float_operation(operator: type[ast.operator], a: float, b: float) -> float:
-    """One operation of OPERATIONS on floats; a power that is no real number is a ValueError."""
+    """One operation of OPERATIONS on floats; a power that is not a real number raises ValueError."""
     return math.pow(a, b) if operator is ast.Pow else float(OPERATIONS[operator](a, b))
 
 
 def validated(text: str, names: frozenset[str] | None, where: str) -> ast.expr:
-    """The syntax tree of `text`, of which every node is known to be harmless."""
+    """The syntax tree of `text`, every node of which is allowed. Raises ModelError."""
     if len(text) > LONGEST:
         raise ModelError(where, f"is longer than {LONGEST} characters", remedy="split it with definitions.")
     line = " ".join(text.split())
@@ -74,7 +74,7 @@ def validated(text: str, names: frozenset[str] | None, where: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         place = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
         remedy = "write it as in Python: 2 * sin(roll) ** 2."
-        raise ModelError(where, f"{short(text)!r} is no expression{place}", remedy=remedy) from error
+        raise ModelError(where, f"{short(text)!r} is not an expression{place}", remedy=remedy) from error
     _validate(tree, _Context(line, names, where), 0)
     return tree
 
@@ -86,7 +86,7 @@ class _Context:
     where: str
 
     def source(self, node: ast.expr) -> str:
-        """How the text writes `node`; nothing that recurses, since it may be nested as deep as Python reads."""
+        """The source text of `node`; without recursion, since it may be nested as deeply as Python can parse."""
         return short(self.text.encode()[node.col_offset : node.end_col_offset].decode(errors="replace"))
 
     def error(self, message: str, remedy: str) -> ModelError:
@@ -94,12 +94,12 @@ class _Context:
 
 
 def _validate(node: ast.expr, context: _Context, depth: int) -> float | None:
-    """The value of `node` where it is one of numbers alone. Raises ModelError where it is not allowed."""
+    """The value of `node` if it consists of numbers alone. Raises ModelError if it is not allowed."""
     if depth > DEEPEST:
         raise context.error(f"is nested deeper than {DEEPEST}", "split it with definitions.")
     match node:
         case ast.Constant(value=bool(value)):
-            raise context.error(f"{value} is no number", "use 0 or 1.")
+            raise context.error(f"{value} is not a number", "use 0 or 1.")
         case ast.Constant(value=int() | float()):
             return _finite(lambda: float(node.value), node, context)  # type: ignore[arg-type]
         case ast.Name() | ast.Attribute():
@@ -151,7 +151,7 @@ def _finite(compute: Callable[[], float], node: ast.expr, context: _Context) -> 
 
 
 def refuse_large_exponent(exponent: float, where: str) -> None:
-    """Raises ModelError where a number would be raised to more than LARGEST_EXPONENT."""
+    """Raises ModelError if the magnitude of a numeric exponent is larger than LARGEST_EXPONENT."""
     if not abs(exponent) <= LARGEST_EXPONENT:
         what = f"the exponent {exponent:.6g} is larger than {LARGEST_EXPONENT}"
         raise ModelError(where, what, remedy="use exp(), or a smaller exponent.")
@@ -164,23 +164,25 @@ def _near(name: str, known: Iterable[str]) -> str:
 
 
 def short(text: str) -> str:
-    """`text` as far as a message can show it."""
+    """`text`, shortened to fit into a message."""
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def dotted(node: ast.expr, where: str) -> str:
-    """The name that `node` is, as `EFFECT.NAME`. Raises ModelError where it is none."""
+    """The name of `node`, dotted as `EFFECT.NAME`. Raises ModelError if it is not a name."""
     parts: list[str] = []
     while isinstance(node, ast.Attribute):
         parts.append(node.attr)
         node = node.value
     if not isinstance(node, ast.Name):
-        raise ModelError(where, "there is a dot after something that is no name", remedy="names look like EFFECT.NAME.")
+        raise ModelError(
+            where, "there is a dot after something that is not a name", remedy="names look like EFFECT.NAME."
+        )
     return ".".join([node.id, *reversed(parts)])
 
 
 def used_names(tree: ast.expr) -> set[str]:
-    """The names, constants among them, in a tree that passed."""
+    """The names, including constants, in a validated tree."""
     match tree:
         case ast.Name():
             return {tree.id}
@@ -205,7 +207,7 @@ def fold(
     negative: Callable[[Any], Any],
     call: Callable[[str, list[Any]], Any],
 ) -> Any:
-    """The value of a validated tree in whatever algebra the callables make."""
+    """The value of a validated tree in the algebra that the callables define."""
 
     def value(node: ast.expr) -> Any:
         match node:

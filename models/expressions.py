@@ -1,8 +1,8 @@
 """Equations as text: a whitelist over Python's syntax tree, never eval.
 
 Allowed are numbers, names (also dotted: `static_torque.torque`), + - * / **, parentheses, `pi`, the functions in
-FUNCTIONS, and line breaks. `parse` makes a SymPy expression of it, `number` a float, `renamed` another text, `check`
-only looks whether it could.
+FUNCTIONS, and line breaks. `parse` converts a text to a SymPy expression, `number` to a float, `renamed` to
+another text; `check` only validates it.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ __all__ = ["FUNCTIONS", "check", "length", "name_problem", "names_in", "number",
 
 
 def check(text: str, names: Iterable[str], where: str = "expression") -> None:
-    """Raises ModelError unless `text` is an expression of `names` and what else is allowed."""
+    """Raises ModelError unless `text` is an allowed expression that uses no names other than `names`."""
     validated(text, frozenset(names), where)
 
 
 def names_in(text: str, where: str = "expression") -> frozenset[str]:
-    """The names that `text` uses, functions and constants left out. Raises ModelError."""
+    """The names that `text` uses, without functions and constants. Raises ModelError."""
     tree = validated(text, None, where)
     return frozenset(name for name in used_names(tree) if name not in CONSTANTS)
 
 
 def name_problem(name: str) -> str:
-    """Why `name` cannot stand for something in an expression; "" where it can."""
+    """Why `name` cannot be a name in an expression; "" if it can."""
     if not (name.isascii() and name.isidentifier()):
-        return "is no name: letters without accents, digits and _ are, and no digit first"
+        return "is not a valid name: use letters without accents, digits and _, with no digit first"
     if name in FUNCTIONS:
         return "is the name of a function"
     if name in CONSTANTS or name == "time":
-        return "has a meaning in every equation already"
-    return "is a word of Python" if keyword.iskeyword(name) else ""
+        return "is predefined in every equation"
+    return "is a keyword of Python" if keyword.iskeyword(name) else ""
 
 
 def length(text: str, lengths: Mapping[str, int], where: str = "expression") -> int:
-    """Terms and operations of `text` when names that stand for expressions, of `lengths`, are replaced by them."""
+    """Terms and operations of `text` once the names in `lengths` are replaced by expressions of these lengths."""
     return int(
         fold(
             validated(text, None, where),
@@ -71,7 +71,7 @@ def length(text: str, lengths: Mapping[str, int], where: str = "expression") -> 
 
 
 def number(text: str | float, values: Mapping[str, float], where: str = "expression") -> float:
-    """The value of `text` where its names have `values`. Raises ModelError, also where it is not finite."""
+    """The value of `text` for the `values` of its names. Raises ModelError, also if the value is not finite."""
     if isinstance(text, (int, float)):
         return float(text)
     tree = validated(text, frozenset(values), where)
@@ -100,13 +100,13 @@ def parse(text: str, symbols: Mapping[str, sympy.Expr], where: str = "expression
     tree = validated(text, frozenset(symbols), where)
 
     def bounded(expression: sympy.Expr) -> sympy.Expr:
-        """SymPy works numbers out as they arise, also from `x - x`: they must not grow from step to step."""
+        """SymPy evaluates numbers as they arise, also from `x - x`: they must not grow from step to step."""
         numeric = not expression.free_symbols
         numbers = expression.atoms(sympy.Rational) if numeric else {expression.as_coeff_Mul()[0]}
         large = any(n.is_Rational and max(abs(n.p).bit_length(), n.q.bit_length()) > MOST_BITS for n in numbers)
         if large or (numeric and abs(expression.evalf(5)) > 1e308):
             remedy = "correct the expression."
-            raise ModelError(where, f"{short(text)!r} has a number in it that is too large", remedy=remedy)
+            raise ModelError(where, f"{short(text)!r} contains a number that is too large", remedy=remedy)
         return expression
 
     def binary(operator: type[ast.operator], a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
@@ -124,7 +124,7 @@ def parse(text: str, symbols: Mapping[str, sympy.Expr], where: str = "expression
             call=lambda name, arguments: bounded(functions[name](*arguments)),
         )
     except (TypeError, ValueError, ArithmeticError):
-        expression = sympy.nan  # SymPy was made to compare or convert what is no real number
+        expression = sympy.nan  # SymPy had to compare or convert something that is not a real number
     if expression.has(sympy.zoo, sympy.nan, sympy.oo, sympy.I):
         raise ModelError(where, f"{short(text)!r} is not a real number", remedy="correct the expression.")
     return expression
@@ -133,7 +133,7 @@ def parse(text: str, symbols: Mapping[str, sympy.Expr], where: str = "expression
 def renamed(text: str, replacements: Mapping[str, str], where: str = "expression") -> str:
     """`text` with names replaced by other names or expressions, in brackets where needed. Raises ModelError.
 
-    A replacement that is no expression (`friction@trim.torque`) stands for itself.
+    A replacement that is not an expression (`friction@trim.torque`) is inserted as it is.
     """
     tree = validated(text, None, where)
     if not used_names(tree) & replacements.keys():

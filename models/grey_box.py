@@ -1,13 +1,13 @@
-"""What a grey-box model is: equations as text, with the names, units, start values and bounds of all that is in them.
+"""A grey-box model: equations as text, with the names, units, start values and bounds of all their quantities.
 
     state' = derivative(states, inputs, parameters, time),    output = expression(states, inputs, parameters, time)
 
 Expressions are text (see models.expressions for what they may contain), so that a model is plain data: it can be read
-from a TOML file, hashed, compared and printed, and it costs nothing to import. `models.compiler.kernel` compiles it.
+from a TOML file, hashed, compared and printed, and it is cheap to import. `models.compiler.kernel` compiles it.
 
-Besides states, inputs, parameters and `time` (s) an expression may use a name from `definitions`, `INPUT_slope` (the
-slope of an input that is read as a curve) and `JOINT_force`, the whole generalised force at a joint: its own
-`load` and whatever the effects add (models.effect).
+Besides states, inputs, parameters and `time` (s), an expression may use a name from `definitions`, `INPUT_slope` (the
+slope of an input that is interpolated by a curve) and `JOINT_force`, the total generalised force at a joint: its own
+`load` and the forces of the effects (models.effect).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from models.parts import Actuator, Input, Joint, ModelError, Output, Parameter, 
 
 @dataclass(frozen=True, slots=True)
 class GreyBox:
-    """A model but for how effects come in (models.model). `base_parameters` and `base_states` are its own, `effects`
-    what was added to it.
+    """A model without the method that adds effects (models.model). `base_parameters` and `base_states` are its own,
+    `effects` those that were added.
 
-    `settling` s of free motion at first are left out where effects are looked for: what filters the measurements has
-    not settled yet, in a way that the equations do not have.
+    The search for effects omits the first `settling` s of free motion, in which the filters of the measurements have
+    not settled yet: the equations do not describe this transient.
     """
 
     name: str
@@ -59,12 +59,14 @@ class GreyBox:
         return {parameter.name: parameter.value for parameter in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
-        """Parameter `name`. Raises ModelError that lists the names there are."""
+        """Parameter `name`. Raises ModelError, which lists the available names."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         names = ", ".join(p.name for p in self.parameters)
-        raise ModelError(f"parameter {name}", f"model {self.name} has none", remedy=f"use one of: {names}.")
+        raise ModelError(
+            f"parameter {name}", f"model {self.name} has no such parameter", remedy=f"use one of: {names}."
+        )
 
     def change(
         self,
@@ -78,8 +80,8 @@ class GreyBox:
         Raises ModelError for a name that the model does not have.
         """
         values, deviations = values or {}, deviations or {}
-        asked = None if estimated is None else frozenset(estimated)
-        for name in {*values, *deviations, *(asked or ())}:
+        chosen = None if estimated is None else frozenset(estimated)
+        for name in {*values, *deviations, *(chosen or ())}:
             self.parameter(name)
 
         def changed(parameter: Parameter) -> Parameter:
@@ -88,7 +90,7 @@ class GreyBox:
                 parameter,
                 value=float(values.get(name, parameter.value)),
                 std=float(deviations.get(name, parameter.std)),
-                estimated=parameter.estimated if asked is None else name in asked,
+                estimated=parameter.estimated if chosen is None else name in chosen,
             )
 
         return replace(
@@ -100,7 +102,7 @@ class GreyBox:
         )
 
     def remove(self, name: str) -> Self:
-        """The model without the effect `name`. Raises ModelError where it is not there."""
+        """The model without the effect `name`. Raises ModelError if the model does not have it."""
         kept = tuple(attached for attached in self.effects if attached.name != name)
         if len(kept) == len(self.effects):
             there = ", ".join(attached.name for attached in self.effects) or "none"

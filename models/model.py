@@ -1,4 +1,4 @@
-"""A grey-box model, as everybody uses it: what it is made of (models.grey_box), and effects that are added to it."""
+"""The grey-box model for general use: its definition (models.grey_box), and the method that adds effects to it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from models.grey_box import GreyBox
 
 @dataclass(frozen=True, slots=True)
 class Model(GreyBox):
-    """What models.grey_box describes, and how it gets effects."""
+    """A model as described in models.grey_box, to which effects can be added."""
 
     def add(self, effect: Effect | str, at: str = "") -> Model:
-        """The model with `effect` (by name, one of the catalogue) at the joint, actuator or sensor `at` (by default its
-        first).
+        """The model with `effect` (a name stands for an effect of the catalogue) at the joint, actuator or sensor `at`
+        (by default the first one that supports it).
 
-        Raises ModelError where there is no such effect, it is there already, or the model has no place for it.
+        Raises ModelError if there is no such effect, the model has it already, or the model has no place for it.
         """
         return replace(self, effects=(*self.effects, attach(self, effect, at)))

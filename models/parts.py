@@ -1,5 +1,5 @@
-"""What a model is made of: parameters, states, inputs and outputs, and the places where forces, commands and readings
-are: joints, actuators, sensors."""
+"""The parts of a model: parameters, states, inputs and outputs, and the places of forces, commands and readings:
+joints, actuators and sensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from telemetry.errors import UprightError
 
 
 class ModelError(UprightError):
-    """A model, an effect or one of their expressions is not what it should be. `where` names the part."""
+    """A model, an effect or one of their expressions is invalid. `where` names the part."""
 
     def __init__(self, where: str, message: str, *, remedy: str) -> None:
         super().__init__(f"{where}: {message}.", remedy=remedy)
@@ -22,17 +22,18 @@ class Hold(StrEnum):
     """What an input does between its samples."""
 
     ZERO_ORDER = "zero_order"
-    """A command: each value acts until the next one comes."""
+    """A command: each value acts until the next one arrives."""
     CUBIC = "cubic"
     """A measurement: a smooth curve through the values (models.compiler.curves)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A number in the equations. `value` is where estimation starts (CAD), `std` how far off it may be (0: exact).
+    """A number in the equations. `value` is the start of its estimation (CAD), `std` the standard deviation of
+    `value` (0: exact).
 
-    `estimated` is False for what a record is not asked for unless told so. A value outside `lower` and `upper` is
-    physically impossible. `scale` is a typical size, for what has the value 0.
+    `estimated` is False if the parameter is estimated only on request. A value outside `lower` and `upper` is
+    physically impossible. `scale` is a typical magnitude, for a parameter with the value 0.
     """
 
     name: str
@@ -47,7 +48,7 @@ class Parameter:
 
     @property
     def typical(self) -> float:
-        """A positive size to measure changes of the parameter by."""
+        """A positive magnitude by which changes of the parameter are scaled."""
         return self.std or self.scale or abs(self.value) or 1.0
 
 
@@ -55,16 +56,17 @@ class Parameter:
 class State:
     """A state and its time derivative.
 
-    `initial` is its value at the first row of a record: an expression in the measured outputs of that row and the
-    parameters. `initial_std`: how far off that may be, 0 for exactly known. `process_noise`: standard deviation of the
-    white noise on the derivative, unit/sqrt(s), where its estimation starts, or, with `noise_known`, what it is; 0 for
-    none. `noise_of` names an output whose sensor noise is integrated in this state: what a filter makes of its sensor,
-    a trapezoid a row. `error_of` names one that a filter makes, of whose error this state is a part: where a record
-    shows that no filter made it, the state fades within a second, and nothing that moves makes it. `noise_spread`:
-    standard deviation of the natural logarithm of the noise about `process_noise`, before a record is seen.
-    `correlation_time` names the parameter (s) with which the state fades where it is a random disturbance
-    (models.random.disturbance): it then begins as it is in the long run, not within `initial_std`. `frequency` names
-    the one (Hz) about which it then swings, and `driven_by` the state whose noise drives it, where that is not its own.
+    `initial` is its value at the first sample of a record: an expression of the measured outputs of that sample and the
+    parameters. `initial_std`: standard deviation of that value, 0 if it is exact. `process_noise`: standard deviation
+    of the white noise on the derivative, unit/sqrt(s): the start of its estimation or, with `noise_known`, the known
+    value; 0 for none. `noise_of` names an output whose sensor noise this state integrates, as a filter integrates its
+    sensor: one trapezoid per sample. `error_of` names an output that a filter computes, and of whose error this state
+    is a part; if a record shows that no filter computed it, the state decays within a second, and no motion drives it.
+    `noise_spread`: standard deviation of the natural logarithm of the noise about `process_noise`, before a record is
+    seen. `correlation_time` names the parameter (s) with which the state decays if it is a random disturbance
+    (models.random.disturbance): its initial distribution is then the stationary one, not that of `initial_std`.
+    `frequency` names the parameter (Hz) about which it then oscillates, and `driven_by` the state whose noise drives
+    it, if that is not its own.
     """
 
     name: str
@@ -85,12 +87,13 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A channel that drives the model. `age`: the channel that says how much older, s, its samples are than the row.
+    """A channel that drives the model. `age`: the channel with the age of its samples, s, relative to the recorded
+    instant.
 
-    `delays` name the parameters (s) by which it acts later, `lag` the one (s) of a first-order lag it goes through.
-    With `ramp_of` it is no channel itself, but what a limiter that follows channel `ramp_of` by no more than `ramp`
-    unit/s is short of it, as a mean over each row. `usual`: its value where a recording has no such channel; None where
-    it must have it.
+    `delays` name the parameters (s) by which it is delayed, `lag` that of a first-order lag (s) which it passes. With
+    `ramp_of` it is not a channel itself, but the shortfall of a limiter that follows channel `ramp_of` by no more than
+    `ramp` unit/s, as a mean over each sampling interval. `usual`: its value if a recording has no such channel; None if
+    the channel is required.
     """
 
     name: str
@@ -106,15 +109,16 @@ class Input:
 
     @property
     def channel(self) -> str:
-        """What is read from a recording for it."""
+        """The channel of a recording that it is read from."""
         return self.ramp_of or self.name
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A measured channel and what the model says it shows. `noise`: standard deviation of a sample, where its
-    estimation starts, or, with `noise_known`, what it is. `age` as for an input. What is `counted`, as by an encoder,
-    has the same error from count to count, for many rows: no scatter tells its size, which is `noise`."""
+    """A measured channel and the model's expression for it. `noise`: standard deviation of a sample: the start of its
+    estimation or, with `noise_known`, the known value. `age` as for an input. If it is `counted`, as by an encoder, its
+    error is constant from count to count, for many samples: the scatter does not show the magnitude of the error, which
+    is `noise`."""
 
     name: str
     unit: str
@@ -128,10 +132,10 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class NarrowBand:
-    """What is known before of a random force about `frequency` (Hz): where its estimation starts.
+    """Prior knowledge of a random force about `frequency` (Hz): the start of its estimation.
 
-    `damping_ratio` 0: between the largest and the least that a record may show; `std` (RMS, in the joint's unit of
-    force) 0: by the joint's scale.
+    `damping_ratio` 0: between the largest and the smallest value that a record can show; `std` (RMS, in the joint's
+    unit of force) 0: from the joint's scale.
     """
 
     frequency: float
@@ -141,11 +145,12 @@ class NarrowBand:
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What is known before of the random force at a joint, first order (models.random.disturbance).
+    """Prior knowledge of the first-order random force at a joint (models.random.disturbance).
 
-    `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are where their estimation starts, or, where it
-    is `known`, what they are; 0: by the joint's scales. The correlation time is sought between `shortest` and `longest`
-    (s), by default from two rows to a tenth of the record. `narrow_band`: what acts beside it.
+    `std` (RMS, in the joint's unit of force) and `correlation_time` (s) are the start of their estimation or, if
+    `known`, the known values; 0: from the joint's scales. The correlation time is estimated between `shortest` and
+    `longest` (s), by default from two sampling intervals to a tenth of the record. `narrow_band`: an additional
+    force.
     """
 
     std: float = 0.0
@@ -160,9 +165,9 @@ class Disturbance:
 class Joint:
     """A degree of freedom where forces or torques enter: inertia * rate' = load + effects + disturbance.
 
-    The equations use `NAME_force` for the right side. Scales are typical sizes, with which effects that know nothing
-    of the machine choose starts and bounds; `smooth_rate` is the rate below which a sign() is drawn as a slope.
-    `disturbance`: the random force that every real machine has; None for none.
+    The equations use `NAME_force` for the right-hand side. Scales are typical magnitudes, from which effects, which are
+    independent of the machine, take their start values and bounds; `smooth_rate` is the rate below which a sign() is
+    approximated by a slope. `disturbance`: the random force that acts on every real machine; None for none.
     """
 
     name: str
@@ -181,12 +186,12 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions of what
-    it moves, "" where it moves nothing that is known; `gain` is the force at `joint` a unit of rate gives; `inertia` is
-    that of the actuator itself, which is a part of the joint's.
-    `also`: further inputs that are commands of its kind, as of two wheels: an effect acts on all of them alike. `lag`:
-    the parameter by which what it moves lags behind the command, beside which a further lag hardly shows.
-    Where it is not `commanded`, `command` is motion that nothing passes on, so that no effect of an input acts there.
+    """Where a command becomes motion or force. `command` is an input's name; `rate` and `angle` are expressions for the
+    motion of the part that it moves, "" if the model does not know it; `gain` is the force at `joint` per unit of rate;
+    `inertia` is that of the actuator itself, a part of the joint's. `also`: further inputs that are commands of the
+    same kind, e.g. of two wheels: an effect acts equally on all of them. `lag`: the parameter by which the motion lags
+    behind the command; a further lag is hardly visible in addition. If it is not `commanded`, `command` is a motion and
+    not a command, so that no effect on a command acts there.
     """
 
     name: str
@@ -211,7 +216,7 @@ class Actuator:
 
     @property
     def moved(self) -> dict[str, str]:
-        """What the model knows of it, by the name that effects use."""
+        """The expressions that the model knows for it, by the names that effects use."""
         known = {
             "actuator_rate": self.rate,
             "actuator_angle": self.angle,
@@ -223,16 +228,17 @@ class Actuator:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """What makes an angle from its rate, and how it answers to an error of the rate: slowly, by an accelerometer.
+    """A filter that computes an angle from its rate, and corrects errors of the rate slowly, by an accelerometer.
 
         off = angle - level - lever error / smoothing
         angle' = error - bias - proportional off,  bias' = integral off
         level' = error - bias - (level + lever error / smoothing) / smoothing
 
-    are the errors of angle, bias and of the direction from the accelerometer, which goes through a low pass of
-    `smoothing` s that turns with the rate. `proportional` 1/s and `integral` 1/s^2 are the filter's gains, 0 where it
-    learns no bias; `lever` s^2, the sensor's height over the axis by g: its acceleration there is taken from the rate.
-    `integral` may be an expression of the model's inputs: a filter that is still learning the bias corrects it faster.
+    are the errors of angle, bias and the direction from the accelerometer. This direction passes a low-pass filter with
+    the time constant `smoothing` s, which turns with the rate. `proportional` 1/s and `integral` 1/s^2 are the filter's
+    gains, `integral` 0 if it does not learn a bias; `lever` s^2 is the sensor's height above the axis over g: its
+    acceleration there is computed from the rate. `integral` may be an expression of the model's inputs: a filter that
+    is still learning the bias corrects it faster.
     """
 
     proportional: float
@@ -243,11 +249,11 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Outputs of one device: `angle` (or position) and `rate` are output names, "" where it does not measure it.
+    """Outputs of one device: `angle` (or position) and `rate` are output names, "" if it does not measure it.
 
-    `filter` is what makes the angle from the rate, None where they are measured apart. `actuator` is the one that it
-    sits on: it shows that one's motion, in the unit of the coordinate of its joint, also where an effect lets the two
-    move apart. "" where it shows what the outputs say.
+    `filter` computes the angle from the rate; None if both are measured independently. `actuator` is the actuator that
+    carries the sensor, which then shows the motion of that actuator, in the unit of its joint's coordinate, even if an
+    effect lets actuator and joint move apart; "" if the sensor shows what the outputs state.
     """
 
     name: str

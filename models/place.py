@@ -1,4 +1,4 @@
-"""The places of a model where an effect can act: joints, actuators, sensors, and what each offers to it."""
+"""The places of a model where an effect can act: joints, actuators, sensors, and the names that each offers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from models.parts import Actuator, Joint, Place, Sensor
 _ANYWHERE = ("time", "time_scale")
 """`time_scale`, s, is a number: the model's natural time (models.natural_time)."""
 EVERY_JOINT = ("coordinate", "rate", "inertia", "load", "smooth_rate")
-"""What there is at joints of all models."""
+"""Names that the joints of all models offer."""
 _MOVED = ("actuator_rate", "actuator_angle")
 _READINGS = {each: (each, f"{each}_1", f"{each}_2") for each in ("angle", "rate")}
 
@@ -21,7 +21,7 @@ VOCABULARY: Mapping[Place, frozenset[str]] = {
     Place.ACTUATOR: frozenset((*_ANYWHERE, "command", *_MOVED)),
     Place.SENSOR: frozenset((*_ANYWHERE, *_READINGS["angle"], *_READINGS["rate"])),
 }
-"""What the expressions of an effect may use besides its own parameters and states, where its place has it."""
+"""Names that the expressions of an effect may use besides its own parameters and states, if its place has them."""
 
 _JOINT_SCALES = ("force_scale", "coordinate_scale", "rate_scale", "smooth_rate")
 SCALES: Mapping[Place, frozenset[str]] = {
@@ -29,19 +29,19 @@ SCALES: Mapping[Place, frozenset[str]] = {
     Place.ACTUATOR: frozenset((*_JOINT_SCALES, "command_scale", "angle_scale", "time_scale")),
     Place.SENSOR: frozenset(("angle_scale", "rate_scale", "time_scale")),
 }
-"""Numbers that the values, scales, bounds and starts of an effect's parameters may use, where its place has them."""
+"""Numbers that the values, scales, bounds and starts of an effect's parameters may use, if its place has them."""
 
 UNITS: Mapping[Place, frozenset[str]] = {
     Place.JOINT: frozenset(("force", "coordinate", "command", "angle")),
     Place.ACTUATOR: frozenset(("force", "coordinate", "command", "angle")),
     Place.SENSOR: frozenset(("angle", "rate")),
 }
-"""Units that the units of an effect's parameters may contain, in curly brackets, where its place has them."""
+"""Units that the units of an effect's parameters may contain, in curly brackets, if its place has them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """What one place has: `names` of its vocabulary, those of them that are angles `in_radians`, scales and units."""
+    """What one place offers: `names` of its vocabulary, the angles `in_radians` among them, scales and units."""
 
     names: frozenset[str]
     in_radians: frozenset[str]
@@ -50,8 +50,7 @@ class Offer:
 
 
 def places_of(model: GreyBox, place: Place) -> tuple[Joint | Actuator | Sensor, ...]:
-    """The places of a kind that `model` has. An actuator that is not `commanded` offers no
-    command to act on."""
+    """The places of a kind that `model` has, without actuators that are not `commanded`: they have no command."""
     match place:
         case Place.JOINT:
             return model.joints
@@ -62,7 +61,7 @@ def places_of(model: GreyBox, place: Place) -> tuple[Joint | Actuator | Sensor, 
 
 
 def offer(model: GreyBox, place: Joint | Actuator | Sensor) -> Offer:
-    """What `place`, one of `model`'s, has."""
+    """What `place`, one of `model`'s, offers."""
     scales: dict[str, float] = {"time_scale": natural_time(model) or USUAL}
     if isinstance(place, Sensor):
         return _sensor(place, scales)

@@ -1,8 +1,8 @@
 """A model's equations for people (text), papers (LaTeX) and programs (JSON), with its effects merged in by name.
 
-Nothing is put into anything else: each line is as it was written, and an effect's force stands in the joint's equation
-under the effect's name. What an effect replaces (a command, a reading) is marked with :=, in the order in which it
-acts.
+Nothing is substituted: each line is shown as it was written, and an effect's force appears in the joint's equation
+under the effect's name. A quantity that an effect replaces (a command, a reading) is marked with :=, in the order in
+which the effects act.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from models.sensing import FILTERED, delayed, integrated
 
 
 class Kind(StrEnum):
-    """What a line says of its `name`."""
+    """What a line states about its `name`."""
 
     DELAY = "delay"
-    """Input `name` acts later by `expression`, s."""
+    """Input `name` is delayed by `expression`, s."""
     LAG = "lag"
-    """Input `name` goes through a first-order lag of `expression`, s."""
+    """Input `name` passes a first-order lag of `expression`, s."""
     COMMAND = "command"
-    """An effect makes `expression` of the command `name`."""
+    """An effect replaces the command `name` by `expression`."""
     DEFINITION = "definition"
     FORCE = "force"
     """The force at a joint, or its part without effects."""
     EFFECT = "effect"
     """The force that the effect `name` adds."""
     TWIST = "twist"
-    """By how much an effect lets an actuator be ahead of its joint, `name`, and `name@1` by how much it is faster."""
+    """`name` is how far an effect lets an actuator be ahead of its joint, `name@1` how much faster it is."""
     DERIVATIVE = "derivative"
     """`expression` is the time derivative of `name`."""
     OUTPUT = "output"
     READING = "reading"
-    """An effect makes `expression` of what the output `name` shows, `name_measured`, and of its time derivatives,
-    `name_measured@1` and `name_measured@2`."""
+    """An effect replaces the reading `name_measured` of the output `name` by `expression`, in which `name_measured@1`
+    and `name_measured@2` are its time derivatives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Line:
 
 
 def equations(model: Model) -> tuple[Line, ...]:
-    """The equations of `model` in the order in which they are worked out. Raises ModelError."""
+    """The equations of `model` in the order in which they are evaluated. Raises ModelError."""
     return (
         *_shifts(model),
         *_commands(model),
@@ -70,16 +70,16 @@ def equations(model: Model) -> tuple[Line, ...]:
 
 
 def text(model: Model) -> str:
-    """The equations as plain text, a line each, what an effect does with its name behind it."""
+    """The equations as plain text, one per line; a line that comes from an effect ends with the effect's name."""
     rows = []
     for line in equations(model):
         shown = line.kind in (Kind.READING, Kind.DERIVATIVE)
         right = line.expression.replace("@1", "'").replace("@2", "''") if shown else line.expression
         match line.kind:
             case Kind.DELAY:
-                rows.append((line.name, f"acts later by {right}", ""))
+                rows.append((line.name, f"is delayed by {right}", ""))
             case Kind.LAG:
-                rows.append((line.name, f"goes through a lag of {right}", line.effect))
+                rows.append((line.name, f"passes a first-order lag of {right}", line.effect))
             case Kind.COMMAND:
                 rows.append((line.name, f":= {right}", line.effect))
             case Kind.READING:
@@ -125,7 +125,7 @@ def latex(model: Model) -> str:
 
 
 def to_json(model: Model) -> dict[str, Any]:
-    """Everything about `model`, as plain data; a bound that is not there is infinite."""
+    """Everything about `model`, as plain data; a missing bound is infinite."""
     return {
         "name": model.name,
         "title": model.title,
@@ -176,7 +176,7 @@ def _commands(model: Model) -> Iterator[Line]:
 
 
 def _forces(model: Model, joint: Joint) -> Iterator[Line]:
-    """Effects that ask for `load` come last, and are given all that acts before them."""
+    """Effects that use `load` come last: for each, `load` is the sum of all forces before it."""
     total = f"{joint.name}_force"
     here = [a for a in _acting(model, Place.JOINT) if a.at == joint.name]
     if not here:
@@ -184,7 +184,7 @@ def _forces(model: Model, joint: Joint) -> Iterator[Line]:
         return
     load = _free(model, f"{joint.name}_load")
     yield Line(Kind.FORCE, load, _tidy(joint.load))
-    for attached in sorted(here, key=_asks_for_load):
+    for attached in sorted(here, key=_uses_load):
         names = {**_at_joint(model, joint), "load": load, **_own(attached)}
         symbol = _free(model, attached.name)
         yield Line(Kind.EFFECT, symbol, renamed(attached.effect.force or "0", names), attached.name)
@@ -193,13 +193,13 @@ def _forces(model: Model, joint: Joint) -> Iterator[Line]:
 
 
 def _before(model: Model, joint: Joint, attached: AttachedEffect) -> str:
-    """All that acts at `joint` before the effect."""
+    """The sum of all forces at `joint` before the effect."""
     *parts, _ = _forces(model, joint)
     return " + ".join([line.name for line in parts][: [line.effect for line in parts].index(attached.name)])
 
 
 def _memories(model: Model, attached: AttachedEffect) -> Iterator[Line]:
-    """How the states of an effect at a joint change."""
+    """The derivatives of the states of an effect at a joint."""
     if attached.effect.place is not Place.JOINT:
         return
     joint = next(each for each in model.joints if each.name == attached.at)
@@ -210,7 +210,7 @@ def _memories(model: Model, attached: AttachedEffect) -> Iterator[Line]:
 
 
 def _twists(model: Model) -> Iterator[Line]:
-    """What sensors on an actuator show more than the motion of its joint."""
+    """What sensors on an actuator show in addition to the motion of its joint."""
     for attached in _acting(model, Place.JOINT):
         actuators = [each.name for each in model.actuators if each.joint == attached.at]
         showing = [each for each in model.sensors if each.actuator in actuators]
@@ -251,7 +251,7 @@ def _readings(model: Model) -> Iterator[Line]:
 
 
 def _filtered(sensor: Sensor, filtered: Filter, attached: AttachedEffect, reading: str) -> Iterator[Line]:
-    """What becomes of a rate that an effect changes, and of the angle that a filter makes of it."""
+    """The readings of a rate that an effect changes, and of the angle that a filter computes from it."""
     names = {name: attached.qualified(name) for name in FILTERED}
     given = {key: str(value) for key, value in asdict(filtered).items()}
     rate, angle = _measured(sensor.rate), _measured(sensor.angle)
@@ -271,7 +271,7 @@ def _actuator(model: Model, attached: AttachedEffect) -> Actuator:
 
 
 def _own(attached: AttachedEffect) -> dict[str, str]:
-    """An effect's own names as the model has them."""
+    """An effect's own names, with the names that they have in the model."""
     own = {name: attached.qualified(name) for name in attached.effect.own_names}
     return {**own, "time_scale": repr(attached.time_scale)}
 
@@ -283,17 +283,17 @@ def _at_joint(model: Model, joint: Joint) -> dict[str, str]:
     return {**here, "smooth_rate": repr(joint.smooth_rate), **(actuator.moved if actuator is not None else {})}
 
 
-def _asks_for_load(attached: AttachedEffect) -> bool:
+def _uses_load(attached: AttachedEffect) -> bool:
     return any("load" in names_in(text) for text in attached.effect.expressions.values())
 
 
 def _measured(output: str) -> str:
-    """What an output shows, which is not always what the state of the same name is."""
+    """The reading of an output, which may differ from the state of the same name."""
     return f"{output}_measured"
 
 
 def _free(model: Model, name: str) -> str:
-    """`name`, or one like it that stands for nothing else in the model."""
+    """`name`, or a similar name that the model does not use yet."""
     taken = {state.name for state in model.base_states} | {each.name for each in model.inputs} | {*model.definitions}
     while name in taken | {parameter.name for parameter in model.base_parameters}:
         name += "_"

@@ -1,7 +1,8 @@
-"""What a sensor makes of an effect on it beyond its reading: a filter integrates a rate, and what is late is all late.
+"""How an effect on a sensor acts beyond one reading: a filter integrates a rate, and a delay applies to all readings.
 
-Where a filter makes the angle from the rate (models.parts.Filter), an error of the rate alone goes into the angle, is
-corrected slowly, and a constant one is learned. An effect that adds to the rate alone has the filter's states for that.
+If a filter computes the angle from the rate (models.parts.Filter), an error of the rate alone enters the angle and is
+corrected slowly, and a constant error is learned. An effect that adds to the rate alone has the filter's states for
+this.
 """
 
 from __future__ import annotations
@@ -24,19 +25,19 @@ FILTERED: Mapping[str, str] = {
     "bias_error": f"integral * (angle_error - {_SEEN})",
     "level_error": f"error - bias_error - {_SEEN} / smoothing",
 }
-"""Local name to derivative of the states of a filter that is led astray by the `error` of its rate.
+"""Local name to derivative of the states of a filter that the `error` of its rate drives.
 
-Beside it and each other they use the fields of models.parts.Filter. The first adds to the angle, the second takes from
-the rate.
+Besides `error` and each other they use the fields of models.parts.Filter. The first is added to the angle, the second
+is subtracted from the rate.
 """
 BEGUN = 0.01
-"""Of a sensor's typical angle and rate, that the filter may be off where a stretch of a record begins."""
+"""Standard deviation of a filter's errors when a segment begins, as a share of the sensor's typical angle and rate."""
 
 
 def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:
     """Whether a filter integrates what `effect` adds to the rate at `place`.
 
-    One that changes the angle as well says itself what becomes of it.
+    An effect that changes the angle as well defines the error of the angle itself.
     """
     if not isinstance(place, Sensor) or place.filter is None:
         return False
@@ -44,7 +45,7 @@ def integrated(place: Joint | Actuator | Sensor, effect: Effect) -> bool:
 
 
 def filter_inputs(model: GreyBox) -> frozenset[str]:
-    """The inputs of `model` by which filters go that errors of its sensors pass through."""
+    """The inputs of `model` that are used by the filters through which errors of its sensors pass."""
     found: set[str] = set()
     for sensor in model.sensors:
         through = any(each.at == sensor.name and integrated(sensor, each.effect) for each in model.effects)
@@ -54,7 +55,7 @@ def filter_inputs(model: GreyBox) -> frozenset[str]:
 
 
 def learned(sensor: Sensor, effect: Effect) -> bool:
-    """Whether a filter has learned, before a record begins, what `effect` adds to the rate of `sensor`: a constant."""
+    """Whether `effect` adds a constant to the rate of `sensor` that a filter has learned before a record begins."""
     if not integrated(sensor, effect) or sensor.filter is None or not sensor.filter.integral or effect.states:
         return False
     own = dict.fromkeys(effect.own_names, 1.0)
@@ -64,9 +65,9 @@ def learned(sensor: Sensor, effect: Effect) -> bool:
 
 
 def delayed(model: GreyBox, attached: AttachedEffect) -> tuple[str, ...]:
-    """Names of the inputs of `model` that act later by the effect's `delay`, none where it delays none.
+    """Names of the inputs of `model` that the effect's `delay` delays; none if it delays none.
 
-    A sensor that shows all outputs, late, is one of a vehicle to which all happens late.
+    A delay of a sensor that shows all outputs is equivalent to a delay of all inputs that drive the vehicle.
     """
     effect = attached.effect
     if not effect.delay:
@@ -75,6 +76,6 @@ def delayed(model: GreyBox, attached: AttachedEffect) -> tuple[str, ...]:
         commands = {name for each in model.actuators if each.name == attached.at for name in each.commands}
         return tuple(each.name for each in model.inputs if each.channel in commands)
     shown = {name for sensor in model.sensors if sensor.name == attached.at for name in (sensor.angle, sensor.rate)}
-    # What a filter says of itself comes with the readings.
+    # What a filter states about itself is delayed with the readings.
     driving = tuple(each.name for each in model.inputs if each.usual is None)
     return driving if shown.issuperset(each.name for each in model.outputs) else ()

@@ -1,8 +1,8 @@
 """Recordings as Arrow IPC streams and Parquet files.
 
-Columns: `timestamp_ns` int64, then one float64 a channel with its unit and meaning as field metadata. What is known of
-the run is schema metadata; what is known at its end goes with the last batch of a stream. A stream is appended batch by
-batch and can be read up to the last whole batch whatever happens to its writer.
+Columns: `timestamp_ns` int64, then one float64 per channel with its unit and meaning as field metadata. What is known
+of the run is schema metadata; what is known only at its end is metadata of the last batch of a stream. A stream is
+appended batch by batch and can be read up to the last whole batch, whatever happens to its writer.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 class ArrowStreamWriter:
     """Appends batches of rows to a new `.arrow` file; each is on the disk when `append` returns.
 
-    Raises OSError (FileExistsError where `path` is taken, as no recording is ever overwritten).
+    Raises OSError (FileExistsError if `path` exists: no recording is ever overwritten).
     """
 
     def __init__(self, path: Path, channels: ChannelTable, metadata: Mapping[str, str]) -> None:
@@ -49,7 +49,7 @@ class ArrowStreamWriter:
         os.fsync(self._file.fileno())
 
     def close(self, metadata: Mapping[str, str] | None = None) -> None:
-        """End the stream; `metadata` is what became known during the run, and is read back with the rest."""
+        """End the stream; `metadata`, which became known during the run, is read back with the rest."""
         with self._file:
             if metadata:
                 self.append(np.empty(0, dtype=np.int64), np.empty((0, len(self._schema) - 1)), metadata)
@@ -59,7 +59,7 @@ class ArrowStreamWriter:
 
 
 def read_arrow(path: Path) -> Recording:
-    """Read a stream, up to its last whole batch where it was cut off. Raises RecordingError, OSError."""
+    """Read a stream, up to its last whole batch if it was cut off. Raises RecordingError, OSError."""
     with path.open("rb") as file:
         content = file.read()
     batches = []
@@ -71,7 +71,7 @@ def read_arrow(path: Path) -> Recording:
         raise RecordingError(
             str(path),
             "",
-            "is no Arrow stream, or was cut off before its first row",
+            "is not an Arrow stream, or was cut off before its first row",
             remedy="If a raw log (.log) lies beside it, `upright convert` rebuilds the recording from that.",
         ) from error
     try:
@@ -102,7 +102,7 @@ def read_parquet(path: Path) -> Recording:
         raise RecordingError(
             str(path),
             "",
-            "is no whole Parquet file",
+            "is not a complete Parquet file",
             remedy="A Parquet file that was cut off is lost: convert it again from the .arrow recording.",
         ) from error
     return _recording(table, path, {}, "")
@@ -128,7 +128,7 @@ def _table(recording: Recording) -> Any:
 
 
 def _recording(table: Any, path: Path, late: dict[str, str], truncated: str) -> Recording:
-    """`timestamp_ns`, or `time` in s where a table comes from elsewhere; every other column is a channel."""
+    """Reads `timestamp_ns`, or `time` in s if the table comes from elsewhere; every other column is a channel."""
     names = table.column_names
     if "timestamp_ns" in names:
         timestamp_ns = table.column("timestamp_ns").to_numpy()

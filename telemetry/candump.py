@@ -2,8 +2,8 @@
 
     (1730301035.277560123) can0 18A#00112233
 
-An extended id has eight hex digits, a remote frame `R` and its length for data, an error frame the flag 20000000h in
-its id (linux/can/error.h). Nine decimals are written; six (microseconds) and nine are read.
+An extended id has eight hex digits, a remote frame `R` and its length in place of data, an error frame the flag
+20000000h in its id (linux/can/error.h). Nine decimals are written; six (microseconds) and nine are read.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ def format_frames(frames: Iterable[CanFrame], channels: Sequence[str]) -> str:
 
 
 def parse_line(line: str, buses: dict[str, int]) -> CanFrame:
-    """The frame of one line. `buses` gives the index of a channel and grows by those that are new.
+    """The frame of one line. `buses` gives the index of a channel; new channels are added to it.
 
-    Raises ValueError with what is wrong.
+    Raises ValueError, whose text states the error.
     """
     stamp, channel, content = line.split()
     if stamp[0] != "(" or stamp[-1] != ")":
@@ -67,8 +67,8 @@ def parse_line(line: str, buses: dict[str, int]) -> CanFrame:
 class CandumpReader:
     """The frames of a log file, in its order.
 
-    A last line that was cut off (a crash) is left out; `truncated` then says which. `buses` gives the index of each
-    channel name, in the order of appearance. Raises RecordingError for a line that is no frame, with its number.
+    A last line that was cut off (by a crash) is left out; `truncated` then states which. `buses` gives the index of
+    each channel name, in the order of appearance. Raises RecordingError, with the line number, for an invalid line.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,6 +1,6 @@
 """Channels: the name, unit, sign and meaning of everything that is recorded, and those that every vehicle has.
 
-Axes are those of ISO 8855: x forward, y left, z up. Which channels a vehicle has beside the common ones is in its
+Axes are those of ISO 8855: x forward, y left, z up. The channels that a vehicle has besides the common ones are in its
 folder (`vehicles.monocab.channels`).
 """
 
@@ -14,8 +14,8 @@ STEEPEST = 1.6
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it. `leans`: an angle
-    that the vehicle leans by, which is beyond STEEPEST only where it was recorded in another unit."""
+    """One recorded quantity. `unit` is SI ("1" for a pure number). `newer`: older recordings lack it. `leans`: a lean
+    angle of the vehicle, which is beyond STEEPEST only if it was recorded in another unit."""
 
     name: str
     unit: str
@@ -25,12 +25,12 @@ class Channel:
 
 
 class ChannelTable(tuple[Channel, ...]):
-    """The ordered channels of a vehicle; `table.index_of(name)` is the place of a channel in `Frame.values`."""
+    """The ordered channels of a vehicle; `table.index_of(name)` is the index of a channel in `Frame.values`."""
 
     __slots__ = ()
 
     def index_of(self, name: str) -> int:
-        """The place of channel `name`. Raises KeyError that lists the names there are."""
+        """The index of channel `name`. Raises KeyError, which lists the available names."""
         for place, channel in enumerate(self):
             if channel.name == name:
                 return place
@@ -38,7 +38,7 @@ class ChannelTable(tuple[Channel, ...]):
 
     @property
     def lean(self) -> str:
-        """The angle that the vehicle falls by: the first that it leans by; "" where there is none."""
+        """The angle in which the vehicle falls: its first lean angle; "" if there is none."""
         return next((channel.name for channel in self if channel.leans), "")
 
     @property
@@ -52,16 +52,17 @@ NOTHING_RUNS = 0
 SETPOINT_AGE = Channel(
     "setpoint_age",
     "s",
-    "how much older than the IMU sample the setpoints of this row are: negative, for they follow when it has arrived",
+    "age of the setpoints relative to the IMU sample: negative, since they follow when it has arrived",
     newer=True,
 )
-DRIVE_AGE = Channel("drive_age", "s", "how much older than the IMU sample the drive values of this row are")
+DRIVE_AGE = Channel("drive_age", "s", "age of the drive values relative to the IMU sample")
 EXCITATION = Channel(
     "excitation",
     "1",
-    "value of the excitation, as what it is added to: rad on the reference, rad/s or V on the controller output",
+    "value of the excitation, in the unit of what it is added to: rad on the reference, rad/s or V on the controller "
+    "output",
 )
 PHASE = Channel("phase", "1", "phase of the experiment, see vehicles.phases.Phase")
 
 COMMON = (SETPOINT_AGE, DRIVE_AGE, EXCITATION, PHASE)
-"""What the service records of every vehicle."""
+"""The channels that the service records of every vehicle."""

@@ -1,12 +1,12 @@
-"""Time stamps that jitter about a regular clock: were the samples taken then, or by the clock?
+"""Time stamps that jitter about a regular clock: were the samples taken at the stamped times, or by the clock?
 
-A table that a computer's own clock has stamped says when a row was written. The channels tell which it is. Fourth
-differences leave next to nothing of a motion below a tenth of the sampling rate, but of a sample that was taken `off`
-the clock they leave those of its slope times that:
+In a table that was stamped by a computer's own clock, the stamps state when a row was written. The channels show which
+of the two it is. Fourth differences leave almost nothing of a motion below a tenth of the sampling rate. Of a sample
+that was taken `off` the clock, they leave those of its slope times `off`:
 
     D4 y = r D4 (y' off) + D4 noise
 
-r is 1 where the samples were taken as stamped, and 0 where they were taken by the clock.
+r is 1 if the samples were taken as stamped, and 0 if they were taken by the clock.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 LEAST = 1e-3
-"""Share of a period, RMS, below which time stamps are on their clock."""
+"""RMS jitter, as a share of a period, below which time stamps are regular."""
 FOLLOWS = 0.05
-"""Share of a stamp's error by which the clock that tells missing rows is set after it."""
+"""Share of a stamp's error by which the clock that detects missing samples is corrected."""
 WINDOW = 51
-"""Rows over which a clock goes evenly: what is slower is no jitter."""
+"""Samples over which a clock is even: slower changes are not jitter."""
 SMOOTH = 9
-"""Rows of the cubic that a slope is taken from."""
+"""Samples of the cubic from which a slope is taken."""
 BLOCK = 16
-"""Rows whose errors are taken as one."""
+"""Samples whose errors are added up before their variance is taken."""
 SIGNIFICANT = 5.0
-"""Standard deviations with which channels have to say it."""
+"""Standard deviations by which the channels have to contradict the time stamps."""
 
 
 @dataclass(frozen=True, slots=True)
 class Jitter:
-    """How far each time stamp is `off` its clock, s (n,), and the `share` of that which no sample was taken at, 0 to 1,
-    with the standard deviation of its error."""
+    """How far each time stamp is `off` its clock, s (n,), and the `share` of that, 0 to 1, by which the samples were
+    not off, with its standard deviation."""
 
     off: Array
     share: float
@@ -52,15 +52,15 @@ class Jitter:
 
 
 def by_the_clock(recording: Recording) -> Recording:
-    """`recording` with the instants at which its samples were taken, where its channels surely say that these were
-    not those of its time stamps; its `truncated` then says so, too."""
+    """`recording` with the instants at which its samples were taken, if its channels show with significance that these
+    are not its time stamps; its `truncated` then states this, too."""
     found = jitter(recording)
     if found is None or found.share < SIGNIFICANT * found.share_error:
         return recording
     moved = np.round(1e9 * min(1.0, found.share) * found.off).astype(np.int64)
     share = f"{100.0 * min(1.0, found.share):.0f} ± {100.0 * found.share_error:.1g} %"
     note = (
-        f"the time stamps jitter by {1e3 * found.rms:.2g} ms RMS about a regular clock, and the samples do not"
+        f"the time stamps jitter by {1e3 * found.rms:.2g} ms RMS about a regular clock, but the samples do not"
         f" ({share} of it): they are taken as sampled by the clock"
     )
     return replace(
@@ -71,8 +71,8 @@ def by_the_clock(recording: Recording) -> Recording:
 
 
 def jitter(recording: Recording) -> Jitter | None:
-    """What the channels of a recording say together, each as surely as it does; None where its time stamps are on
-    their clock, or no channel moves."""
+    """The estimate from all channels of a recording, weighted by their variances; None if its time stamps are regular,
+    or no channel moves."""
     if len(recording) < 2 * WINDOW:
         return None
     found = _off(recording.time)
@@ -81,16 +81,16 @@ def jitter(recording: Recording) -> Jitter | None:
     off, period = found
     weights = shares = 0.0
     for values in recording.values.values():
-        told = _as_stamped(values, off, period)
-        if told is not None:
-            share, variance = told
+        estimate = _as_stamped(values, off, period)
+        if estimate is not None:
+            share, variance = estimate
             shares, weights = shares + (1.0 - share) / variance, weights + 1.0 / variance
     return Jitter(off, shares / weights, weights**-0.5) if weights else None
 
 
 def _off(time: Array) -> tuple[Array, float] | None:
-    """How far each of `time` (n,) is off its clock, (n,), and the period, s; rows may be missing. None where it is on
-    it to LEAST of a period."""
+    """How far each of `time` (n,) is off its clock, (n,), and the period, s; samples may be missing. None if they are
+    off by less than LEAST of a period."""
     period = float(np.median(np.diff(time)))
     if np.max(np.abs(np.diff(time) - period)) < LEAST * period:
         return None
@@ -107,8 +107,8 @@ def _off(time: Array) -> tuple[Array, float] | None:
 
 
 def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float] | None:
-    """The share of `off` at which a channel's samples were taken, and the variance of its error; None where it does not
-    move, or in one block alone."""
+    """The share of `off` by which a channel's samples were off the clock, and its variance; None if the channel does
+    not move, or moves in one block alone."""
     if not np.isfinite(values).all() or np.ptp(values) == 0.0:
         return None
     slope = savgol_filter(values, SMOOTH, 3, deriv=1, delta=period)
@@ -120,7 +120,7 @@ def _as_stamped(values: Array, off: Array, period: float) -> tuple[float, float]
     errors = moved * (rest - share * moved)
     begins = np.arange(0, len(errors), BLOCK)
     blocks, weights = (np.add.reduceat(each, begins) for each in (errors, moved**2))
-    # As many independent blocks as these weights are worth (Kish): a channel that steps once fits its own share.
+    # The effective number of independent blocks (Kish): a channel that steps once fits its own share.
     count = float(square**2 / (weights @ weights))
     if count <= 1.0 + 1e-9:
         return None

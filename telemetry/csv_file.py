@@ -1,6 +1,6 @@
-"""Recordings as CSV: a header of channel names, `time` in s, one row a control cycle, SI units, no metadata.
+"""Recordings as CSV: a header of channel names, `time` in s, one row per control cycle, SI units, no metadata.
 
-Numbers are written so that they read back bit for bit, and `time` in nanoseconds since the first row; the absolute
+Numbers are written so that they read back bit for bit, and `time` to the nanosecond since the first row; the absolute
 time of the start is not kept.
 """
 
@@ -32,7 +32,7 @@ def read_csv(path: Path) -> Recording:
     """Read a CSV file with a header; an empty field is an unknown value (NaN).
 
     Raises:
-        RecordingError: no `time` column, a field that is no number (with its line), or lines of differing length.
+        RecordingError: no `time` column, a field that is not a number (with its line), or lines of differing length.
     """
     with path.open(newline="", encoding="utf-8-sig") as file:
         lines = csv.reader(file)
@@ -43,7 +43,7 @@ def read_csv(path: Path) -> Recording:
             )
         if len(set(header)) != len(header):
             twice = next(name for name in header if header.count(name) > 1)
-            raise RecordingError(str(path), twice, "is there twice", remedy="Give every column a name of its own.")
+            raise RecordingError(str(path), twice, "occurs twice", remedy="Give every column a name of its own.")
         rows: list[list[float]] = []
         truncated = ""
         for fields in lines:
@@ -61,7 +61,7 @@ def read_csv(path: Path) -> Recording:
                     str(path),
                     f"line {lines.line_num - 1}",
                     str(error),
-                    remedy="One number a field, a point for the decimals, commas between fields.",
+                    remedy="Write one number per field, with a decimal point, and commas between fields.",
                 ) from error
             rows.append(row)
     table = np.array(rows, dtype=np.float64).reshape(-1, len(header))

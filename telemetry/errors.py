@@ -4,9 +4,9 @@ from __future__ import annotations
 
 
 class UprightError(Exception):
-    """Something went wrong that a person can mend.
+    """An error that a person can correct.
 
-    The message says what happened; `remedy` says what to do about it. Subclasses add attributes a program can read.
+    The message states what happened; `remedy` states what to do about it. Subclasses add attributes a program can read.
     """
 
     def __init__(self, message: str, *, remedy: str = "") -> None:

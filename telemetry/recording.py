@@ -1,5 +1,5 @@
-"""A recording: the channels of one experiment over time, in SI units, with where they come from as metadata. Its files
-are those of telemetry.storage."""
+"""A recording: the channels of one experiment over time, in SI units, with their origin as metadata. telemetry.storage
+reads and writes its files."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Recording:
     """Channels over time.
 
     `timestamp_ns` int64 (n,), strictly rising; `values` float64 (n,) by channel name, NaN where a value was not known.
-    `metadata` is what the writer knew (vehicle, kind, experiment, parameters, ...). `truncated` says in words what a
-    file that was cut off still gave; it is empty for a whole one. `source` names the file in errors.
+    `metadata` is what the writer knew (vehicle, kind, experiment, parameters, ...). `truncated` states what could be
+    read of a file that was cut off; it is empty for a complete file. `source` names the file in errors.
 
-    Raises RecordingError where columns differ in length, time does not rise, or an angle cannot be in radians.
+    Raises RecordingError if columns differ in length, time does not rise, or an angle cannot be in radians.
     """
 
     channels: ChannelTable
@@ -68,29 +68,29 @@ class Recording:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """s since the first row, (n,)."""
+        """s since the first sample, (n,)."""
         return np.asarray((self.timestamp_ns - self.timestamp_ns[0]) * 1e-9, dtype=np.float64)
 
     @property
     def duration(self) -> float:
-        """s from the first row to the last."""
+        """s from the first sample to the last."""
         return float(self.timestamp_ns[-1] - self.timestamp_ns[0]) * 1e-9
 
     @property
     def rate(self) -> float:
-        """Rows a second, from the median spacing; 0 for a single row."""
+        """Samples per second, from the median spacing; 0 for a single sample."""
         return float(1e9 / np.median(np.diff(self.timestamp_ns))) if len(self.timestamp_ns) > 1 else 0.0
 
     def __len__(self) -> int:
         return len(self.timestamp_ns)
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """Channel `name`, (n,). Raises RecordingError that lists the channels there are."""
+        """Channel `name`, (n,). Raises RecordingError, which lists the available channels."""
         self.require(name)
         return self.values[name]
 
     def require(self, *names: str, finite: bool = False) -> None:
-        """Raises RecordingError for the first of `names` that is not here or, with `finite`, has unknown values."""
+        """Raises RecordingError for the first of `names` that is missing or, with `finite`, has unknown values."""
         for name in names:
             if name not in self.values:
                 near = difflib.get_close_matches(name, self.channels.names, n=1)
@@ -110,30 +110,30 @@ class Recording:
                 )
 
     def between(self, begin: float = 0.0, end: float = math.inf) -> Recording:
-        """The rows from `begin` to `end`, s from the first row on. Raises RecordingError where there are hardly any."""
+        """The samples from `begin` to `end`, s since the first. Raises RecordingError if there are fewer than two."""
         chosen = (self.time - self.time[0] >= begin) & (self.time - self.time[0] <= end)
         if np.count_nonzero(chosen) < 2:
             span = float(self.time[-1] - self.time[0])
             what = f"has no rows from {begin:g} to {end:g} s; it lasts {span:.1f} s"
-            raise RecordingError(self.source, "", what, remedy="Ask for a part that there is.")
+            raise RecordingError(self.source, "", what, remedy="Choose a part that exists.")
         values = {name: column[chosen] for name, column in self.values.items()}
         return replace(self, timestamp_ns=self.timestamp_ns[chosen], values=values)
 
     def frames(self, channels: ChannelTable | None = None) -> Iterator[Frame]:
-        """Row by row, as the estimators take it, in the order of `channels` (those of the recording by default).
+        """Sample by sample, as the estimators take it, in the order of `channels` (those of the recording by default).
 
-        A channel that older recordings lack is not known (NaN) there. Raises RecordingError where another is missing.
+        A channel that older recordings lack is not known (NaN) there. Raises RecordingError if another is missing.
         """
-        asked = channels or self.channels
-        self.require(*(each.name for each in asked if not each.newer))
+        table = channels or self.channels
+        self.require(*(each.name for each in table if not each.newer))
         unknown = [math.nan] * len(self)
-        columns = [self.values[name].tolist() if name in self.values else unknown for name in asked.names]
+        columns = [self.values[name].tolist() if name in self.values else unknown for name in table.names]
         for timestamp_ns, row in zip(self.timestamp_ns.tolist(), zip(*columns, strict=True), strict=True):
             yield Frame(timestamp_ns, row)
 
 
 def describe(names: Mapping[str, str]) -> ChannelTable:
-    """The channel table of columns `names`, name to unit ("" where the file does not say); known ones are explained."""
+    """The channel table of columns `names`, name to unit ("" if the file states none); known ones get their meaning."""
     known = {channel.name: channel for module in each_with("channels").values() for channel in module.CHANNELS}
     return ChannelTable(
         known[name] if name in known and unit in ("", known[name].unit) else Channel(name, unit, "")

@@ -1,7 +1,7 @@
-"""What travels through the system: CAN frames, sensor samples and one `Frame` a control cycle.
+"""The data that travel through the system: CAN frames, sensor samples and one `Frame` per control cycle.
 
 Time travels with the data as integer nanoseconds (`timestamp_ns`): the kernel's receive time on a real bus, the
-simulated time on a lock-step bus. No consumer ever asks a clock for the time of a sample.
+simulated time on a lock-step bus. No consumer ever reads a clock for the time of a sample.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Vector3 = tuple[float, float, float]
 class CanFrame:
     """One classical CAN frame as it was on the bus.
 
-    `bus` is the index of the bus it came from (0 where there is one only). `can_id` carries no flag bits; they are
+    `bus` is the index of the bus it came from (0 if there is only one). `can_id` carries no flag bits; they are
     in `extended`, `remote` and `error`. In an error frame `can_id` is the Linux error class (linux/can/error.h).
     """
 

@@ -18,7 +18,7 @@ SUFFIXES = (".arrow", ".parquet", ".csv")
 def load(path: Path | str) -> Recording:
     """Read a recording, by its suffix: .arrow, .parquet or .csv.
 
-    A stream that was cut off (a crash, a full disk) is read up to its last whole batch, and `truncated` says so.
+    A stream that was cut off (by a crash, a full disk) is read up to its last whole batch; `truncated` then states it.
 
     Raises:
         RecordingError: the file cannot be read, is of another format, or holds no rows.
@@ -59,7 +59,7 @@ def save(recording: Recording, path: Path | str) -> None:
 
 
 def _unknown_suffix(path: Path, suffix: str) -> RecordingError:
-    what = f"recordings are not kept as {suffix or 'files without a suffix'}"
+    what = f"recordings are not stored as {suffix or 'files without a suffix'}"
     if suffix == ".log":
         remedy = "A raw CAN log needs its vehicle: `upright replay FILE --vehicle V`, or `upright convert` it first."
     else:

@@ -1,10 +1,10 @@
-"""What a kind of vehicle brings along for the layers that know no vehicle: modules of its folder under `vehicles`.
+"""What a kind of vehicle provides for the layers that know no vehicle: modules of its folder under `vehicles`.
 
     {kind: module.CHANNELS for kind, module in each_with("channels").items()}
 
-A layer asks here for what it defines itself (telemetry: a table of channels, models: models), by the name of the module
+A layer finds here what it defines itself (telemetry: a table of channels, models: models), by the name of the module
 that has it; such a module imports nothing above that layer (import-linter's contracts in pyproject.toml). So a further
-vehicle is a further folder, and no layer names one.
+vehicle is a further folder, and no layer names a vehicle.
 """
 
 from __future__ import annotations

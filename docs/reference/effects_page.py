@@ -13,46 +13,47 @@ _INTRODUCTION = """\
 # Effects
 
 What a model may lack, by canonical name. An effect is a term at a joint, on an actuator or on a sensor, and is exactly
-absent where its amplitudes are zero. `upright model add` adds one to a model, `upright diagnose` ranks them all, and
+absent if its amplitudes are zero. `upright model add` adds one to a model, `upright diagnose` ranks them all, and
 `upright simulate --hide EFFECT` hides one in the virtual vehicle.
 
-In a model a parameter is called `EFFECT.NAME`, as in `coulomb_friction.torque`; at another place than the first that
-can have the effect, `EFFECT@PLACE.NAME`. Units and start values depend on the place: `{force}` is N m where a joint
-turns and N where it slides, `{coordinate}` rad or m; `{command}` and `{angle}` are the actuator's, `{angle}` and
+In a model, a parameter is called `EFFECT.NAME`, as in `coulomb_friction.torque`, or `EFFECT@PLACE.NAME` at any place
+other than the first one that supports the effect. Units and start values depend on the place: `{force}` is N m if a
+joint turns and N if it slides, `{coordinate}` rad or m; `{command}` and `{angle}` are the actuator's, `{angle}` and
 `{rate}` the sensor's. `force_scale`, `coordinate_scale`, `rate_scale`, `command_scale` and `angle_scale` are typical
-sizes that the model states for its joints, actuators and sensors. `time_scale` is the natural time of the model in s,
-coordinate_scale / rate_scale of its slowest joint (0.4 s of the MONOCAB). `smooth_rate` is the rate below which
-sgn(rate) is drawn as a slope, tanh(rate / smooth_rate).
+magnitudes that the model states for its joints, actuators and sensors. `time_scale` is the natural time of the model in
+s, coordinate_scale / rate_scale of its slowest joint (0.4 s for the MONOCAB). `smooth_rate` is the rate below which
+sgn(rate) is approximated by a slope, tanh(rate / smooth_rate).
 
-F is a force at the joint, inertia * rate' = load + F, u a command, t the time in s from the first row of a record on.
-"Amplitude" marks the parameters that are zero where the effect is absent.
+F is a force at the joint, inertia * rate' = load + F, u a command, t the time in s since the first sample of a record.
+"Amplitude" marks the parameters that are zero if the effect is absent.
 
 """
 
 _KEYS = """\
 Its keys are those of `models.effect.Effect`. `equation`, `signature`, `confused_with`, `separated_by`, `source`,
-`dissipative`, `impacts`, `stiff` (its own motion is much faster than a row, so that it is not looked for while a
-vehicle runs), `sets_in` (false where it cannot set in during a run), `onset_of` (the effect that it is, begun at an
-instant), `formula_error` (the share of what it explains that its formula may leave or a second name may merely bend:
-0.1, and 0 where a constant is a constant), `in_radians` and `[[states]]` (`name`, `unit`, `derivative`, `meaning`,
-`spread`, the standard deviation of what it may be when a record begins, and on a sensor `initial`, the reading that
-it begins with: angle or rate) may be left out. A parameter has `name`, `unit`, `meaning`, `amplitude`, `role`,
-`value`, `scale` (a typical size), `lower`, `upper` and `starts`. By its `role` a diagnosis finds values to start
-from: "frequency" where the spectrum of the innovations has a peak, "instant" where a step would explain most,
-"duration" (of what sets in) as short as it can be; any other is a "shape". An expression may contain numbers, + - * /
-**, brackets, the functions sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, exp, log, sqrt, abs, sign, min and max,
-`pi`, its own parameters and states, and the names of its place:
+`dissipative`, `impacts`, `stiff` (its own motion is much faster than the sampling, so that the diagnosis during a run
+does not search for it), `sets_in` (false if it cannot set in during a run), `onset_of` (the other effect of which it is
+the onset), `formula_error` (the share of what it explains that its formula may leave unexplained, or that a second
+effect may explain merely by bending the formula: 0.1, and 0 for an exact formula), `in_radians` and `[[states]]`
+(`name`, `unit`, `derivative`, `meaning`, `spread`, the standard deviation of the state when a record begins, and on a
+sensor `initial`, the reading that it begins with: angle or rate) are optional. A parameter has `name`, `unit`,
+`meaning`, `amplitude`, `role`, `value`, `scale` (a typical magnitude), `lower`, `upper` and `starts`. A diagnosis
+derives start values from the `role`: for "frequency" from a peak in the spectrum of the innovations, for "instant" from
+the time at which a step would explain most, for "duration" (of the onset) the shortest possible one; any other
+parameter is a "shape". An expression may contain numbers, + - * / **, brackets, the functions sin, cos, tan, asin,
+acos, atan, sinh, cosh, tanh, exp, log, sqrt, abs, sign, min and max, `pi`, its own parameters and states, and the names
+of its place:
 """
 
 _RULES = """\
-`load` is the force at the joint without the effect, so that `load / inertia` is its acceleration; `actuator_inertia` is
-the part of `inertia` that is the actuator's own, as of a rotor before its gear; the derivative of a
-state may use `force`, too. `twist` is by how much the effect lets the actuator be ahead of `coordinate`, which sensors
-that sit on it show. `angle_1` and `angle_2` are time derivatives. A place that does not know a name that is
-used, as an actuator whose angle is not measured, cannot have the effect.
+`load` is the force at the joint without the effect, so that `load / inertia` is its acceleration. `actuator_inertia` is
+the part of `inertia` that is the actuator's own, e.g. that of a rotor before its gear. The derivative of a state may
+also use `force`. `twist` is how far the effect lets the actuator be ahead of `coordinate`: the sensors on the actuator
+show it. `angle_1` and `angle_2` are time derivatives. A place that lacks a name that is used, e.g. an actuator whose
+angle is not measured, cannot have the effect.
 
-A Python file assigns `EFFECT = Effect(...)`. It is code: reading it runs it, with all the rights of whoever reads it.
-Read none that you would not run.
+A Python file assigns `EFFECT = Effect(...)`. It is code: reading it runs it, with all the rights of the reader.
+Read only files that you would run.
 """
 
 _FAMILIES = {
@@ -70,10 +71,10 @@ _FAMILIES = {
 }
 
 _PLACES = {
-    Place.JOINT: "`force`, `twist`, and `states` where it has a memory",
+    Place.JOINT: "`force`, `twist`, and `states` if it has a memory",
     Place.ACTUATOR: "`command`, or the name of a parameter in s as `delay` or `lag`",
-    Place.SENSOR: "`angle_reading`, `rate_reading`, the name of a parameter in s as `delay`, and `states` where it has "
-    "a memory",
+    Place.SENSOR: "`angle_reading`, `rate_reading`, the name of a parameter in s as `delay`, and `states` if it has a "
+    "memory",
 }
 
 
@@ -91,7 +92,7 @@ def _overview() -> str:
         f"| [`{effect.name}`](#{effect.name}) | {effect.family} | {effect.place} | {effect.title} |"
         for effect in CATALOGUE.values()
     ]
-    return "\n".join(["| effect | family | at a | what it is |", "|---|---|---|---|", *rows]) + "\n\n"
+    return "\n".join(["| effect | family | place | description |", "|---|---|---|---|", *rows]) + "\n\n"
 
 
 def _section(effect: Effect) -> str:
@@ -101,20 +102,20 @@ def _section(effect: Effect) -> str:
         names -= set().union(EVERY_JOINT, *map(names_in, effect.expressions.values()))
         lines += [f"Instead, at a {effect.place} that offers {_code(names)}:", "", *_formula(effect.instead)]
     if effect.finer:
-        lines += ["A diagnosis takes the finer formula where the record asks for it:", "", *_equation(effect.finer)]
+        lines += ["A diagnosis uses the finer formula if the record requires it:", "", *_equation(effect.finer)]
     return "\n".join([*lines, ""])
 
 
 def _formula(effect: Effect) -> list[str]:
     lines = [*_equation(effect), f"**In a record:** {effect.signature}", ""]
     lines += [f"**Confused with:** {', '.join(f'[`{name}`](#{name})' for name in effect.confused_with)}.", ""]
-    lines += [f"**Told apart by:** {effect.separated_by}", ""]
+    lines += [f"**Separated by:** {effect.separated_by}", ""]
     more = "It never adds energy. " if effect.dissipative else ""
     if effect.impacts:
-        more += "Its parts strike each other: a diagnosis fits it from each start, whatever a little of it does. "
+        more += "Its parts collide: a diagnosis fits it from each start, whatever it does at a small amplitude. "
     if effect.beyond:
         beyond = " and ".join(f"[`{name}`](#{name})" for name in effect.beyond)
-        more += f"It is detectable by what it does beyond {beyond} at its usual shape. "
+        more += f"It is detectable only by what it does beyond {beyond} at its usual shape. "
     if effect.in_radians:
         more += f"It needs {' and '.join(f'`{name}`' for name in effect.in_radians)} in rad. "
     return [*lines, f"{more}Source: {effect.source}.", ""]
@@ -141,9 +142,12 @@ def _own() -> str:
     documentation = custom.__doc__ or ""
     example = "\n".join(line[4:] for line in documentation.split("\n") if line.startswith("    ") or not line)
     lines = ["## An effect of your own", ""]
-    lines += ["A TOML file describes an effect and runs nothing. `upright model add` adds it to a model.", ""]
+    lines += ["A TOML file describes an effect and runs no code. `upright model add` adds it to a model.", ""]
     lines += ["```toml", example.strip(), "```", "", _KEYS]
-    lines += ["| place | says what it does in | names | for values and bounds | in units |", "|---|---|---|---|---|"]
+    lines += [
+        "| place | keys for its action | names in expressions | names in values and bounds | names in units |",
+        "|---|---|---|---|---|",
+    ]
     for place, does in _PLACES.items():
         columns = [_code(VOCABULARY[place]), _code(SCALES[place]), _code({f"{{{unit}}}" for unit in UNITS[place]})]
         lines.append(f"| {place} | {does} | {' | '.join(columns)} |")

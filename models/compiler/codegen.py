@@ -1,15 +1,16 @@
 """From a model's equations to LLVM's intermediate code: slopes, outputs and their exact derivatives, each just once.
 
-SymPy derives and finds common subexpressions. The products, sums and functions that are left are written down directly,
-which takes a hundredth of the time that numba's front end does. These functions come out, called by
-models.compiler.loops, and those of models.compiler.column_code:
+SymPy differentiates and finds common subexpressions. The remaining products, sums and functions are written down
+directly, in a hundredth of the time of numba's front end. The resulting functions, called by models.compiler.loops, are
+those of models.compiler.column_code and:
 
-    prepare    what depends on parameters alone, once a pass
-    slopes     the states' derivatives; where asked, how these depend on states, parameters, inputs, then the inputs'
-               slopes, and time
-    observe    the outputs, likewise; not by time, since the instants of rows do not move
+    prepare    the expressions of parameters alone, once per pass
+    slopes     the states' derivatives; on request, their derivatives with respect to states, parameters, inputs, then
+               the inputs' slopes, and time
+    observe    the outputs, likewise; not with respect to time, since the sample instants do not move
 
-A derivative by a parameter is worked out only where that parameter has a column, and what nothing else needs with it.
+A derivative with respect to a parameter is computed only if that parameter has a column, together with the
+subexpressions that nothing else needs.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ FUNCTIONS = {
     **{getattr(sympy, name): name for name in ("sinh", "cosh", "tanh", "exp", "log")},
     Magnitude: "llvm.fabs.f64",
 }
-"""SymPy's functions and whose address they are: the C library's or LLVM's own."""
+"""SymPy's functions and the names of their implementations, in the C library or LLVM's own."""
 ROOT = "llvm.sqrt.f64"
 POWER = "pow"
 _DECLARATIONS = [
@@ -45,7 +46,7 @@ _ARGUMENTS = (
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Intermediate code, and the model's sizes and places as the loops take them (`structure` of kernel_loops.run)."""
+    """Intermediate code, and the model's sizes and indices in the form of `structure` of models.compiler.loops.run."""
 
     text: str
     structure: tuple[int, ...]
@@ -53,7 +54,7 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class _Target:
-    """Where a value goes: a place in an array, or, of a derivative by a parameter, the row."""
+    """Where a value is stored: an index into an array or, for a derivative with respect to a parameter, the row."""
 
     function: str
     array: str
@@ -64,15 +65,15 @@ class _Target:
 def generate(model: Model, neutral: Collection[str] = ()) -> Code:
     """The same model gives the same code. Raises ModelError.
 
-    Where parameters are `neutral`, the code is for a value of zero of each of them: it derives by no other parameter,
-    and leaves out the sensitivities of states that no output depends on then.
+    If parameters are `neutral`, the code assumes that each of them is zero: it differentiates with respect to no other
+    parameter, and omits the sensitivities of states on which no output then depends.
     """
     equations = compose(model)
     zero = {symbol: sympy.Integer(0) for symbol in equations.parameters if symbol.name in neutral}
     targets: dict[_Target, sympy.Expr] = {}
     _derive(targets, "slopes", equations.derivatives, equations, zero)
     _derive(targets, "observe", equations.outputs, equations, zero)
-    rows = _seen(targets, len(model.states)) if neutral else list(range(len(model.states)))
+    rows = _observable(targets, len(model.states)) if neutral else list(range(len(model.states)))
     sizes = {"by_state": len(model.states), "by_input": 2 * len(model.inputs), "by_time": 1, "by_parameter": 1}
     targets = {
         target: expression
@@ -122,7 +123,7 @@ def _derive(
     equations: Equations,
     zero: Mapping[sympy.Symbol, sympy.Expr],
 ) -> None:
-    """Add `expressions` and their derivatives that are not zero to `targets`, all where `zero` is put in."""
+    """Add `expressions` and their nonzero derivatives to `targets`, with `zero` substituted in all of them."""
     arrays = {"by_state": equations.states, "by_input": (*equations.inputs, *equations.slopes)}
     if function == "slopes":
         arrays["by_time"] = (equations.time,)
@@ -139,18 +140,18 @@ def _derive(
                 targets[_Target(function, "by_parameter", row, place)] = derivative
 
 
-def _seen(targets: Iterable[_Target], states: int) -> list[int]:
-    """The states that an output depends on, itself or through others."""
+def _observable(targets: Iterable[_Target], states: int) -> list[int]:
+    """The states that an output depends on, directly or through other states."""
     targets = list(targets)
     links = [divmod(each.place, states) for each in targets if (each.function, each.array) == ("slopes", "by_state")]
-    seen = {each.place % states for each in targets if (each.function, each.array) == ("observe", "by_state")}
-    while further := {column for row, column in links if row in seen} - seen:
-        seen |= further
-    return sorted(seen)
+    found = {each.place % states for each in targets if (each.function, each.array) == ("observe", "by_state")}
+    while further := {column for row, column in links if row in found} - found:
+        found |= further
+    return sorted(found)
 
 
 def _places(equations: Equations) -> dict[sympy.Symbol, str]:
-    """What a symbol is called, or where its value is found."""
+    """The name of a symbol, or the array element with its value."""
     places = {equations.time: "%t"}
     for array, symbols in (
         ("state", equations.states),
@@ -166,7 +167,7 @@ def _places(equations: Equations) -> dict[sympy.Symbol, str]:
 class _Writer(Lines):
     """Writes expressions as code. `places` are the known values, `definitions` the shared subexpressions, in order.
 
-    `values` are the names that expressions have in the lines so far.
+    `values` are the names of the expressions in the lines written so far.
     """
 
     places: dict[sympy.Symbol, str]
@@ -174,7 +175,7 @@ class _Writer(Lines):
     values: dict[sympy.Expr, str] = field(default_factory=dict)
 
     def inner(self) -> _Writer:
-        """The same for a block of this code: what is worked out there is not known after it."""
+        """A writer for a block of this code: values computed in the block are not known after it."""
         return _Writer(code=self.code, places=self.places, definitions=self.definitions, values=dict(self.values))
 
     def constants(self, parameters: Sequence[sympy.Symbol]) -> list[sympy.Symbol]:
@@ -188,7 +189,7 @@ class _Writer(Lines):
         return constants
 
     def needed(self, expressions: Iterable[sympy.Expr]) -> set[sympy.Symbol]:
-        """The shared subexpressions that have to be worked out for `expressions`."""
+        """The shared subexpressions that have to be computed for `expressions`."""
         found: set[sympy.Symbol] = set()
         waiting = list(expressions)
         while waiting:
@@ -209,7 +210,7 @@ class _Writer(Lines):
         self.add(f"store double {value}, ptr {pointer}")
 
     def value(self, expression: sympy.Expr) -> str:
-        """The name of the value of `expression`, or the number that it is."""
+        """The name of the value of `expression`, or its number."""
         if expression.is_number:
             return number(float(expression))
         if expression not in self.values:
@@ -234,7 +235,7 @@ class _Writer(Lines):
             case sympy.Mul(args=(first, *rest)) if first == -1:
                 return self.new(f"fneg double {self.value(sympy.Mul(*rest))}")
             case sympy.Mul(args=factors):
-                # What stands under the line last, so that one division does.
+                # Divisors come last, so that each takes one division.
                 product = ""
                 for factor in sorted(factors, key=_is_divisor):
                     if product and _is_divisor(factor):
@@ -263,7 +264,7 @@ class _Writer(Lines):
         raise ModelError("equations", f"{expression} cannot be compiled", remedy="write it in another way.")
 
     def _power(self, base: sympy.Expr, exponent: sympy.Expr) -> str:
-        """A whole number as exponent becomes products, a half a root."""
+        """An integer exponent becomes products, an exponent of one half a square root."""
         if exponent.is_number and exponent.is_negative:
             return self.new(f"fdiv double 1.0, {self.value(base**-exponent)}")
         value = self.value(base)
@@ -280,7 +281,7 @@ class _Writer(Lines):
         return power
 
     def _switch(self, argument: sympy.Expr, below: str, between: str) -> str:
-        """1 above zero, `below` below it."""
+        """1 above zero, `below` below it, `between` at zero."""
         value = self.value(argument)
         negative = self.new(f"fcmp olt double {value}, 0.0")
         otherwise = self.new(f"select i1 {negative}, double {below}, double {between}")
@@ -293,7 +294,7 @@ def _is_divisor(factor: sympy.Expr) -> bool:
 
 
 def _prepare(writer: _Writer, constants: Sequence[sympy.Symbol]) -> list[str]:
-    """The code that works out the constants, which are known from then on."""
+    """The code that computes the constants, which are known from then on."""
     inner = writer.inner()
     inner.code = []
     inner.work_out(set(constants))
@@ -316,8 +317,8 @@ def _function(name: str, targets: Mapping[_Target, sympy.Expr], writer: _Writer)
     block.work_out(block.needed(values.values()))
     for target, expression in values.items():
         block.store(expression, target.array, target.place)
-    asked = block.new("icmp ne i64 %derive, 0")
-    block.add(f"br i1 {asked}, label %derivatives, label %end", "derivatives:")
+    derive = block.new("icmp ne i64 %derive, 0")
+    block.add(f"br i1 {derive}, label %derivatives, label %end", "derivatives:")
     needed = [block.needed(rows.values()) for rows in parameters.values()]
     shared = {symbol for symbols in needed for symbol in symbols if sum(symbol in other for other in needed) > 1}
     block.work_out(shared | block.needed(common.values()))
@@ -325,8 +326,8 @@ def _function(name: str, targets: Mapping[_Target, sympy.Expr], writer: _Writer)
         block.store(expression, target.array, target.place)
     for parameter, rows in sorted(parameters.items()):
         column = block.new(f"load i64, ptr {block.new(f'getelementptr i64, ptr %column, i64 {parameter}')}")
-        wanted = block.new(f"icmp sge i64 {column}, 0")
-        block.add(f"br i1 {wanted}, label %by{parameter}, label %after{parameter}", f"by{parameter}:")
+        active = block.new(f"icmp sge i64 {column}, 0")
+        block.add(f"br i1 {active}, label %by{parameter}, label %after{parameter}", f"by{parameter}:")
         inner = block.inner()
         inner.work_out(inner.needed(rows.values()))
         for target, expression in rows.items():

@@ -1,14 +1,14 @@
-"""Intermediate code for the columns of sensitivities: what is done to each of them alike, several at once.
+"""Intermediate code for the columns of sensitivities: the same operations on each column, several columns at once.
 
-A row of an array has one number a column, `width` of them, a multiple of LANES. With A, C the derivatives of slopes and
-outputs by the states, K the gain, S the state's sensitivities, each k x width:
+A row of an array has one number per column, `width` in total, a multiple of LANES. With A, C the derivatives of slopes
+and outputs with respect to the states, K the gain, S the state's sensitivities, each k x width:
 
     begin    k = A S + B; total = weight k; stage = S + ahead k               the first stage of Runge-Kutta
     middle   k = A stage + B; total = total + weight k; stage = S + ahead k
     finish   k = A stage + B; S = S + ahead (total + weight k)
     show     shown = D + C S
     correct  S = S - K shown
-    steer    S = S + K' error, K' the gain's derivative by each column
+    steer    S = S + K' error, K' the gain's derivative with respect to each column
 
 Entries of A and C that are always zero take no time. Called by models.compiler.loops.
 """
@@ -23,7 +23,7 @@ from models.compiler.machine_code import LANES
 
 COLUMN_FUNCTIONS = ("begin", "middle", "finish", "show", "correct", "steer")
 NOTHING = 1e-150
-"""Sensitivities that are less are 0: what dies away would end in numbers that processors take ten times as long for."""
+"""Smaller sensitivities are set to 0: decaying ones would become numbers that take processors ten times as long."""
 KIND = f"<{LANES} x double>"
 _LARGER = f"declare {KIND} @llvm.fabs.v{LANES}f64({KIND})"
 
@@ -44,15 +44,15 @@ class Lines:
 
 
 def number(value: float) -> str:
-    """As intermediate code has it, to the last bit."""
+    """`value` as intermediate code, exact to the last bit."""
     return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"
 
 
 def column_functions(
     states: int, rows: Sequence[int], outputs: int, by_state: Collection[int], shown_by_state: Collection[int]
 ) -> list[str]:
-    """All of them. `rows` of S are gone through, the others left alone. `by_state` are the places in A, row by row,
-    that are not always zero, `shown_by_state` in C."""
+    """The code of all COLUMN_FUNCTIONS. `rows` of S are processed, the others are left alone. `by_state` are the
+    indices, row by row, of the entries of A that are not always zero, `shown_by_state` those of C."""
     return [
         _LARGER,
         *(_stage(name, states, rows, by_state) for name in ("begin", "middle", "finish")),
@@ -63,7 +63,7 @@ def column_functions(
 
 
 class _Columns(Lines):
-    """Code that goes through the columns."""
+    """Code that loops over the columns."""
 
     def wide(self, value: str) -> str:
         """`value` in each of the lanes."""
@@ -87,7 +87,7 @@ class _Columns(Lines):
         return self.new(f"fadd contract {KIND} {sum}, {self.new(f'fmul contract {KIND} {factor}, {value}')}")
 
     def columns(self) -> None:
-        """From here on column after column; `function` ends it."""
+        """Begins the loop over the columns; `function` ends it."""
         self.add("br label %columns", "columns:", "%column = phi i64 [0, %entry], [%next, %columns]")
 
     def function(self, name: str, arguments: str) -> str:

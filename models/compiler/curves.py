@@ -1,9 +1,9 @@
-"""Between samples: the curve through a measured channel's samples, as a compiled model reads it.
+"""Interpolation: the curve through a measured channel's samples, as a compiled model reads it.
 
-Straight lines cut the corners of what moves smoothly: a sine of the angular frequency w sampled every h is smaller by
-up to (w h)^2 / 8 between two samples. Here each piece is the cubic whose slope at a sample is that of the parabola
-through this one and its neighbours (cubic Hermite interpolation, for equal spacing Catmull-Rom's), which errs by the
-third power.
+Linear interpolation is too small for a smooth motion: for a sine of the angular frequency w sampled every h, by up to
+(w h)^2 / 8 between two samples. Here each piece is the cubic whose slope at a sample is that of the parabola through
+the sample and its neighbours (cubic Hermite interpolation, for equal spacing Catmull-Rom's), with an error of third
+order.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ Array = NDArray[np.float64]
 
 
 def read(time: Array, knots: Array, values: Array) -> Array:
-    """The curve through `values` (n,) sampled at the rising instants `knots` (n,), at `time` (m,); beyond, its end.
+    """The curve through `values` (n,) sampled at the rising instants `knots` (n,), at `time` (m,); constant beyond.
 
-    Between two samples of which one is not known (NaN), nothing is; next to these, the slope is that to the other side.
+    Between two samples of which one is not known (NaN), the curve is NaN; next to these, the slope at a sample is that
+    to its other side.
     """
     if len(values) < 2:
         return np.full(len(time), values[0])

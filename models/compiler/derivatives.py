@@ -1,7 +1,7 @@
-"""Derivatives by SymPy's rules, without its asking again and again.
+"""Derivatives by SymPy's rules, with intermediate results kept.
 
-SymPy looks for the free symbols of every part of an expression at every step of every derivative, which took most of a
-first compilation. Here these are found once, and so is each part's derivative.
+SymPy searches every subexpression for free symbols at every step of every derivative, which took most of a first
+compilation. Here these are found once, and so is the derivative of each subexpression.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sympy
 
 
 class Derivatives:
-    """Of any expressions; what was found is kept."""
+    """Derivatives of any expressions; results are kept."""
 
     def __init__(self) -> None:
         self._free: dict[sympy.Basic, frozenset[sympy.Basic]] = {}

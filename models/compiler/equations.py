@@ -1,10 +1,10 @@
 """A model's text equations, with all its effects merged in, as SymPy expressions.
 
-Effects on actuators replace the command; effects at joints add to the joint's force, and their twist to what sensors on
-the joint's actuator show; effects on sensors replace what the output shows, last, and what they add to a rate goes
-through the filter that makes an angle of it. An effect that asks for `load` (what accelerates the joint) is given all
-that does not ask.
-Only generation, printing and tests need this module: a kernel that is cached is loaded without SymPy.
+Effects on actuators replace the command. Effects at joints add to the joint's force, and their twist to the readings of
+sensors on the joint's actuator. Effects on sensors replace the readings, last; a term that they add to a rate passes
+through the filter that computes an angle from it. For an effect that uses `load` (the force that accelerates the
+joint), `load` includes the forces of all effects that do not use it.
+Only code generation, printing and tests need this module: a cached kernel is loaded without SymPy.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Symbols = Mapping[str, sympy.Expr]
 
 
 class Signum(sympy.Function):  # type: ignore[misc]
-    """sign(x) whose derivative is 0 everywhere, also where SymPy does not know that x is real."""
+    """sign(x) whose derivative is 0 everywhere, even if SymPy does not know that x is real."""
 
     nargs = 1
 
@@ -63,7 +63,7 @@ class Equations:
 
 
 def compose(model: Model) -> Equations:
-    """The equations of `model`. Raises ModelError where an expression uses a name that is not there."""
+    """The equations of `model`. Raises ModelError if an expression uses an unknown name."""
     time = _symbol("time")
     symbols: dict[str, sympy.Expr] = {"time": time}
     for state in model.states:
@@ -95,7 +95,7 @@ def compose(model: Model) -> Equations:
     for attached in model.effects:
         if attached.effect.place is Place.ACTUATOR:
             for state in attached.states:
-                remedy = "give it to a joint or a sensor."
+                remedy = "attach it to a joint or a sensor."
                 raise ModelError(f"effect {attached.name}", f"state {state.name} is on an actuator", remedy=remedy)
     derivatives, nominal = [], []
     for state in model.base_states:
@@ -103,7 +103,7 @@ def compose(model: Model) -> Equations:
         derivatives.append(_real(parse(state.derivative, symbols, where)))
         nominal.append(_real(parse(state.derivative, plain, where)))
     for state in model.states[len(model.base_states) :]:
-        # What a sensor remembers has no part in what moves, and is known only with what it reads.
+        # A sensor's states do not act on the motion, and their derivatives are known only with its readings.
         derivatives.append(memories.get(state.name, sympy.Integer(0)))
         nominal.append(derivatives[-1])
     outputs = {each.name: _real(parse(each.expression, symbols, f"output {each.name}")) for each in model.outputs}
@@ -146,7 +146,7 @@ def _symbol(name: str) -> sympy.Symbol:
 
 
 def _real(expression: sympy.Expr) -> sympy.Expr:
-    """With functions whose derivatives are known everywhere."""
+    """`expression` with functions whose derivatives are known everywhere."""
     return expression.replace(sympy.Abs, Magnitude).replace(sympy.sign, Signum)
 
 
@@ -164,13 +164,13 @@ def _local(attached: AttachedEffect, symbols: Symbols, names: Mapping[str, sympy
 
 
 def _mover(actuator: Actuator, symbols: Symbols) -> dict[str, sympy.Expr]:
-    """Names of what an actuator moves, as far as the model knows it."""
+    """The names for an actuator's motion, as far as the model knows it."""
     where = f"actuator {actuator.name}"
     return {name: _real(parse(text, symbols, where)) for name, text in actuator.moved.items()}
 
 
 def _command(model: Model, actuator: Actuator, name: str, symbols: Symbols) -> sympy.Expr:
-    """Its command `name` as it acts, after the effects on this actuator."""
+    """The command `name` as it acts, after the effects on `actuator`."""
     command = symbols[name]
     for attached in model.effects:
         if attached.at == actuator.name and attached.effect.place is Place.ACTUATOR and attached.effect.command:
@@ -182,7 +182,7 @@ def _command(model: Model, actuator: Actuator, name: str, symbols: Symbols) -> s
 def _joint_terms(
     model: Model, joint: Joint, load: sympy.Expr, symbols: Symbols, memories: dict[str, sympy.Expr]
 ) -> tuple[tuple[tuple[str, sympy.Expr], ...], sympy.Expr]:
-    """The force of each effect at `joint`, and the twist of all; the derivatives of their states go into `memories`."""
+    """The force of each effect at `joint`, and their total twist; their states' derivatives go into `memories`."""
     place = {
         "coordinate": _real(parse(joint.coordinate, symbols, f"joint {joint.name}, coordinate")),
         "rate": _real(parse(joint.rate, symbols, f"joint {joint.name}, rate")),
@@ -194,9 +194,9 @@ def _joint_terms(
             place = {**place, **_mover(actuator, symbols)}
             break
     here = [a for a in model.effects if a.effect.place is Place.JOINT and a.at == joint.name]
-    asking = [a for a in here if _asks_for_load(a)]
+    using_load = [a for a in here if _uses_load(a)]
     terms, twist = [], sympy.Integer(0)
-    for attached in [a for a in here if a not in asking] + asking:
+    for attached in [a for a in here if a not in using_load] + using_load:
         names = _local(attached, symbols, {**place, "load": load})
         where = f"effect {attached.name}"
         force = _real(parse(attached.effect.force or "0", names, f"{where}, force"))
@@ -208,13 +208,13 @@ def _joint_terms(
     return tuple(terms), twist
 
 
-def _asks_for_load(attached: AttachedEffect) -> bool:
+def _uses_load(attached: AttachedEffect) -> bool:
     return any("load" in names_in(text) for text in attached.effect.expressions.values())
 
 
 @dataclass(frozen=True, slots=True)
 class _Flow:
-    """How an expression of states and inputs changes with time."""
+    """Time derivatives of expressions of states and inputs."""
 
     states: Sequence[sympy.Symbol]
     inputs: Sequence[sympy.Symbol]
@@ -223,7 +223,7 @@ class _Flow:
     time: sympy.Symbol
 
     def rate(self, expression: sympy.Expr, derivatives: Sequence[sympy.Expr]) -> sympy.Expr:
-        """Time derivative along `derivatives`; held inputs do not move."""
+        """Time derivative along `derivatives`; held inputs are constant."""
         terms = [expression.diff(x) * f for x, f in zip(self.states, derivatives, strict=True)]
         terms += [expression.diff(u) * s for u, s, m in zip(self.inputs, self.slopes, self.moving, strict=True) if m]
         return sympy.Add(*terms, expression.diff(self.time))
@@ -239,11 +239,11 @@ def _read(
     nominal: Sequence[sympy.Expr],
     memories: dict[str, sympy.Expr],
 ) -> None:
-    """Replace what the outputs of `sensor` show by what its effects make of it; their states go into `memories`.
+    """Apply the effects on `sensor` to its outputs; the derivatives of their states go into `memories`.
 
-    What is added to the rate alone goes through the sensor's filter into the angle. Time derivatives of readings are
-    those of what the sensor would show without its effects, the second of them in the model without effects: they only
-    carry terms that are small already.
+    A term added to the rate alone passes through the sensor's filter into the angle. Time derivatives of readings are
+    those without the sensor's effects, the second of them in the model without any effects: they occur only in terms
+    that are small already.
     """
     here = [a for a in model.effects if a.effect.place is Place.SENSOR and a.at == sensor.name]
     effects = [a for a in here if not delayed(model, a)]
@@ -258,7 +258,7 @@ def _read(
         shown = {"angle": sensor.angle, "rate": sensor.rate}
         names = {**moving, **{local: outputs[output] for local, output in shown.items() if output}}
         local_names = _local(attached, symbols, names)
-        # What remembers a reading that is not measured stays at rest.
+        # A state that depends on a reading that is not measured stays at rest.
         absent = dict.fromkeys(VOCABULARY[Place.SENSOR] - set(local_names), sympy.Integer(0))
         for own in attached.effect.states:
             where = f"effect {attached.name}, {own.name}"

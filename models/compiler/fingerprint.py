@@ -1,4 +1,4 @@
-"""What tells apart models that need machine code of their own, and code that was made by another version."""
+"""Identifies models that need machine code of their own, and code that another version generated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from models.model import Model
 
 
 def fingerprint(model: Model) -> str:
-    """What tells apart models that need code of their own: names, equations, holds, delays, and what makes the code."""
+    """Identifies models that need code of their own: names, equations, holds, delays, and the generating code."""
     parts: list[Any] = [SOURCES, machine_code.processor(), model.name]
     parts += [(state.name, state.derivative) for state in model.base_states]
     parts += [(each.name, each.hold.value, each.delays, each.lag, each.ramp_of) for each in model.inputs]
@@ -36,7 +36,7 @@ def digest(*parts: Any) -> str:
 
 
 def _sources() -> str:
-    """Changes with any change of the code that makes machine code."""
+    """Changes with any change of the code that generates machine code."""
     here = Path(__file__).parent
     compiler = ("codegen", "column_code", "derivatives", "equations", "loops", "machine_code")
     above = ("expressions", "expression_syntax", "sensing")
@@ -45,4 +45,4 @@ def _sources() -> str:
 
 
 SOURCES = _sources()
-"""Of the code that is loaded: taken at import, since an upgrade may change the files while this process runs."""
+"""Of the loaded code: computed at import, since an upgrade may change the files while this process runs."""

@@ -1,9 +1,10 @@
-"""A compiled model: one pass over a stretch of data gives predictions and all sensitivities.
+"""A compiled model: one pass over a segment of data gives predictions and all sensitivities.
 
-With no gain it is a simulation; with a Kalman gain the state is corrected row by row and the errors are innovations.
-A model's equations become machine code in a fraction of a second, the loops around them in seconds, once on a computer.
-Both are kept on disk (models.compiler.machine_code), named by the model's structure and all the code that makes them: a
-later start compiles nothing and imports neither numba nor SymPy. Parameter values are no part of the structure.
+Without a gain it is a simulation; with a Kalman gain the state is corrected at each sample and the errors are
+innovations. A model's equations become machine code in a fraction of a second, the loops around them in seconds, once
+per computer. Both are kept on disk (models.compiler.machine_code), named by the model's structure and all the code that
+generates them: a later start compiles nothing and imports neither numba nor SymPy. Parameter values are not part of the
+structure.
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 FUNCTIONS = ("prepare", "slopes", "observe", *COLUMN_FUNCTIONS)
-"""What the code of a model consists of (models.compiler.codegen, models.compiler.column_code)."""
+"""The functions in the code of a model (models.compiler.codegen, models.compiler.column_code)."""
 LOOPS = "upright_run"
 LARGEST = 1e30
 LINE = 64
 """Bytes of a cache line."""
 ELSEWHERE = -1
-"""Number of what is no parameter, initial state or gain."""
+"""Number of a column that is not a parameter, initial state or gain."""
 
 _loaded: dict[str, machine_code.Loaded] = {}
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a pass over n rows gives.
+    """The result of a pass over n samples.
 
-    `predicted` (n, ny) before each row's own correction; `sensitivity` (n, ny, na) its derivatives by what was active;
-    `final` (nx,) the state after the last row.
+    `predicted` (n, ny) before the correction at each sample; `sensitivity` (n, ny, na) its derivatives with respect to
+    the active columns; `final` (nx,) the state after the last sample.
     """
 
     predicted: Array
@@ -53,14 +54,14 @@ class Run:
 
     @property
     def diverges(self) -> bool:
-        """Whether a number is not finite, or so large that no vehicle is meant."""
+        """Whether a number is not finite, or too large for any vehicle."""
         largest = (np.max(np.abs(part), initial=0.0) for part in (self.predicted, self.sensitivity))
-        return not all(each < LARGEST for each in largest)  # not a number is not less
+        return not all(each < LARGEST for each in largest)  # NaN is not less
 
 
 @dataclass(slots=True)
 class Memory:
-    """Where a pass stands, to be continued: state x (nx,), sensitivities S (nx, na), lags and places in the input."""
+    """The point that a pass has reached: state x (nx,), sensitivities S (nx, na), lags and positions in the inputs."""
 
     x: Array
     S: Array
@@ -69,11 +70,11 @@ class Memory:
     pointer: NDArray[np.int64]
 
     def copy(self) -> Memory:
-        """The same place, to come back to."""
+        """A copy of this point, to return to."""
         return Memory(*(each.copy() for each in self._arrays))
 
     def go_back(self, to: Memory) -> None:
-        """Be where `to` is, in the same arrays."""
+        """Return to the point `to`, in the same arrays."""
         for mine, other in zip(self._arrays, to._arrays, strict=True):
             mine[...] = other
 
@@ -84,9 +85,10 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A model's compiled equations. Names are in the order of the arrays' places.
+    """A model's compiled equations. Names are in the order of the arrays' elements.
 
-    `neutral` parameters have to be zero, and a pass differentiates by no others; all may be anything where none is.
+    `neutral` parameters have to be zero, and a pass differentiates with respect to no others. If none is neutral, there
+    are no such restrictions.
     """
 
     states: tuple[str, ...]
@@ -105,14 +107,14 @@ class Kernel:
         return vector
 
     def index(self, name: str) -> int:
-        """The place of parameter `name`. Raises ModelError."""
+        """The index of parameter `name`. Raises ModelError."""
         if name not in self.parameters:
             there = ", ".join(self.parameters)
-            raise ModelError(f"parameter {name}", "the model has none", remedy=f"use one of: {there}.")
+            raise ModelError(f"parameter {name}", "the model has no such parameter", remedy=f"use one of: {there}.")
         return self.parameters.index(name)
 
     def memory(self, initial: Array, active: Sequence[int] = ()) -> Memory:
-        """The start of a pass from state `initial` (nx,); the columns of `active` initial states start as units."""
+        """The start of a pass from state `initial` (nx,); the columns of `active` initial states are unit vectors."""
         size = len(active)
         sensitivity = np.zeros((len(self.states), size))
         for column, number in enumerate(active):
@@ -137,10 +139,11 @@ class Kernel:
     ) -> Run:
         """One pass over `segment` from the state `initial` (nx,) with parameters `values` (np,).
 
-        `gain` (nx, ny) corrects the state by gain * (measured - predicted); None simulates. `active` numbers what to
-        differentiate by: parameter i, np + j for the initial state j, np + nx + j * ny + k for gain (j, k), or
-        ELSEWHERE for what acts through the gain alone. `gain_slopes` (nx * ny, na) are the gain's derivatives by each
-        of them. A state that grows beyond all bounds gives values that are not finite, no error.
+        `gain` (nx, ny) corrects the state by gain * (measured - predicted); None simulates. `active` numbers the
+        columns to differentiate by: parameter i, np + j for the initial state j, np + nx + j * ny + k for gain (j, k),
+        or ELSEWHERE for a column that acts through the gain alone. `gain_slopes` (nx * ny, na) are the gain's
+        derivatives with respect to each column. A state that grows beyond all bounds gives values that are not finite,
+        not an error.
         """
         memory = self.memory(initial, active)
         predicted = np.empty((len(segment), len(self.outputs)))
@@ -166,9 +169,9 @@ class Kernel:
         substeps: int = 1,
         skip: bool = False,
     ) -> None:
-        """Rows `first` to `last` from where `memory` stands, which is moved on; results go into the arrays given.
+        """Samples `first` to `last`, continuing from `memory`, which is updated; results go into the given arrays.
 
-        `skip`: row `first` was predicted and corrected before. Raises ModelError for an array that does not fit.
+        `skip`: sample `first` was predicted and corrected before. Raises ModelError for an array of the wrong shape.
         """
         last = len(segment) - 1 if last is None else last
         move = self.ready(segment, values, memory, gain, active, predicted, sensitivity, substeps=substeps)
@@ -187,22 +190,22 @@ class Kernel:
         gain_slopes: Array | None = None,
         substeps: int = 1,
     ) -> Callable[[int, int, bool], None]:
-        """`proceed` for many short parts: call what is returned with `first`, `last` and `skip`.
+        """`proceed` for many short parts, as a function of `first`, `last` and `skip`.
 
-        Arrays are looked at and written to where they are, so they must not be replaced in between.
+        Arrays are read and written in place, so they must not be replaced between calls.
         """
         rows, samples, columns = len(segment), len(segment.inputs), len(active)
         states, inputs, outputs, parameters = map(len, (self.states, self.inputs, self.outputs, self.parameters))
-        asked = _asked(tuple(active), parameters, states, outputs)
+        chosen = _columns(tuple(active), parameters, states, outputs)
         limit = parameters + states * (1 + outputs)
-        if not (substeps >= 1 and asked.least >= ELSEWHERE and asked.most < limit):
-            what = f"there is no pass in {substeps} substeps with columns {tuple(active)} of {limit}"
-            raise ModelError("pass", what, remedy="ask for what there is.")
+        if not (substeps >= 1 and chosen.least >= ELSEWHERE and chosen.most < limit):
+            what = f"{substeps} substeps with columns {tuple(active)} of {limit} are not possible"
+            raise ModelError("pass", what, remedy="use at least one substep, and columns that exist.")
         if self.neutral and (not self.neutral.issuperset(active) or values[list(self.neutral)].any()):
             what = "this kernel is for neutral parameters alone, at zero"
-            raise ModelError("pass", what, remedy="differentiate by these, or compile the model without any.")
+            raise ModelError("pass", what, remedy="differentiate by these, or compile the model without neutral ones.")
         gain = np.zeros((states, outputs)) if gain is None else gain
-        by_gain = asked.by_gain
+        by_gain = chosen.by_gain
         if gain_slopes is not None:
             by_gain = gain_slopes if by_gain is None else by_gain + gain_slopes
         structure, functions = self.code.facts["structure"], self.code.facts["functions"]
@@ -212,7 +215,7 @@ class Kernel:
         space += inputs * 14
         space += width * (4 * states + 3 * inputs + outputs * (2 + states) + 4)
         work, places = _aligned(space), np.empty(parameters + 3 * delays + inputs, dtype=np.int64)
-        used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, asked, gain, by_gain)
+        used = (segment, values, memory.x, memory.S, memory.lag, memory.lag_S, memory.pointer, chosen, gain, by_gain)
         before = (
             _address(functions),
             _address(structure),
@@ -223,7 +226,7 @@ class Kernel:
             _pointer("measured", segment.measured, rows, outputs),
             _pointer("values", values, parameters),
             columns,
-            _address(asked.numbers),
+            _address(chosen.numbers),
             _pointer("gain", gain, states, outputs),
             0 if by_gain is None else _pointer("derivatives of the gain", by_gain, states * outputs, columns),
             _pointer("state", memory.x, states),
@@ -244,7 +247,7 @@ class Kernel:
         def proceed(first: int, last: int, skip: bool, used: object = used) -> None:
             if not 0 <= first <= last < rows:
                 raise ModelError(
-                    "pass", f"there is no row {first} to {last} of {rows}", remedy="ask for what there is."
+                    "pass", f"there are no samples {first} to {last} of {rows}", remedy="choose samples that exist."
                 )
             work.fill(0.0)
             places.fill(0)
@@ -254,9 +257,9 @@ class Kernel:
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """The columns of a pass: their `numbers` (na,), the least and the largest, and the gain's derivatives by them,
-    (nx * ny, na), None where none is an entry of the gain."""
+class _Columns:
+    """The columns of a pass: their `numbers` (na,), the smallest and the largest, and the gain's derivatives with
+    respect to them, (nx * ny, na), None if none of them is an entry of the gain."""
 
     numbers: NDArray[np.int64]
     least: int
@@ -265,42 +268,42 @@ class _Asked:
 
 
 @functools.lru_cache(maxsize=256)
-def _asked(active: tuple[int, ...], parameters: int, states: int, outputs: int) -> _Asked:
+def _columns(active: tuple[int, ...], parameters: int, states: int, outputs: int) -> _Columns:
     numbers = np.array(active, dtype=np.int64)
     entries = numbers - parameters - states
     by_gain = None
     if (entries >= 0).any():
         by_gain = np.equal.outer(np.arange(states * outputs), entries).astype(np.float64)
-    return _Asked(numbers, min(active, default=0), max(active, default=-1), by_gain)
+    return _Columns(numbers, min(active, default=0), max(active, default=-1), by_gain)
 
 
 def _aligned(size: int) -> Array:
-    """Numbers (size,) from the border of a cache line on: vectors that lie across one take twice as long."""
+    """An array (size,) aligned to a cache line: vectors that cross a border of lines take twice as long."""
     space = np.empty(size + LINE // 8)
     first = -_address(space) % LINE // 8
     return space[first : first + size]
 
 
 def _pointer(name: str, array: Array, *shape: int) -> int:
-    """Where `array` begins: machine code looks at no sizes, so what does not fit is refused here."""
+    """The address of `array`. Machine code does not check sizes, so an array that does not fit is rejected here."""
     if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
-        what = f"is {array.dtype} {array.shape}, and should be float64 {shape}, C-contiguous"
+        what = f"is {array.dtype} {array.shape}, but should be float64 {shape}, C-contiguous"
         raise ModelError(name, what, remedy="use np.ascontiguousarray, and the kernel's own sizes.")
     return _address(array)
 
 
 def _address(array: NDArray[Any]) -> int:
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # in half the time
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # twice as fast
     except (TypeError, ValueError):  # read-only, or empty
         return int(array.ctypes.data)
 
 
 def compile_model(model: Model, *, neutral: Sequence[str] = (), progress: Progress | None = None) -> Kernel:
-    """The kernel of `model`, from memory, from the cache on disk, or made now (`progress` is told in words).
+    """The kernel of `model`, from memory, from the cache on disk, or compiled now (`progress` gets a message).
 
     Parameters that are `neutral` are zero in all its passes, which then take a fraction of the time: see Kernel.
-    Raises ModelError where its equations are wrong.
+    Raises ModelError if its equations are wrong.
     """
     progress = progress or (lambda text: None)
     name = f"{model.name}-{fingerprint(model)}"

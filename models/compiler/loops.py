@@ -1,16 +1,16 @@
-"""The loops of every compiled model: one pass over a stretch of data, with all sensitivities.
+"""The loops of every compiled model: one pass over a segment of data, with all sensitivities.
 
 Classical Runge-Kutta of order four on states and variational equations: discretise, then differentiate, so the
-sensitivities are those of the numbers that are returned. A step is cut where a held input changes; moving that instant
-by a delay moves the ends of two pieces, which is how a delay gets its derivative. A measured input is read as a curve
-through its samples: at three instants a step straight lines would lose a corner in its midst, where an input is sampled
-a part of a row before. Behind a first-order lag it is the straight line that has the mean and the first moment of the
-exact response to a straight line over each piece, and is exactly neutral at lag 0. A lag of a held input remembers what
-was held before the first row.
+sensitivities are those of the returned numbers. A step is cut where a held input changes; a delay shifts that instant
+and thereby the ends of two pieces, which is how a delay gets its derivative. A measured input is read as a curve
+through its samples: with three evaluations per step, straight lines would lose a corner within the step if an input is
+sampled a fraction of a sampling interval before. Behind a first-order lag it is the straight line that has the mean and
+the first moment of the exact response to a straight line over each piece, and is exactly neutral at lag 0. A lag of a
+held input remembers the value held before the first sample.
 
-numba translates this file once on a computer, not once a model: sizes are arguments and a model's equations
+numba translates this file once per computer, not once per model: sizes are arguments and a model's equations
 (models.compiler.codegen) are called by address. Arrays are bare pointers, row by row; nothing is allocated and nothing
-can raise. models.compiler.kernel, the only caller, sees to the sizes.
+can raise. models.compiler.kernel, the only caller, checks the sizes.
 """
 
 # mypy: ignore-errors
@@ -40,13 +40,13 @@ def _call(builder, context, values):
 
 @intrinsic
 def _prepare(typing, address, p, constants):
-    """constants = what depends on parameters alone."""
+    """constants = the expressions of parameters alone."""
     return types.void(INTEGER, NUMBERS, NUMBERS), lambda context, builder, _, values: _call(builder, context, values)
 
 
 @intrinsic
 def _equations(typing, address, t, x, u, slope, p, constants, column, width, derive, result, A, B, G, T):
-    """result, and where `derive` its derivatives by state, active parameter (its `column`), input and time."""
+    """result, and if `derive` its derivatives by state, active parameter (its `column`), input and time."""
     kinds = (INTEGER, NUMBER, *[NUMBERS] * 5, INTEGERS, INTEGER, INTEGER, *[NUMBERS] * 5)
     return types.void(*kinds), lambda context, builder, _, values: _call(builder, context, values)
 
@@ -78,11 +78,12 @@ def _at(typing, pointer, offset):
 
 @njit(**INLINE)
 def _curve(i, when, left, samples, NU, knots, u, pointer, curve, slope):
-    """Input i at an instant, on the cubic through two samples; `left`: where two cubics meet, the one before.
+    """Input i at an instant, on the cubic through two samples; `left`: where two cubics meet, take the earlier one.
 
-    Its slope at a sample is that of the parabola through this one and its neighbours, at either end that to the only
-    one; beyond the ends it stays. slope[i] and slope[NU + i] become its first two derivatives at the instant. `curve`
-    (NU, 7) is the cubic found last: where it begins and ends, and about which instant it has which coefficients.
+    Its slope at a sample is that of the parabola through the sample and its neighbours, at either end that to the only
+    neighbour; beyond the ends the input is constant. slope[i] and slope[NU + i] become its first two derivatives at the
+    instant. `curve` (NU, 7) is the cubic found last: its begin and end, the instant that it is expanded about, and its
+    coefficients.
     """
     mine = 7 * i
     if not (curve[mine] <= when and (when < curve[mine + 1] or (left and when == curve[mine + 1]))):
@@ -122,14 +123,14 @@ def _curve(i, when, left, samples, NU, knots, u, pointer, curve, slope):
 
 @njit(**INLINE)
 def _climb(row, i, NU, by_input, slope):
-    """How fast what is in this row of `by_input` (rows, 2 NU) moves because input i and its slope do."""
+    """Time derivative, due to input i and its slope, of the quantity in this row of `by_input` (rows, 2 NU)."""
     mine = 2 * NU * row + i
     return by_input[mine] * slope[i] + by_input[mine + NU] * slope[NU + i]
 
 
 @njit(**INLINE)
 def _hold(i, h, tau, held, own, na, width, memory, memory_S):
-    """Moves a lag's memory on by h in which its input is `held`. Column `own` is tau's; no other moves the input."""
+    """Advances a lag's memory by h, with the input `held`. Column `own` is tau's; no other changes the input."""
     decay = math.exp(-h / tau) if tau > 0.0 else 0.0
     for c in range(na):
         memory_S[i * width + c] *= decay
@@ -140,9 +141,9 @@ def _hold(i, h, tau, held, own, na, width, memory, memory_S):
 
 @njit(**INLINE)
 def _tilt(x):
-    """By how much a lag's answer rises over h = x tau for each unit it begins above its input, and the slope of that.
+    """The rise of a lag's response over h = x tau per unit of its initial distance above the input, and its slope.
 
-    Of the straight line that has the answer's mean and its first moment: 12 (1 - e) / x^2 - 6 (1 + e) / x, e = exp(-x).
+    For the straight line with the response's mean and first moment: 12 (1 - e) / x^2 - 6 (1 + e) / x, e = exp(-x).
     """
     if x < 0.01:
         return x * (-1.0 + x * (0.5 - 0.15 * x)), -1.0 + x * (1.0 - 0.45 * x)
@@ -154,13 +155,11 @@ def _tilt(x):
 
 
 @njit(**INLINE)
-def _lagged(
-    i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, stretch, mean_S, tilt, tilt_S
-):
-    """The mean over h of what a lag does to a straight line from `start` to `end`; moves the lag's memory on.
+def _lagged(i, h, tau, start, end, moved, own, na, width, memory, memory_S, begin_S, end_S, h_S, mean_S, tilt, tilt_S):
+    """The mean over h of what a lag adds to a straight line from `start` to `end`; advances the lag's memory.
 
-    tilt[i] becomes by how much that rises over h: the lag's answer is taken for a straight line. The line's ends have
-    derivatives `begin_S` and `end_S`, h has `stretch` where `moved`, and column `own` is tau's.
+    tilt[i] becomes the rise of that over h: the lag's response is taken to be a straight line. The line's ends have
+    derivatives `begin_S` and `end_S`, h has `h_S` if `moved`, and column `own` is tau's.
     """
     gone, over, rise, rise_slope = 1.0, 0.0, 0.0, 0.0
     if tau > 0.0:
@@ -173,7 +172,7 @@ def _lagged(
     chord = (end - start) / h
     gap = memory[i] - start + chord * tau
     for c in range(na):
-        longer = stretch[c] if moved else 0.0
+        longer = h_S[c] if moved else 0.0
         chord_c = (end_S[c] - begin_S[c] - chord * longer) / h
         gap_c = memory_S[i * width + c] - begin_S[c] + chord_c * tau
         mean_c = gap_c * share - chord_c * tau + gap * (decay - share) / h * longer
@@ -182,7 +181,7 @@ def _lagged(
         if c == own:
             mean_c += chord * share - chord + gap * (gone / h - over)
             end_c += chord * decay - chord + (gap * over * h / tau if tau > 0.0 else 0.0)
-            # At no lag the answer rises by minus six lags of the gap over h.
+            # At lag 0 the derivative of the rise with respect to the lag is minus six times the gap over h.
             tilt_c += chord * rise - gap * (rise_slope * h / tau if tau > 0.0 else 6.0 / h)
         mean_S[i * width + c] = mean_c
         memory_S[i * width + c] = end_c
@@ -220,13 +219,13 @@ def run(
     work,
     places,
 ):
-    """Rows first to last: predict the outputs, correct the state by gain * (measured - predicted), integrate on.
+    """Samples first to last: predict the outputs, correct the state by gain * (measured - predicted), integrate on.
 
-    x, given_S (NX, na), memory, given_memory_S (NU, na) and pointer are taken over and left as they are after the last
-    row's correction. `skip`: the first row was predicted and corrected already. `active`: by column the parameter's
-    number, others where it is none; gain_S (NX * NY, na), read where `moving_gain`, are the gain's derivatives by the
-    columns. `functions` are the addresses of models.compiler.kernel.FUNCTIONS, `structure` is that of
-    models.compiler.codegen.Code; `work` and `places` are space, all zero.
+    x, given_S (NX, na), memory, given_memory_S (NU, na) and pointer are continued, and left as they are after the
+    correction at the last sample. `skip`: the first sample was predicted and corrected already. `active`: by column the
+    parameter's number, or another number if the column is not a parameter; gain_S (NX * NY, na), used if `moving_gain`,
+    are the gain's derivatives by the columns. `functions` are the addresses of models.compiler.kernel.FUNCTIONS,
+    `structure` is that of models.compiler.codegen.Code; `work` and `places` are workspace, all zero.
     """
     prepare, slopes, observe = functions[0], functions[1], functions[2]
     begin_stage, middle_stage, finish_stage = functions[3], functions[4], functions[5]
@@ -236,15 +235,15 @@ def run(
     lag = _at(drawn, NU)
     delay_input = _at(lag, NU)
     delay_parameter = _at(delay_input, ND)
-    driven = _at(delay_parameter, ND)  # how many states the inputs move, then which
+    driven = _at(delay_parameter, ND)  # the number of states that the inputs drive, then their indices
     width = (na + LANES - 1) // LANES * LANES
     derive = 1 if na > 0 else 0
 
     column = places
-    moves = _at(places, NP)  # what delays that are active move: input, column
-    shifting = _at(moves, 2 * ND)  # the columns whose delays move instants at which a step is cut
+    moves = _at(places, NP)  # what active delays shift: input, column
+    shifting = _at(moves, 2 * ND)  # the columns whose delays shift instants at which a step is cut
     lagged = _at(shifting, ND)
-    B = work  # what has columns first, so that it lies on the borders of cache lines as `work` does
+    B = work  # arrays with columns first, so that they are aligned to cache lines as `work` is
     D = _at(B, NX * width)
     shown = _at(D, NY * width)
     S = _at(shown, NY * width)
@@ -254,8 +253,8 @@ def run(
     mean_S = _at(memory_S, NU * width)
     tilt_S = _at(mean_S, NU * width)
     later = _at(tilt_S, NU * width)
-    stretch = _at(later, width)
-    begin_S = _at(stretch, width)
+    h_S = _at(later, width)
+    begin_S = _at(h_S, width)
     end_S = _at(begin_S, width)
     wide_gain_S = _at(end_S, width)
     constants = _at(wide_gain_S, NX * NY * width)
@@ -315,7 +314,7 @@ def run(
             lagged[i] = 1
             lagging = True
         curve[7 * i], curve[7 * i + 1] = math.inf, -math.inf
-    patched = derive and (curves or several > 0 or lagging)  # B gets more than the equations put into it
+    patched = derive and (curves or several > 0 or lagging)  # B gets more terms than those of the equations
 
     if not skip:
         for i in range(NU):
@@ -366,7 +365,7 @@ def run(
                     if curves:
                         for q in range(count):
                             i = moves[2 * q]
-                            if lagged[i]:  # but its slope is not
+                            if lagged[i]:  # but its slope is not lagged
                                 climb = H[2 * NU * j + NU + i] * slope[NU + i]
                             else:
                                 climb = _climb(j, i, NU, H, slope)
@@ -403,20 +402,20 @@ def run(
             moving = False
             if several > 0:
                 for q in range(several):
-                    stretch[shifting[q]] = 0.0
+                    h_S[shifting[q]] = 0.0
                     later[shifting[q]] = 0.0
                 for q in range(count):
                     if moves[2 * q] == following:
-                        stretch[moves[2 * q + 1]] += 1.0 / substeps
+                        h_S[moves[2 * q + 1]] += 1.0 / substeps
                         moving = True
                     if moves[2 * q] == owner:
-                        stretch[moves[2 * q + 1]] -= 1.0 / substeps
+                        h_S[moves[2 * q + 1]] -= 1.0 / substeps
                         later[moves[2 * q + 1]] += 1.0
                         moving = True
             for i in range(NU):
                 if not drawn[i]:
                     held[i] = u[pointer[i] * NU + i]
-            if moving and h <= 0.0:  # no time goes by, but the state moves with the instant
+            if moving and h <= 0.0:  # no time passes, but the state changes with the instant
                 for i in range(NU):
                     value[i] = held[i]
                     if drawn[i]:
@@ -424,12 +423,12 @@ def run(
                     if lagged[i] and p[lag[i]] > 0.0:
                         for q in range(several):
                             climb = (value[i] - memory[i]) / p[lag[i]]
-                            memory_S[i * width + shifting[q]] += substeps * stretch[shifting[q]] * climb
+                            memory_S[i * width + shifting[q]] += substeps * h_S[shifting[q]] * climb
                         value[i] = memory[i]
                 _equations(slopes, begin, x, value, slope, p, constants, column, width, 0, f, A, B, G, T)
                 for i in range(NX):
                     for q in range(several):
-                        S[i * width + shifting[q]] += substeps * stretch[shifting[q]] * f[i]
+                        S[i * width + shifting[q]] += substeps * h_S[shifting[q]] * f[i]
             for step in range(substeps if h > 0.0 else 0):
                 start = begin + step * h
                 for i in range(NU):
@@ -455,11 +454,11 @@ def run(
                             if moving:
                                 for q in range(several):
                                     c = shifting[q]
-                                    end_S[c] += slope[i] * (later[c] + stretch[c])
+                                    end_S[c] += slope[i] * (later[c] + h_S[c])
                         own = column[lag[i]]
                         shift[i] = _lagged(
                             i, h, p[lag[i]], head, tail, moving, own,
-                            na, width, memory, memory_S, begin_S, end_S, stretch, mean_S, tilt, tilt_S,
+                            na, width, memory, memory_S, begin_S, end_S, h_S, mean_S, tilt, tilt_S,
                         )  # fmt: skip
                 for i in range(NX):
                     stage[i] = x[i]
@@ -490,7 +489,7 @@ def run(
                                         for c in range(na):
                                             moved_by = mean_S[j * width + c] + (node - 0.5) * tilt_S[j * width + c]
                                             B[i * width + c] += G[2 * NU * i + j] * moved_by
-                        if moving:  # the instant of this stage moves, and with it what changes steadily
+                        if moving:  # the instant of this stage shifts, and with it all that changes continuously
                             for i in range(NX):
                                 drift = T[i]
                                 for j in range(NU):
@@ -498,7 +497,7 @@ def run(
                                         drift += _climb(i, j, NU, G, slope)
                                 for q in range(several):
                                     c = shifting[q]
-                                    B[i * width + c] += drift * (later[c] + node * stretch[c])
+                                    B[i * width + c] += drift * (later[c] + node * h_S[c])
                     next_node = 1.0 if r == 2 else (0.5 if r < 2 else 0.0)
                     ahead = next_node * h
                     weight = 1.0 / 6.0 if r == 0 or r == 3 else 1.0 / 3.0
@@ -515,14 +514,14 @@ def run(
                     if moving:
                         for i in range(NX):
                             for q in range(several):
-                                stage_S[i * width + shifting[q]] += next_node * stretch[shifting[q]] * f[i]
+                                stage_S[i * width + shifting[q]] += next_node * h_S[shifting[q]] * f[i]
                 for i in range(NX):
                     x[i] += h * total[i]
                 if moving:
                     for q in range(several):
                         for i in range(NX):
-                            S[i * width + shifting[q]] += stretch[shifting[q]] * total[i]
-                        later[shifting[q]] += stretch[shifting[q]]
+                            S[i * width + shifting[q]] += h_S[shifting[q]] * total[i]
+                        later[shifting[q]] += h_S[shifting[q]]
             begin = cut
             owner = following
             if following < 0:
@@ -536,10 +535,10 @@ def run(
 
 
 def intermediate_code(name: str) -> str:
-    """`run` as LLVM's intermediate code, in which it is called `name`."""
+    """`run` as LLVM's intermediate code, where it is called `name`."""
     kinds = (INTEGERS, INTEGERS, INTEGER, *[NUMBERS] * 5, INTEGER, INTEGERS, *[NUMBERS] * 6, INTEGERS)
     kinds += (*[INTEGER] * 5, *[NUMBERS] * 3, INTEGERS)
-    # numba only translates: it would optimise twice, and unroll loops that hardly ever run (see machine_code).
+    # numba only translates: otherwise it would optimise twice, and unroll loops that rarely run (see machine_code).
     level, config.OPT = config.OPT, type(config.OPT)(0)
     try:
         compiled = cfunc(types.void(*kinds), **OPTIONS)(run)

@@ -1,8 +1,8 @@
-"""Machine code from LLVM's intermediate code, kept on disk: assembled once, loaded in a millisecond ever after.
+"""Machine code from LLVM's intermediate code, kept on disk: assembled once, then loaded in a millisecond.
 
 A file is a SHA-256 digest of the rest, a line of JSON and an object file for this computer's processor. It is written
-whole or not at all, so processes that start together do not disturb each other; one that is damaged is as good as
-missing. Where the cache cannot be written, all works as it does without one.
+atomically, so processes that start together do not disturb each other; a damaged file counts as missing. If the cache
+cannot be written, everything works as without one.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 LANES = 4
-"""Numbers that are worked on at once; rows of sensitivities are padded to a multiple of it."""
+"""Numbers that are processed at once; rows of sensitivities are padded to a multiple of it."""
 DIGEST = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True, slots=True)
 class Assembled:
-    """Object code, and what else is to be known of it (JSON)."""
+    """Object code, and further facts about it (JSON)."""
 
     code: bytes
     facts: Mapping[str, Any]
@@ -32,7 +32,7 @@ class Assembled:
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """Code in memory: functions by address, for as long as `engine` lives."""
+    """Code in memory: addresses of functions, valid as long as `engine` lives."""
 
     addresses: Mapping[str, int]
     facts: Mapping[str, Any]
@@ -49,7 +49,7 @@ def cache_directory() -> Path:
 
 
 def recall(name: str) -> Assembled | None:
-    """What was kept under `name`; None where there is nothing, or not what was written."""
+    """The code that was kept under `name`; None if there is none, or if it is damaged."""
     try:
         content = (cache_directory() / name).read_bytes()
     except OSError:
@@ -62,7 +62,7 @@ def recall(name: str) -> Assembled | None:
 
 
 def keep(name: str, assembled: Assembled) -> None:
-    """Keep it under `name`, if that can be."""
+    """Keep `assembled` under `name`, if possible."""
     rest = json.dumps(dict(assembled.facts)).encode() + b"\n" + assembled.code
     path = cache_directory() / name
     try:
@@ -75,9 +75,9 @@ def keep(name: str, assembled: Assembled) -> None:
 
 
 def assemble(text: str, facts: Mapping[str, Any], *, optimise: bool = False) -> Assembled:
-    """Machine code for this processor from intermediate code; `optimise` what no optimiser has seen yet.
+    """Machine code for this processor from intermediate code; `optimise` code that has not been optimised yet.
 
-    Loops are neither unrolled nor vectorised: what is worth it was written so.
+    Loops are neither unrolled nor vectorised: those that benefit are written that way already.
     """
     from llvmlite import binding  # type: ignore[import-untyped]
 
@@ -85,7 +85,7 @@ def assemble(text: str, facts: Mapping[str, Any], *, optimise: bool = False) -> 
     if optimise:
         options = binding.create_pipeline_tuning_options(speed_level=2)
         options.loop_unrolling = options.loop_vectorization = options.slp_vectorization = False
-        # Twice: only then all is seen to be idle that numba puts in for errors, which needs numba where it is loaded.
+        # Twice: only then all of numba's error handling is found to be unused; it would need numba when it is loaded.
         for _ in range(2):
             passes = binding.create_pass_builder(machine, options)
             passes.getModulePassManager().run(module, passes)
@@ -93,7 +93,7 @@ def assemble(text: str, facts: Mapping[str, Any], *, optimise: bool = False) -> 
 
 
 def load(assembled: Assembled, functions: tuple[str, ...]) -> Loaded:
-    """Bring code into memory; `functions` are those whose addresses are wanted."""
+    """Load code into memory; `functions` are those whose addresses are needed."""
     from llvmlite import binding
 
     engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _machine())
@@ -104,7 +104,7 @@ def load(assembled: Assembled, functions: tuple[str, ...]) -> Loaded:
 
 @functools.cache
 def processor() -> str:
-    """What the code is made for: machine code of one processor need not run on another."""
+    """The target of the code: machine code for one processor need not run on another."""
     import llvmlite
     from llvmlite import binding
 

@@ -1,1 +1,1 @@
-"""The effects that a model may lack, one file a family; catalogue has them all. Importing it computes nothing."""
+"""The effects that a model may lack, one file per family; `catalogue` lists them all. Importing it computes nothing."""

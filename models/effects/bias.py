@@ -1,4 +1,4 @@
-"""Torques that do not depend on the motion: constant, stepping or creeping. N m, or N where a joint slides."""
+"""Torques that do not depend on the motion: constant, stepped or creeping. N m, or N if a joint slides."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from models.parts import Place
 STATIC_TORQUE = Effect(
     name="static_torque",
     family=Family.BIAS,
-    title="constant torque, as from a centre of gravity beside the middle",
+    title="constant torque, e.g. from an offset of the centre of gravity",
     place=Place.JOINT,
     equation="F = torque",
     parameters=(EffectParameter("torque", "{force}", "constant force", amplitude=True, scale="force_scale"),),
     force="torque",
-    signature="The mean of the missing torque is not zero. A balanced vehicle stands at another angle, or its "
+    signature="The mean of the residual torque is not zero. A balanced vehicle stands at another angle, or its "
     "actuator drifts away at a steady rate.",
     confused_with=(
         "torque_step",
@@ -23,24 +23,24 @@ STATIC_TORQUE = Effect(
         "sensor_offset",
         "gyro_bias",
     ),
-    separated_by="A square wave of the angle's reference: a constant torque stays where friction changes its sign. "
-    "Weigh it: a known payload at a known place adds to it, not to an offset of the sensor.",
+    separated_by="A square wave of the angle's reference: a constant torque stays the same while friction changes its "
+    "sign. A known payload at a known place changes the torque, but not an offset of the sensor.",
     formula_error=0.0,
-    source="Griese et al. (MONOCAB): the static torque that their model lacked",
+    source="Griese et al. (MONOCAB): the static torque missing in their model",
 )
 
 TORQUE_STEP = Effect(
     name="torque_step",
     family=Family.BIAS,
-    title="torque that sets in during the record, as when a person sits down",
+    title="torque that sets in during the record, e.g. when a person sits down",
     place=Place.JOINT,
     equation="F = torque (1 + tanh(2.65 ((t - start) / rise - 1/2))) / 2",
     parameters=(
-        EffectParameter("torque", "{force}", "size of the step", amplitude=True, scale="force_scale"),
+        EffectParameter("torque", "{force}", "height of the step", amplitude=True, scale="force_scale"),
         EffectParameter(
             "start",
             "s",
-            "when it begins, from the first row of the record on",
+            "time of the onset since the first sample of the record",
             role=Role.INSTANT,
             value="2.5 * time_scale",
             scale="time_scale / 4",
@@ -50,7 +50,7 @@ TORQUE_STEP = Effect(
         EffectParameter(
             "rise",
             "s",
-            "how long it takes",
+            "rise time of the step",
             role=Role.DURATION,
             value="0.75 * time_scale",
             scale="time_scale / 4",
@@ -59,9 +59,9 @@ TORQUE_STEP = Effect(
         ),
     ),
     force="torque * 0.5 * (1 + tanh(2.65 * ((time - start) / rise - 0.5)))",
-    signature="The missing torque has one mean before an instant and another one after it.",
+    signature="The mean of the residual torque changes at one instant.",
     confused_with=("static_torque", "torque_drift"),
-    separated_by="A longer record, in which what came before and what came after each last longer than the slowest "
+    separated_by="A longer record, in which the parts before and after the step each last longer than the slowest "
     "motion of the vehicle.",
     beyond=("static_torque",),
     onset_of="static_torque",
@@ -72,15 +72,15 @@ TORQUE_STEP = Effect(
 TORQUE_DRIFT = Effect(
     name="torque_drift",
     family=Family.BIAS,
-    title="torque that creeps up, as from a load that settles or a part that warms up",
+    title="slowly rising torque, e.g. from a load that settles or a part that warms up",
     place=Place.JOINT,
     equation="F = torque (1 - exp(-t / time_constant))",
     parameters=(
-        EffectParameter("torque", "{force}", "where it settles", amplitude=True, scale="force_scale"),
+        EffectParameter("torque", "{force}", "final value", amplitude=True, scale="force_scale"),
         EffectParameter(
             "time_constant",
             "s",
-            "of the creep",
+            "time constant of the creep",
             role=Role.DURATION,
             value="75 * time_scale",
             scale="25 * time_scale",
@@ -90,14 +90,14 @@ TORQUE_DRIFT = Effect(
         ),
     ),
     force="torque * (1 - exp(-time / time_constant))",
-    signature="The missing torque grows slowly from the start of the record and levels off.",
+    signature="The residual torque grows slowly from the start of the record and levels off.",
     confused_with=(
         "static_torque",
         "torque_step",
         "sensor_offset",
         "gyro_bias",
     ),
-    separated_by="A record that is several time constants long; a second one without a pause does not start again.",
+    separated_by="A record of several time constants; a second record without a pause does not show the drift again.",
     beyond=("static_torque",),
     sets_in=False,
     formula_error=0.0,

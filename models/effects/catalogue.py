@@ -1,6 +1,6 @@
-"""The catalogue: every named effect that a model may lack, one file a family. Importing it computes nothing.
+"""The catalogue: every named effect that a model may lack, one file per family. Importing it computes nothing.
 
-`find("coulomb_friction")` gives one; `Model.add` takes the name. An effect of one's own: `models.file.own_effects`.
+`find("coulomb_friction")` returns one; `Model.add` takes the name. User-defined effects: `models.file.own_effects`.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ CATALOGUE: dict[str, Effect] = {effect.name: effect for effect in _ALL}
 
 
 def find(name: str) -> Effect:
-    """The effect `name` of the catalogue. Raises ModelError that names those that are spelled alike."""
+    """The effect `name` of the catalogue. Raises ModelError, which suggests similar names."""
     if name in CATALOGUE:
         return CATALOGUE[name]
     close = difflib.get_close_matches(name, CATALOGUE, n=3)
     remedy = f"did you mean {' or '.join(close)}?" if close else f"use one of: {', '.join(CATALOGUE)}."
-    raise ModelError(f"effect {name}", "there is none of this name", remedy=remedy)
+    raise ModelError(f"effect {name}", "there is no effect of this name", remedy=remedy)
 
 
 def families() -> dict[Family, tuple[Effect, ...]]:
-    """The effects of each family, both in the order of their lists."""
+    """The effects of each family, both in the order of their definition."""
     return {family: tuple(effect for effect in _ALL if effect.family is family) for family in Family}

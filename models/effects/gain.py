@@ -1,4 +1,4 @@
-"""A command that acts weaker or stronger than it should: near zero, in one direction, or all over."""
+"""A command that acts more weakly or strongly than it should: near zero, in one direction, or everywhere."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from models.parts import Place
 INPUT_DEADBAND = Effect(
     name="input_deadband",
     family=Family.GAIN,
-    title="small commands that do nothing",
+    title="small commands that have no effect",
     place=Place.ACTUATOR,
     equation="u_acting = sgn(u) max(|u| - width, 0)",
     parameters=(
         EffectParameter(
             "width",
             "{command}",
-            "largest command that does nothing",
+            "largest command that has no effect",
             amplitude=True,
             scale="command_scale / 20",
             lower="0",
@@ -24,26 +24,28 @@ INPUT_DEADBAND = Effect(
         ),
     ),
     command="max(command - width, 0) + min(command + width, 0)",
-    signature="The missing torque has a fixed size against the sign of the command; a balanced vehicle hunts slowly.",
+    signature="The residual torque has a constant magnitude and is opposite to the command; a balanced vehicle hunts "
+    "slowly.",
     confused_with=(
         "backlash",
         "input_gain",
     ),
-    separated_by="The same excitation at two amplitudes: a dead band costs a fixed size, a gain error a fixed share.",
+    separated_by="The same excitation at two amplitudes: a dead band takes a fixed amount from the command, a gain "
+    "error a fixed share.",
     source="Tao, Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)",
 )
 
 INPUT_ASYMMETRY = Effect(
     name="input_asymmetry",
     family=Family.GAIN,
-    title="command that acts stronger in one direction than in the other",
+    title="command that acts more strongly in one direction than in the other",
     place=Place.ACTUATOR,
     equation="u_acting = u + asymmetry |u|",
     parameters=(
         EffectParameter(
             "asymmetry",
             "1",
-            "how much stronger positive, and weaker negative commands act",
+            "share by which positive commands act more strongly, and negative ones more weakly",
             amplitude=True,
             scale="0.1",
             lower="-0.9",
@@ -51,17 +53,17 @@ INPUT_ASYMMETRY = Effect(
         ),
     ),
     command="command + asymmetry * abs(command)",
-    signature="The missing torque follows the command's size, not its sign: excitation drives the actuator away to "
-    "one side.",
+    signature="The residual torque follows the command's magnitude, not its sign: excitation makes the actuator drift "
+    "to one side.",
     confused_with=("input_gain",),
-    separated_by="Excitation of both signs that is strong enough: a gain error is alike on both sides.",
+    separated_by="Sufficiently strong excitation of both signs: a gain error is the same in both directions.",
     source="piecewise linear actuator; Tao, Kokotovic (1996)",
 )
 
 INPUT_GAIN = Effect(
     name="input_gain",
     family=Family.GAIN,
-    title="command whose gain is off",
+    title="command with a gain error",
     place=Place.ACTUATOR,
     equation="u_acting = (1 + gain) u",
     parameters=(
@@ -70,9 +72,9 @@ INPUT_GAIN = Effect(
         ),
     ),
     command="command * (1 + gain)",
-    signature="The missing torque is a copy of the command, at every amplitude and frequency.",
+    signature="The residual torque is proportional to the command, at every amplitude and frequency.",
     confused_with=("input_deadband", "input_asymmetry", "gimbal_angle_coupling", "sensor_scale"),
-    separated_by="A measured motion of the actuator, or one known force: without an anchor, inertia and stiffness "
-    "absorb it.",
+    separated_by="A measured motion of the actuator, or one known force: without such a reference, inertia and "
+    "stiffness absorb it.",
     source="Ljung, System Identification (1999), section 4.6: identifiability",
 )

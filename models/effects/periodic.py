@@ -1,4 +1,4 @@
-"""Torques that repeat: in time, or over the coordinate. Sine and cosine, so that any phase is a point of a plane."""
+"""Periodic torques, in time or over the coordinate. Two amplitudes, of sine and cosine, represent any phase."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from models.parts import Place
 PERIODIC_DISTURBANCE = Effect(
     name="periodic_disturbance",
     family=Family.PERIODIC,
-    title="torque that repeats in time, as of machinery on board",
+    title="torque that is periodic in time, e.g. from machinery on board",
     place=Place.JOINT,
     equation="F = amplitude_sin sin(2 pi frequency t) + amplitude_cos cos(2 pi frequency t)",
     parameters=(
-        EffectParameter("amplitude_sin", "{force}", "of the sine", amplitude=True, scale="force_scale"),
-        EffectParameter("amplitude_cos", "{force}", "of the cosine", amplitude=True, scale="force_scale"),
+        EffectParameter("amplitude_sin", "{force}", "amplitude of the sine", amplitude=True, scale="force_scale"),
+        EffectParameter("amplitude_cos", "{force}", "amplitude of the cosine", amplitude=True, scale="force_scale"),
         EffectParameter(
             "frequency",
             "Hz",
-            "to be found where the spectrum of the innovations has its peak",
+            "frequency of the peak in the spectrum of the innovations",
             role=Role.FREQUENCY,
             value="0.4 / time_scale",
             scale="0.004 / time_scale",
@@ -27,26 +27,26 @@ PERIODIC_DISTURBANCE = Effect(
         ),
     ),
     force="amplitude_sin * sin(2 * pi * frequency * time) + amplitude_cos * cos(2 * pi * frequency * time)",
-    signature="One line in the spectrum of the missing torque, at the same frequency whatever the vehicle does.",
+    signature="A spectral line of the residual torque, at the same frequency for any motion of the vehicle.",
     confused_with=("position_cogging", "flexible_mode"),
-    separated_by="A record without excitation: the line stays. It has one phase throughout, a lightly damped mode has "
-    "not.",
+    separated_by="A record without excitation: the spectral line remains. Its phase is constant throughout; that of a "
+    "lightly damped mode is not.",
     source="Ljung, System Identification (1999), section 2.3",
 )
 
 POSITION_COGGING = Effect(
     name="position_cogging",
     family=Family.PERIODIC,
-    title="torque that repeats over the coordinate, as of magnets, teeth or a worn rail",
+    title="torque that is periodic over the coordinate, e.g. from magnets, teeth or a worn rail",
     place=Place.JOINT,
     equation="F = amplitude_sin sin(2 pi coordinate / pitch) + amplitude_cos cos(2 pi coordinate / pitch)",
     parameters=(
-        EffectParameter("amplitude_sin", "{force}", "of the sine", amplitude=True, scale="force_scale"),
-        EffectParameter("amplitude_cos", "{force}", "of the cosine", amplitude=True, scale="force_scale"),
+        EffectParameter("amplitude_sin", "{force}", "amplitude of the sine", amplitude=True, scale="force_scale"),
+        EffectParameter("amplitude_cos", "{force}", "amplitude of the cosine", amplitude=True, scale="force_scale"),
         EffectParameter(
             "pitch",
             "{coordinate}",
-            "after which it repeats",
+            "period over the coordinate",
             value="coordinate_scale / 4",
             scale="coordinate_scale / 200",
             lower="coordinate_scale / 1000",
@@ -62,8 +62,8 @@ POSITION_COGGING = Effect(
         ),
     ),
     force="amplitude_sin * sin(2 * pi * coordinate / pitch) + amplitude_cos * cos(2 * pi * coordinate / pitch)",
-    signature="The missing torque over the coordinate is a wave; its frequency in time grows with the speed.",
+    signature="The residual torque over the coordinate is periodic; its frequency in time increases with the speed.",
     confused_with=("periodic_disturbance",),
-    separated_by="Slow motion through the same range at two speeds: the line in the spectrum moves with the speed.",
+    separated_by="Slow motion through the same range at two speeds: the spectral line moves with the speed.",
     source="Hanselman, Brushless Permanent Magnet Motor Design (2003), cogging torque",
 )

@@ -1,4 +1,4 @@
-"""Restoring forces that are not a straight line over the coordinate."""
+"""Restoring forces that are not linear in the coordinate."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from models.parts import Place
 CUBIC_STIFFNESS = Effect(
     name="cubic_stiffness",
     family=Family.STIFFNESS,
-    title="spring that gets stiffer (or, where negative, softer) with the deflection",
+    title="spring that gets stiffer (or, if negative, softer) with the deflection",
     place=Place.JOINT,
     equation="F = -coefficient coordinate^3",
     parameters=(
         EffectParameter(
             "coefficient",
             "{force}/{coordinate}^3",
-            "force a unit of deflection cubed; negative where it gets softer",
+            "force per unit of deflection cubed; negative if it gets softer",
             amplitude=True,
             scale="force_scale / coordinate_scale ** 3",
         ),
     ),
     force="-coefficient * coordinate ** 3",
-    signature="The missing torque over the coordinate is flat in the middle and bends towards both ends.",
+    signature="The residual torque over the coordinate is flat in the middle and steep towards both ends.",
     confused_with=("gravity_nonlinearity", "end_stop"),
     separated_by="Slow motion at two amplitudes, the larger one near the limits.",
     source="Duffing; Nayfeh, Mook, Nonlinear Oscillations (1979), chapter 4",
@@ -30,14 +30,14 @@ CUBIC_STIFFNESS = Effect(
 GRAVITY_NONLINEARITY = Effect(
     name="gravity_nonlinearity",
     family=Family.STIFFNESS,
-    title="gravity with the sine of the angle instead of the angle",
+    title="gravity proportional to the sine of the angle instead of the angle",
     place=Place.JOINT,
     equation="F = stiffness (sin(coordinate) - coordinate)",
     parameters=(
         EffectParameter(
             "stiffness",
             "{force}/{coordinate}",
-            "mass x g x height of the centre; negative where the mass hangs",
+            "mass x g x height of the centre of gravity; negative if the mass hangs",
             amplitude=True,
             scale="force_scale / coordinate_scale",
             lower="-10 * force_scale / coordinate_scale",
@@ -45,11 +45,12 @@ GRAVITY_NONLINEARITY = Effect(
         ),
     ),
     force="stiffness * (sin(coordinate) - coordinate)",
-    signature="The missing torque over the angle is flat in the middle and pulls back at large angles; at 5 degrees "
-    "it is 0.1 % of gravity and cannot be seen. What needs more than gravity can be is no gravity.",
+    signature="The residual torque over the angle is flat in the middle and pulls back at large angles; at 5 degrees "
+    "it is 0.1 % of gravity and cannot be detected. A residual torque larger than gravity can cause has another "
+    "origin.",
     confused_with=("cubic_stiffness", "end_stop"),
-    separated_by="Large angles, beyond 20 degrees, on a stand that allows them; its size is known, that of gravity "
-    "itself.",
+    separated_by="Large angles, beyond 20 degrees, on a stand that allows them; its magnitude is known, that of "
+    "gravity itself.",
     in_radians=("coordinate",),
     sets_in=False,
     source="Griese et al. (MONOCAB), linearised there",
@@ -65,7 +66,7 @@ END_STOP = Effect(
         EffectParameter(
             "stiffness",
             "{force}/{coordinate}",
-            "of the buffers",
+            "stiffness of the buffers",
             amplitude=True,
             scale="force_scale / coordinate_scale",
             lower="0",
@@ -87,9 +88,9 @@ END_STOP = Effect(
         ),
     ),
     force="-stiffness * (max(coordinate - gap, 0) + min(coordinate + gap, 0))",
-    signature="The missing torque is zero in the middle and a straight line beyond a corner on each side.",
+    signature="The residual torque is zero in the middle and a straight line beyond a kink on each side.",
     confused_with=("cubic_stiffness", "gravity_nonlinearity"),
-    separated_by="Motion that reaches the stops now and then: a corner at the same deflection each time, none without "
-    "contact.",
+    separated_by="Motion that reaches the stops now and then: a kink at the same deflection each time, and none "
+    "without contact.",
     source="piecewise linear stiffness; Nayfeh, Mook, Nonlinear Oscillations (1979), chapter 4",
 )

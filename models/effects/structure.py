@@ -1,4 +1,4 @@
-"""A body that is not rigid: part of the inertia hangs on a spring and a damper."""
+"""A body that is not rigid: part of the inertia is suspended by a spring and a damper."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ _SPRING = "((2 * pi * frequency) ** 2 * twist + 4 * pi * frequency * damping_rat
 FLEXIBLE_MODE = Effect(
     name="flexible_mode",
     family=Family.STRUCTURE,
-    title="part of the inertia on a spring: a cabin on its frame",
+    title="part of the inertia on a spring, e.g. a cabin on its frame",
     place=Place.JOINT,
     equation="F = share / (1 - share) (load + inertia c),  c = (2 pi frequency)^2 twist + 4 pi frequency "
     "damping_ratio twist',  twist'' = -c - (load + F) / inertia",
     parameters=(
         EffectParameter(
-            "share", "1", "of the inertia that is sprung", amplitude=True, scale="0.1", lower="0", upper="0.95"
+            "share", "1", "share of the inertia that is sprung", amplitude=True, scale="0.1", lower="0", upper="0.95"
         ),
         EffectParameter(
             "frequency",
             "Hz",
-            "of the sprung part on a frame that is held",
+            "natural frequency of the sprung part with the frame held",
             role=Role.FREQUENCY,
             value="2 / time_scale",
             scale="0.08 / time_scale",
@@ -32,7 +32,7 @@ FLEXIBLE_MODE = Effect(
         EffectParameter(
             "damping_ratio",
             "1",
-            "of the sprung part on a frame that is held",
+            "damping ratio of the sprung part with the frame held",
             value="0.03",
             scale="0.02",
             lower="1e-3",
@@ -42,15 +42,19 @@ FLEXIBLE_MODE = Effect(
     ),
     states=(
         EffectState(
-            "twist", "{coordinate}", "twist_rate", "of the sprung part beyond the rest", spread="coordinate_scale / 20"
+            "twist",
+            "{coordinate}",
+            "twist_rate",
+            "of the sprung part relative to the rest",
+            spread="coordinate_scale / 20",
         ),
         EffectState("twist_rate", "{coordinate}/s", f"-{_SPRING} - (load + force) / inertia", spread="rate_scale / 2"),
     ),
     force=f"share / (1 - share) * (load + inertia * {_SPRING})",
-    signature="The missing torque rings on at one frequency after each hit; the frequency response has a notch and a "
+    signature="The residual torque rings at one frequency after each impulse; the frequency response has a notch and a "
     "peak.",
     confused_with=("periodic_disturbance", "backlash"),
-    separated_by="A chirp through 1 to 20 Hz, then silence: a mode answers to the excitation and dies out, a periodic "
-    "disturbance stays.",
+    separated_by="A chirp from 1 to 20 Hz, then no excitation: a mode responds to the excitation and decays, a "
+    "periodic disturbance remains.",
     source="Craig, Kurdila, Fundamentals of Structural Dynamics (2006), base excitation",
 )

@@ -1,4 +1,4 @@
-"""A command that acts later, all of it (delay) or bit by bit (lag). Both are exact and neutral at 0 s."""
+"""A command that acts later: delayed as a whole (delay) or gradually (lag). Both are exact and neutral at 0 s."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from models.parts import Place
 INPUT_DELAY = Effect(
     name="input_delay",
     family=Family.TIME_SHIFT,
-    title="command that acts later",
+    title="delayed command",
     place=Place.ACTUATOR,
     equation="u_acting(t) = u(t - delay)",
     parameters=(
         EffectParameter(
             "delay",
             "s",
-            "how much later",
+            "delay of the command",
             amplitude=True,
             scale="time_scale / 80",
             lower="0",
@@ -24,11 +24,11 @@ INPUT_DELAY = Effect(
         ),
     ),
     delay="delay",
-    signature="The missing torque looks like the slope of the command: spikes where it steps. Phase falls in "
-    "proportion to the frequency, the amplitude stays.",
+    signature="The residual torque resembles the slope of the command: spikes where the command steps. The phase falls "
+    "in proportion to the frequency, the amplitude does not change.",
     confused_with=("actuator_lag", "backlash", "sensor_delay", "sensor_lag"),
     separated_by="Fast excitation, with frequencies beyond 0.3 / delay, or single steps of the command: after a delay "
-    "the answer starts late at its full slope, after a lag at once and gently.",
+    "the response starts late at its full slope, after a lag at once and gradually.",
     source="Åström, Wittenmark, Computer-Controlled Systems (1997), section 2.4",
 )
 
@@ -51,9 +51,9 @@ ACTUATOR_LAG = Effect(
         ),
     ),
     lag="lag",
-    signature="Phase falls and so does the amplitude at high frequencies; steps of the command arrive rounded.",
+    signature="Phase and amplitude fall at high frequencies; steps of the command arrive rounded.",
     confused_with=("input_delay", "backlash", "sensor_delay", "sensor_lag"),
-    separated_by="Fast excitation, with frequencies beyond 0.3 / lag, or single steps of the command: a lag answers "
-    "at once and gently, a delay late and at its full slope.",
+    separated_by="Fast excitation, with frequencies beyond 0.3 / lag, or single steps of the command: a lag responds "
+    "at once and gradually, a delay late and at its full slope.",
     source="Leonhard, Control of Electrical Drives (2001): closed current and speed loops",
 )

@@ -1,4 +1,4 @@
-"""What a model file holds: a model, and how it came about."""
+"""The content of a model file: a model and its history."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from models.model import Model
 
 @dataclass(frozen=True, slots=True)
 class ModelFile:
-    """A model and its history, oldest first: one mapping an entry, with `action` and what else there is to say.
+    """A model and its history, oldest first: one mapping per entry, with `action` and further details.
 
-    `effect_files`: for effects of the user's own, by their name in the model, the path from the model file's folder.
+    `effect_files`: for the user's own effects, by their name in the model, the path from the model file's folder.
     """
 
     model: Model

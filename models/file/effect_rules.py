@@ -1,4 +1,4 @@
-"""What must be true of every effect, the user's own and those of the catalogue, before a model is given it."""
+"""The rules for every effect, the user's own and those of the catalogue, that is attached to a model."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from models.place import SCALES, UNITS, VOCABULARY
 from models.sensing import FILTERED
 
 _TRIES = 40
-"""Random motions on which neutrality is judged; a term that is missed by one is hit by another."""
+"""Random motions on which neutrality is tested; a term that is inactive in one is active in another."""
 _NEUTRAL = {"force": "", "twist": "", "command": "command", "angle_reading": "angle", "rate_reading": "rate"}
-"""Which name each expression must equal where the amplitudes are zero; "" for zero."""
+"""The name that each expression must equal if the amplitudes are zero; "" for zero."""
 
 
 def validate(effect: Effect) -> None:
     """Raises ModelError, which names the key, unless the effect can be computed and is neutral at zero amplitudes."""
     where = f"effect {effect.name}"
     if (problem := name_problem(effect.name)) or not effect.name.islower():
-        what = f"{effect.name!r} {problem or 'is not in small letters'}"
+        what = f"{effect.name!r} {problem or 'is not in lower case'}"
         raise ModelError(f"{where}, name", what, remedy="choose a name like rail_friction.")
     _validate_own_names(effect, where)
     check_names(effect)
@@ -42,8 +42,8 @@ def validate(effect: Effect) -> None:
             remedy = f"name others of the catalogue: {', '.join(CATALOGUE)}."
             raise ModelError(f"{where}, confused_with", f"there is no other effect {name!r}", remedy=remedy)
     if not 0.0 <= effect.formula_error < 1.0:
-        what = f"{effect.formula_error:g} is no share of what it explains"
-        raise ModelError(f"{where}, formula_error", what, remedy="0.1 is usual, 0 where a constant is a constant.")
+        what = f"{effect.formula_error:g} is not a share, from 0 to below 1, of what the effect explains"
+        raise ModelError(f"{where}, formula_error", what, remedy="0.1 is usual, 0 for an exact formula.")
     _validate_neutral(effect, where)
     for formula in (effect.instead, effect.finer):
         if formula:
@@ -55,14 +55,14 @@ def _validate_own_names(effect: Effect, where: str) -> None:
     for kind, part in [("parameter", p.name) for p in effect.parameters] + [("state", s.name) for s in effect.states]:
         problem = name_problem(part)
         if part in VOCABULARY[effect.place] | {"force", *FILTERED}:
-            problem = f"is what an effect on {effect.place}s is given already"
+            problem = f"is predefined for effects on {effect.place}s"
         if part in seen:
-            problem = "is there twice"
+            problem = "is defined twice"
         if problem:
             raise ModelError(f"{where}, {kind} {part}", f"{part!r} {problem}", remedy="choose another name.")
         seen.add(part)
     if not effect.amplitudes:
-        remedy = "mark the parameter that is zero where the effect is absent: amplitude = true."
+        remedy = "mark the parameter that is zero if the effect is absent: amplitude = true."
         raise ModelError(f"{where}, parameters", "none is an amplitude", remedy=remedy)
 
 
@@ -76,11 +76,11 @@ def _validate_parameter(place: Place, parameter: EffectParameter, where: str) ->
     if parameter.amplitude and value:
         raise ModelError(f"{where}, value", "an amplitude begins at 0", remedy="leave value out, and use starts.")
     if not parameter.scale or number(parameter.scale, scales, f"{where}, scale") <= 0.0:
-        what = "a typical size, greater than 0, is needed"
+        what = "a typical magnitude greater than 0 is needed"
         raise ModelError(f"{where}, scale", what, remedy="scale = 'force_scale', or a number.")
     for key, each in (("value", value), *(("starts", start) for start in starts)):
         if (parameter.lower and each < lower) or (parameter.upper and each > upper):
-            raise ModelError(f"{where}, {key}", f"{each:g} is out of its bounds", remedy="change it or the bounds.")
+            raise ModelError(f"{where}, {key}", f"{each:g} is outside its bounds", remedy="change it or the bounds.")
 
 
 def _validate_unit(place: Place, unit: str, where: str) -> None:
@@ -107,20 +107,20 @@ def _validate_neutral(effect: Effect, where: str) -> None:
             computed += 1
             expected = values[neutral] if neutral else 0.0
             if abs(value - expected) > 1e-12 * (1.0 + abs(expected)):
-                what = f"is not {neutral or 0} where {' and '.join(effect.amplitudes)} is 0"
-                raise ModelError(f"{where}, {key}", what, remedy="multiply what it adds by an amplitude.")
+                what = f"is not {neutral or 0} if {' and '.join(effect.amplitudes)} is 0"
+                raise ModelError(f"{where}, {key}", what, remedy="multiply the term that it adds by an amplitude.")
         if not computed:
             remedy = "it must be computable for values around 0, positive and negative."
-            raise ModelError(f"{where}, {key}", "has no value at any motion that was tried", remedy=remedy)
+            raise ModelError(f"{where}, {key}", "has no value at any of the motions tried", remedy=remedy)
 
 
 def _scales(place: Place) -> dict[str, float]:
-    """Of a place whose typical sizes are 1."""
+    """The scales of a place whose typical magnitudes are 1."""
     return {name: 0.01 if name == "smooth_rate" else 1.0 for name in SCALES[place]}
 
 
 def _motions(effect: Effect) -> Iterator[Mapping[str, float]]:
-    """Values of all names, small and large, random but the same each time; amplitudes of zero and scales of one."""
+    """Values of all names, small and large, random but reproducible; amplitudes of zero and scales of one."""
     source = random.Random(1)
     scales = _scales(effect.place)
     for _ in range(_TRIES):

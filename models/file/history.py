@@ -1,8 +1,8 @@
-"""What a model file's history is good for: taking the last addition back, and knowing what was known before any fit.
+"""Uses of a model file's history: to undo the last addition, and to recover what was known before any fit.
 
 An entry that was written by a fit has `values_before` and `values_after`: value and standard deviation of every
-parameter that the fit changed, its own effect's among the second alone. A parameter whose value in the file is not the
-one that the history wrote was changed by hand since, which is newer: it stays.
+parameter that the fit changed. The parameters of the effect that it added are in `values_after` alone. If a parameter's
+value in the file is not the one that the history wrote, it was changed by hand since; this change is newer and is kept.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def values_of(before: Model, after: Model) -> dict[str, dict[str, dict[str, floa
 
 
 def undone(file: ModelFile) -> tuple[ModelFile, str, tuple[str, ...]]:
-    """`file` without the last entry of its history, the effect that went with it, and the parameters kept as they are
-    since they were changed by hand.
+    """`file` without the last entry of its history, the effect that this removes, and the parameters that keep their
+    values because they were changed by hand.
 
-    Raises ModelError where the last entry did not add an effect.
+    Raises ModelError if the last entry did not add an effect.
     """
     where = f"model {file.model.name}"
     if not file.history:
@@ -56,10 +56,10 @@ def undone(file: ModelFile) -> tuple[ModelFile, str, tuple[str, ...]]:
 
 
 def before_fits(file: ModelFile) -> Model:
-    """The model with what was known of its parameters before any fit that its history tells of.
+    """The model with what was known of its parameters before any fit in its history.
 
-    That is the prior of the next fit: a fitted value would count the same recording twice. What an earlier fit found of
-    its own effect stays as a value to start from, without a deviation.
+    That is the prior of the next fit: a fitted value would count the same recording twice. The values that an earlier
+    fit found for the effect it added stay as start values, without a deviation.
     """
     model = file.model
     for entry in reversed(file.history):

@@ -1,7 +1,7 @@
-"""Model files: a model, the effects that were added to it, and what each of them did, as TOML. Units are SI.
+"""Model files: a model, the effects that were added to it, and the result of each addition, as TOML. Units are SI.
 
-`load_model("monocab_reduced")` gives a shipped model, `load_model("mine.toml")` one from a file. `read` and `write`
-also handle the history. Writing keeps the comments and the order of a file that is there already, where it can.
+`load_model("monocab_reduced")` returns a shipped model, `load_model("mine.toml")` one from a file. `read` and `write`
+also handle the history. Writing keeps the comments and the order of an existing file if possible.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def load_model(name_or_path: str | Path) -> Model:
     if str(name_or_path).endswith(".toml"):
         return read(name_or_path).model
     if str(name_or_path) not in library.MODELS and Path(name_or_path).exists():
-        raise ModelError(str(name_or_path), "is no model file", remedy="its name has to end in .toml.")
+        raise ModelError(str(name_or_path), "is not a model file", remedy="its name has to end in .toml.")
     return library.get(str(name_or_path))
 
 
@@ -39,7 +39,7 @@ def read(path: str | Path) -> ModelFile:
     """The model file at `path`.
 
     Raises:
-        ModelError: no such file, not TOML, or anything in it that is not as it should be; names file, key and remedy.
+        ModelError: no such file, not TOML, or invalid content; names file, key and remedy.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -47,7 +47,7 @@ def read(path: str | Path) -> ModelFile:
         remedy = f"give a path, or a shipped model: {', '.join(library.MODELS)}."
         raise ModelError(str(path), f"cannot be read: {error.strerror}", remedy=remedy) from error
     except UnicodeDecodeError as error:
-        raise ModelError(str(path), f"is no text in UTF-8 ({error})", remedy="save it as UTF-8.") from error
+        raise ModelError(str(path), f"is not text in UTF-8 ({error})", remedy="save it as UTF-8.") from error
     return parse(text, path)
 
 
@@ -57,7 +57,7 @@ def parse(text: str, path: str | Path) -> ModelFile:
     try:
         table = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        remedy = "mend that line; a name can be given only once."
+        remedy = "correct that line; a name can be given only once."
         raise ModelError(file, f"is not valid TOML: {error}", remedy=remedy) from error
     tables = sections(table, file)
     model = base_model(tables, file, tables.name or _name(file))
@@ -70,10 +70,10 @@ def parse(text: str, path: str | Path) -> ModelFile:
 
 
 def write(file: ModelFile, path: str | Path) -> None:
-    """Write `file` to `path`, at once or not at all. What stands there already keeps its comments where it can.
+    """Write `file` to `path` atomically. An existing file keeps its comments if possible.
 
     Raises:
-        ModelError: `file` cannot be said in a model file (an own effect without a file), or it cannot be written.
+        ModelError: a model file cannot express `file` (an own effect without a file), or it cannot be written.
     """
     from models.file import text as as_text
 
@@ -87,11 +87,11 @@ def write(file: ModelFile, path: str | Path) -> None:
             text = as_text.edited(before, parse(before, path), file)
             text = text if text is not None and parse(text, path) == file else None
         except ModelError:
-            text = None  # what stands there is no model file, or too unusual to be edited
+            text = None  # the existing file is not a model file, or too unusual to be edited
     if text is None:
         text = as_text.fresh(file)
         if parse(text, path) != file:
-            what = f"the model {file.model.name} cannot be written so that reading gives it again"
+            what = f"the model {file.model.name} cannot be written so that reading restores it"
             raise ModelError(str(path), what, remedy="build it from a shipped model, or from equations in a file.")
     _replace(path, text)
 
@@ -132,7 +132,7 @@ def _entry(section: HistorySection) -> dict[str, Any]:
 
 
 def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None:
-    """Every effect can be found again: in the catalogue, or in a file."""
+    """Raises ModelError unless the effect can be found again, in the catalogue or in a file."""
     from models.effects.catalogue import find
 
     own = file.effect_files.get(attached.name)
@@ -141,7 +141,7 @@ def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None
         from models.file.own_effects import load_effect
 
         if load_effect(path.parent / own) != attached.effect:
-            raise ModelError(where, f"{own} describes another effect by now", remedy="read the model file again.")
+            raise ModelError(where, f"{own} now describes another effect", remedy="read the model file again.")
         return
     try:
         known = find(attached.effect.name)
@@ -153,12 +153,12 @@ def _check_origin(attached: AttachedEffect, file: ModelFile, path: Path) -> None
 
 
 def _name(file: str) -> str:
-    """A model's name where its file gives none: the file's, as far as it is one."""
+    """A model's name if its file gives none: the file's name, as far as it is a valid name."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(file).stem)[:64] or "model"
 
 
 def _replace(path: Path, text: str) -> None:
-    """A reader, or a machine that is switched off, finds either the old file or the new one."""
+    """Replaces the file atomically: readers, also after a power failure, find either the old file or the new one."""
     temporary = None
     try:
         mode = stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask()
@@ -179,7 +179,7 @@ def _replace(path: Path, text: str) -> None:
 
 
 def _umask() -> int:
-    """There is no way to ask for it but to set it."""
+    """The umask, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

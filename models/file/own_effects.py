@@ -1,8 +1,8 @@
-"""An effect of the user's own, from a file; `Model.add` takes it, and it is scored and ranked like the others.
+"""A user-defined effect, from a file; `Model.add` takes it, and it is scored and ranked like the others.
 
 A TOML file has the attributes of models.effect.Effect as keys, and `[[parameters]]` and `[[states]]` have those of
-EffectParameter and EffectState. Needed are name, family, title, place, a parameter that is an amplitude, and what the
-place takes (force; command, delay or lag; angle_reading or rate_reading):
+EffectParameter and EffectState. Required are name, family, title, place, a parameter that is an amplitude, and an
+expression for the place (force; command, delay or lag; angle_reading or rate_reading):
 
     name = "rail_bump"
     family = "stiffness"
@@ -24,8 +24,8 @@ place takes (force; command, delay or lag; angle_reading or rate_reading):
     value = "coordinate_scale / 4"
     scale = "coordinate_scale / 20"
 
-A Python file assigns `EFFECT = Effect(...)`. It is code, and reading it runs it with the rights of whoever reads it:
-read none that you would not run. A TOML file runs nothing.
+A Python file assigns `EFFECT = Effect(...)`. It is code, and reading it runs it with the rights of the reader: read
+only files that you would run. A TOML file runs no code.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from models.file.effect_rules import validate
 from models.parts import ModelError, Place
 
 _OPTIONAL = frozenset(("equation", "signature", "confused_with", "separated_by"))
-"""Attributes without a default that a file may leave out; the equation is then the expressions themselves."""
+"""Attributes without a default that a file may omit; the equation then consists of the expressions."""
 _NO_KEYS = frozenset(("instead",))
-"""Attributes that no file has: one file describes one formula."""
+"""Attributes that are not keys of a file: one file describes one formula."""
 _FORMERLY = {"strikes": "impacts"}
-"""Keys of files that were written for earlier versions, with the attribute's name today."""
+"""Keys of files written for earlier versions, with today's name of the attribute."""
 
 Table = Mapping[str, object]
 
@@ -57,12 +57,12 @@ Table = Mapping[str, object]
 def load_effect(path: str | Path) -> Effect:
     """The effect that the file at `path` describes: TOML, or Python, which is run.
 
-    Raises ModelError, which names file, key and remedy, where it cannot be read, a key is missing, unknown or of the
-    wrong type, an expression is none, the effect is not neutral at zero amplitudes, or the catalogue has its name.
+    Raises ModelError, which names file, key and remedy, if it cannot be read, a key is missing, unknown or of the
+    wrong type, an expression is invalid, the effect is not neutral at zero amplitudes, or the catalogue has its name.
     """
     path = Path(path)
     if path.suffix not in (".toml", ".py"):
-        raise ModelError(str(path), "is no effect file", remedy="give it the ending .toml or .py.")
+        raise ModelError(str(path), "is not an effect file", remedy="give it the ending .toml or .py.")
     try:
         effect = _from_python(path) if path.suffix == ".py" else _from_toml(path)
     except OSError as error:
@@ -78,7 +78,7 @@ def load_effect(path: str | Path) -> Effect:
 
 
 def _in_file(path: Path, error: ModelError) -> ModelError:
-    """The same error, which says in which file it is."""
+    """The same error, with the name of the file."""
     what = error.args[0].removeprefix(f"{error.where}: ").removesuffix(".")
     return ModelError(f"{path}: {error.where}", what, remedy=error.remedy)
 
@@ -92,7 +92,7 @@ def _from_python(path: Path) -> Effect:
         what = f"fails when it is run ({type(error).__name__}: {error})"
         raise ModelError(str(path), what, remedy="correct the Python code.") from error
     if not isinstance(effect, Effect):
-        what = "does not define EFFECT" if effect is None else f"EFFECT is a {type(effect).__name__}, no Effect"
+        what = "does not define EFFECT" if effect is None else f"EFFECT is a {type(effect).__name__}, not an Effect"
         raise ModelError(f"{path}: EFFECT", what, remedy="write EFFECT = Effect(...), from models.effect.")
     return effect
 
@@ -101,7 +101,7 @@ def _from_toml(path: Path) -> Effect:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(str(path), f"is no TOML ({error})", remedy="correct the line.") from error
+        raise ModelError(str(path), f"is not TOML ({error})", remedy="correct the line.") from error
     where = str(path)
     document = {_FORMERLY.get(key, key): value for key, value in document.items()}
     _check_keys(document, Effect, where, _OPTIONAL)
@@ -123,7 +123,7 @@ def _from_toml(path: Path) -> Effect:
 def _tables(document: Table, key: str, where: str) -> list[Table]:
     entries = document.get(key, [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ModelError(f"{where}: {key}", "is no list of tables", remedy=f"write each below a line [[{key}]].")
+        raise ModelError(f"{where}: {key}", "is not a list of tables", remedy=f"write each below a line [[{key}]].")
     return entries
 
 
@@ -147,26 +147,25 @@ def _check_keys(entry: Table, kind: type[Any], where: str, optional: Collection[
 
 
 def _values(entry: Table, kind: type[Any], where: str) -> dict[str, Any]:
-    """`entry` with the types of the attributes of `kind`: text, a number, true or false, a role, or
-    a list of texts."""
+    """`entry` with the types of the attributes of `kind`: text, a number, a boolean, a role, or a list of texts."""
     types = {field.name: str(field.type) for field in dataclasses.fields(kind)}
     return {key: _value(value, types[key], f"{where}: {key}") for key, value in entry.items()}
 
 
-def _value(value: object, wanted: str, where: str) -> object:
-    if wanted == "Role":
+def _value(value: object, kind: str, where: str) -> object:
+    if kind == "Role":
         return _one_of(Role, value, where)
-    if wanted == "bool":
+    if kind == "bool":
         if not isinstance(value, bool):
             raise ModelError(where, f"{value!r} is neither true nor false", remedy="write true or false.")
         return value
-    if wanted == "float":
+    if kind == "float":
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ModelError(where, f"{value!r} is no number", remedy="write a number without quotes.")
+            raise ModelError(where, f"{value!r} is not a number", remedy="write a number without quotes.")
         return float(value)
-    if wanted == "tuple[str, ...]":
+    if kind == "tuple[str, ...]":
         if not isinstance(value, list):
-            raise ModelError(where, f"{value!r} is no list", remedy='write ["...", "..."].')
+            raise ModelError(where, f"{value!r} is not a list", remedy='write ["...", "..."].')
         return tuple(_text(each, where) for each in value)
     return _text(value, where)
 
@@ -174,7 +173,7 @@ def _value(value: object, wanted: str, where: str) -> object:
 def _text(value: object, where: str) -> str:
     """Numbers may be written without quotes."""
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        raise ModelError(where, f"{value!r} is no text", remedy='write it in quotes: "...".')
+        raise ModelError(where, f"{value!r} is not text", remedy='write it in quotes: "...".')
     return str(value)
 
 

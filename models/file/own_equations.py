@@ -1,7 +1,7 @@
-"""The model that the tables of a model file describe: a shipped one with other values, or equations of the user's own.
+"""The model that the tables of a model file describe: a shipped one with other values, or the user's own equations.
 
-Own equations are checked here, so that whatever is wrong is named by file and key: names that are taken or unknown,
-references that lead nowhere, values out of bounds. Effects come after it (models.file.model_file).
+The user's equations are checked here, so that each error is reported with file and key: duplicate or unknown names,
+dangling references, values outside their bounds. Effects are added afterwards (models.file.model_file).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from models.random.part import MOST_DAMPED
 Build = TypeVar("Build")
 
 LARGEST = 20_000
-"""Terms and operations of an equation when all definitions are put in; beyond it, generating code takes minutes."""
+"""Terms and operations of an equation with all definitions substituted; beyond it, generating code takes minutes."""
 
 
 EQUATIONS = ("states", "inputs", "outputs", "joints", "actuators", "sensors", "definitions")
@@ -61,12 +61,12 @@ def base_model(tables: ModelSection, file: str, name: str) -> Model:
         title=base.title if tables.title is None else tables.title,
         source=base.source if tables.source is None else tables.source,
         settling=base.settling if tables.settling is None else tables.settling,
-        joints=_shaken(base.joints, tables.joints, file),
+        joints=_with_disturbances(base.joints, tables.joints, file),
         base_parameters=given(base.base_parameters, tables.parameters, f"{file}: parameters"),
     )
 
 
-def _shaken(joints: tuple[Joint, ...], entries: Mapping[str, JointSection], file: str) -> tuple[Joint, ...]:
+def _with_disturbances(joints: tuple[Joint, ...], entries: Mapping[str, JointSection], file: str) -> tuple[Joint, ...]:
     """The `joints` of a base, with the disturbances that a file states."""
     names = [joint.name for joint in joints]
     for name, entry in entries.items():
@@ -74,7 +74,8 @@ def _shaken(joints: tuple[Joint, ...], entries: Mapping[str, JointSection], file
             raise ModelError(f"{file}: joints.{name}", "the base has no such joint", remedy=one_of(name, names))
         more = [key for key in entry.model_fields_set if key != "disturbance"]
         if more:
-            what, remedy = "is the base's", "remove it: a file with a base states the disturbance of a joint alone."
+            what = "is defined by the base"
+            remedy = "remove it: a file with a base states only the disturbance of a joint."
             raise ModelError(f"{file}: joints.{name}.{more[0]}", what, remedy=remedy)
     return tuple(
         replace(joint, disturbance=_disturbance(entries[joint.name], f"{file}: joints.{joint.name}"))
@@ -85,7 +86,7 @@ def _shaken(joints: tuple[Joint, ...], entries: Mapping[str, JointSection], file
 
 
 def _disturbance(entry: JointSection, where: str) -> Disturbance | None:
-    """What a file says of the disturbance at a joint; None where it has none."""
+    """The disturbance at a joint as a file states it; None for none."""
     if entry.disturbance is None:
         return Disturbance()
     if entry.disturbance is False:
@@ -94,17 +95,17 @@ def _disturbance(entry: JointSection, where: str) -> Disturbance | None:
     narrow = None if stated.narrow_band is None else NarrowBand(**stated.narrow_band.model_dump())
     found = Disturbance(**{**stated.model_dump(), "narrow_band": narrow})
     if narrow and narrow.damping_ratio > MOST_DAMPED:
-        what = f"{narrow.damping_ratio:.3g} is too much: what fades within a period has no frequency of its own"
+        what = f"{narrow.damping_ratio:.3g} is too large: what decays within a period has no frequency of its own"
         remedy = f"give {MOST_DAMPED:.2g} at most, or leave out `narrow_band`."
         raise ModelError(f"{where}.narrow_band.damping_ratio", what, remedy=remedy)
     if not found.shortest < found.longest:
         what = f"its bounds cross: shortest is {found.shortest:.6g} s, longest is {found.longest:.6g} s"
         raise ModelError(where, what, remedy="make shortest the smaller one.")
     if found.known and not (found.std and found.correlation_time):
-        what = "is known, and its std or its correlation_time is missing"
+        what = "is known, but its std or its correlation_time is missing"
         raise ModelError(where, what, remedy="give both, or leave out `known`.")
     if found.correlation_time and not found.shortest <= found.correlation_time <= found.longest:
-        what = f"{found.correlation_time:.6g} s is out of its bounds, {found.shortest:.6g} to {found.longest:.6g} s"
+        what = f"{found.correlation_time:.6g} s is outside its bounds, {found.shortest:.6g} to {found.longest:.6g} s"
         raise ModelError(f"{where}.correlation_time", what, remedy="correct it, or the bounds.")
     return found
 
@@ -115,7 +116,7 @@ def given(
     where: str,
     local: Callable[[str], str] = str,
 ) -> tuple[Parameter, ...]:
-    """`parameters` with what a file gives for them, by their `local` names. Raises ModelError."""
+    """`parameters` with the entries that a file gives for their `local` names. Raises ModelError."""
     names = [local(parameter.name) for parameter in parameters]
     for name in entries:
         if name not in names:
@@ -139,7 +140,7 @@ def _in_bounds(parameter: Parameter, where: str) -> Parameter:
         what = f"its bounds cross: lower is {lower:.6g}, upper is {upper:.6g}"
         raise ModelError(where, what, remedy="make lower the smaller one.")
     if not lower <= value <= upper:
-        what = f"{value:.6g} {parameter.unit} is out of its bounds, {lower:.6g} to {upper:.6g}"
+        what = f"{value:.6g} {parameter.unit} is outside its bounds, {lower:.6g} to {upper:.6g}"
         raise ModelError(f"{where}.value", what, remedy="correct the value, or give lower and upper with it.")
     return parameter
 
@@ -152,7 +153,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
     for key in ("value", "unit"):
         for each, entry in tables.parameters.items():
             if getattr(entry, key) is None:
-                what = "is missing, and there is no base to take it from"
+                what = "is missing, and there is no base that defines it"
                 raise ModelError(f"{file}: parameters.{each}.{key}", what, remedy="add it.")
     _own_joints(tables.joints, file)
     _check_names(tables, file)
@@ -186,7 +187,7 @@ def _own_equations(tables: ModelSection, file: str, name: str) -> Model:
 
 
 def _own_joints(entries: Mapping[str, JointSection], file: str) -> tuple[Joint, ...]:
-    """The joints of equations of the user's own."""
+    """The joints of the user's own equations."""
     found = []
     for name, entry in entries.items():
         values = entry.model_dump(exclude={"disturbance"}, exclude_none=True)
@@ -199,7 +200,7 @@ def _own_joints(entries: Mapping[str, JointSection], file: str) -> tuple[Joint, 
 
 
 def _check_names(tables: ModelSection, file: str) -> None:
-    """Every name can stand in an equation, and stands for one thing."""
+    """Checks that every name can be used in an equation and has one meaning."""
     taken = {f"{each}_slope": f"the slope of input {each}" for each in tables.inputs}
     taken |= {f"{each}_force": f"the force at joint {each}" for each in tables.joints}
     for key in ("states", "inputs", "parameters", "definitions", "outputs", "joints", "actuators", "sensors"):
@@ -215,7 +216,7 @@ def _check_names(tables: ModelSection, file: str) -> None:
 
 
 def _check_references(tables: ModelSection, file: str) -> None:
-    """What names an input, an output, a joint or a parameter names one that is there."""
+    """Checks that every input, output, joint or parameter that is referred to exists."""
     references = [(f"states.{name}.noise_of", state.noise_of, "outputs") for name, state in tables.states.items()]
     references += [(f"states.{name}.error_of", state.error_of, "outputs") for name, state in tables.states.items()]
     references += [
@@ -231,7 +232,7 @@ def _check_references(tables: ModelSection, file: str) -> None:
         references += [(f"actuators.{name}.command", actuator.command or "''", "inputs")]
         references += [(f"actuators.{name}.also", each, "inputs") for each in actuator.also]
         references += [(f"actuators.{name}.lag", actuator.lag, "parameters")]
-        # An actuator alone moves nothing else that the model knows.
+        # In a model without joints, an actuator has none.
         references += [(f"actuators.{name}.joint", actuator.joint or ("''" if tables.joints else ""), "joints")]
     for name, sensor in tables.sensors.items():
         references += [(f"sensors.{name}.angle", sensor.angle, "outputs")]
@@ -248,13 +249,13 @@ def _check_references(tables: ModelSection, file: str) -> None:
         joint = tables.actuators[sensor.actuator].joint if sensor.actuator else ""
         unit = tables.joints[joint].coordinate_unit if joint else sensor.angle_unit
         if sensor.angle and unit != sensor.angle_unit:
-            what = f"is {sensor.angle_unit!r}, and the joint of its actuator moves in {unit!r}"
+            what = f"is {sensor.angle_unit!r}, but the joint of its actuator moves in {unit!r}"
             remedy = "give both the same unit, or leave out `actuator`."
             raise ModelError(f"{file}: sensors.{name}.angle_unit", what, remedy=remedy)
 
 
 def _check_expressions(tables: ModelSection, file: str) -> None:
-    """Every equation uses names that are known where it is worked out, and is of a reasonable size."""
+    """Checks that every equation uses names that are known where it is evaluated, and has a reasonable size."""
     names = {"time", *tables.states, *tables.inputs, *tables.parameters}
     names |= {f"{each}_slope" for each in tables.inputs}
     later = {*tables.definitions, *(f"{each}_force" for each in tables.joints)}
@@ -270,8 +271,8 @@ def _check_expressions(tables: ModelSection, file: str) -> None:
         check(text, allowed, where)
         size = length(text, lengths, where)
         if size > LARGEST:
-            what = f"has {size} terms when definitions are put in, more than {LARGEST}"
-            raise ModelError(where, what, remedy="make it simpler.")
+            what = f"has {size} terms with the definitions substituted, more than {LARGEST}"
+            raise ModelError(where, what, remedy="simplify it.")
         return size
 
     for name, sensor in tables.sensors.items():

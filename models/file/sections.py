@@ -30,7 +30,7 @@ class Section(BaseModel):
 
 
 class StateSection(Section):
-    """As models.parts.State; so are the others as the class of their name."""
+    """As models.parts.State; each of the other sections likewise corresponds to the class of its name."""
 
     unit: str
     derivative: Equation
@@ -70,7 +70,7 @@ class OutputSection(Section):
 
 
 class ParameterSection(Section):
-    """What is not given is the base's, the effect's, or the default of models.parts.Parameter."""
+    """A key that is missing is taken from the base, the effect, or the defaults of models.parts.Parameter."""
 
     value: Finite | None = None
     std: NotNegative | None = None
@@ -102,7 +102,7 @@ class DisturbanceSection(Section):
 
 
 class JointSection(Section):
-    """All but `disturbance` is needed in equations of the user's own, and is the base's where there is one."""
+    """All keys except `disturbance` are required in the user's own equations, or come from the base if it exists."""
 
     coordinate: Equation | None = None
     rate: Equation | None = None
@@ -160,7 +160,7 @@ class EffectSection(Section):
 
 
 class ValueSection(Section):
-    """A parameter as it was, or as a fit left it."""
+    """A parameter before or after a fit."""
 
     value: Finite
     std: NotNegative
@@ -212,26 +212,26 @@ def sections(table: Mapping[str, Any], file: str) -> ModelSection:
     try:
         checked = ModelSection.model_validate(table)
     except ValidationError as error:
-        raise _told(error, table, file) from error
+        raise _model_error(error, table, file) from error
     for place, entry in enumerate(checked.history):
         for key in entry.model_extra or ():
             near = difflib.get_close_matches(key, HistorySection.model_fields, n=1, cutoff=0.8)
             if near:
                 where = f"{file}: history.{place}.{key}"
-                raise ModelError(where, "is almost a known key", remedy=f"write {near[0]!r}, or a word of your own.")
+                raise ModelError(where, "is almost a known key", remedy=f"write {near[0]!r}, or a key of your own.")
     return checked
 
 
 def one_of(name: str, known: Iterable[str]) -> str:
-    """A remedy for a name that is not among those that are known."""
+    """A remedy for a name that is not among the `known` ones."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     guess = f"did you mean {near[0]!r}? If not, " if near else ""
-    return f"{guess}use one of: {', '.join(names)}." if names else "remove it; there is none."
+    return f"{guess}use one of: {', '.join(names)}." if names else "remove it; there are none."
 
 
-def _told(error: ValidationError, table: Mapping[str, Any], file: str) -> ModelError:
-    """The first mistake that pydantic found, in words."""
+def _model_error(error: ValidationError, table: Mapping[str, Any], file: str) -> ModelError:
+    """The first error that pydantic found, as a ModelError."""
     first = error.errors()[0]
     path = _path(first["loc"], table)
     where, key, found = f"{file}: {'.'.join(path)}", path[-1], first.get("input")
@@ -243,26 +243,26 @@ def _told(error: ValidationError, table: Mapping[str, Any], file: str) -> ModelE
         message = f"is missing in [{'.'.join(path[:-1])}]"
         remedy = f'add {key} = "...", an equation.' if key == "derivative" else f"add {key} = ... to it."
     elif kind == "string_type":
-        message, remedy = f"is no text (found {found!r})", f'write it in quotes: {key} = "{found}".'
+        message, remedy = f"is not text (found {found!r})", f'write it in quotes: {key} = "{found}".'
     elif kind in ("float_type", "int_type", "finite_number"):
-        message, remedy = f"is no finite number (found {found!r})", "write a number, without quotes."
+        message, remedy = f"is not a finite number (found {found!r})", "write a number, without quotes."
     elif kind in ("model_type", "dict_type"):
         message, remedy = (
-            f"is no table (found {found!r})",
+            f"is not a table (found {found!r})",
             f"write it as {key} = {{ ... }}, or under [{'.'.join(path)}].",
         )
     elif kind == "list_type":
-        message, remedy = f"is no list (found {found!r})", f"write it as [[{key}]], or as {key} = [ ... ]."
+        message, remedy = f"is not a list (found {found!r})", f"write it as [[{key}]], or as {key} = [ ... ]."
     elif kind == "string_too_short":
         message, remedy = "is empty", "write an equation."
     else:
         message, remedy = f"{first['msg'].lower()} (found {found!r})", "correct it."
     more = len(error.errors()) - 1
-    return ModelError(where, message, remedy=remedy + (f" ({more} more to mend after it.)" if more else ""))
+    return ModelError(where, message, remedy=remedy + (f" ({more} more to correct after it.)" if more else ""))
 
 
 def _path(location: tuple[int | str, ...], table: Mapping[str, Any]) -> list[str]:
-    """`location` as far as the file goes, and a key that is missing: the rest is pydantic's name of a type."""
+    """`location` as far as it exists in the file, with a missing key; the rest is pydantic's name of a type."""
     path: list[str] = []
     inside: Any = table
     for part in location:

@@ -1,7 +1,7 @@
-"""A model file as text: written anew, or as small changes to the text that is there.
+"""A model file as text: written from scratch, or as small changes to the existing text.
 
-What is written is read again before it is used (models.file.model_file.write), so a change of an unusual file may go
-wrong here without harm.
+The result is read again before it is used (models.file.model_file.write), so a failed edit of an unusual file does no
+harm.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _INTRODUCTION = """\
 
 
 def fresh(file: ModelFile) -> str:
-    """The text of `file`, written anew."""
+    """The text of `file`, written from scratch."""
     model = file.model
     base = base_of(model)
     lines = [_INTRODUCTION, f"name = {_toml(model.name)}"]
@@ -56,7 +56,7 @@ def fresh(file: ModelFile) -> str:
 
 
 def edited(text: str, old: ModelFile, new: ModelFile) -> str | None:
-    """`text`, which is `old`, made to say `new`; None where more than values, effects and history differ."""
+    """`text`, which describes `old`, edited to describe `new`; None if more than values, effects and history differ."""
     from tomlkit.exceptions import TOMLKitError
 
     kept = [each for each in new.model.effects if each.name in {other.name for other in old.model.effects}]
@@ -66,7 +66,7 @@ def edited(text: str, old: ModelFile, new: ModelFile) -> str | None:
         return None
     try:
         blocks = _blocks(_with_values(text, old.model, new.model))
-    except (TOMLKitError, ValueError):  # tomlkit reads files that it cannot change
+    except (TOMLKitError, ValueError):  # tomlkit can read files that it cannot edit
         return None
     effects = [place for place, (table, _) in enumerate(blocks) if table == "effects"]
     if len(effects) != len(old.model.effects):
@@ -91,7 +91,7 @@ def edited(text: str, old: ModelFile, new: ModelFile) -> str | None:
 
 
 def base_of(model: Model) -> Model | None:
-    """The shipped model that `model` is, but for values, effects, name and title; None where there is none."""
+    """The shipped model that equals `model` except for values, effects, name and title; None if there is none."""
     for base in library.MODELS.values():
         if _unnamed(model) == _unnamed(base):
             return base
@@ -99,12 +99,12 @@ def base_of(model: Model) -> Model | None:
 
 
 def _unnamed(model: Model) -> Model:
-    """Without what a file may say otherwise than its base."""
+    """`model` without the attributes that a file may override."""
     return _bare(replace(model, name="", title="", source="", settling=0.0))
 
 
 def _bare(model: Model) -> Model:
-    """Without effects, parameter values and disturbances: what a change of values leaves as it is."""
+    """`model` without effects, parameter values and disturbances: the part that a change of values keeps."""
     plain = Parameter("", "", 0.0)
     values: dict[str, Any] = {key: getattr(plain, key) for key in _VALUES}
     return replace(
@@ -116,7 +116,7 @@ def _bare(model: Model) -> Model:
 
 
 def _values(parameter: Parameter, default: Parameter, always: Iterable[str] = ("value",)) -> dict[str, Any]:
-    """What a file has to say about `parameter` where `default` is what it would be without."""
+    """What a file has to state about `parameter` if it would otherwise be `default`."""
     return {
         key: getattr(parameter, key)
         for key in _VALUES
@@ -129,14 +129,14 @@ def _comment(parameter: Parameter) -> str:
 
 
 def _aligned(entries: Mapping[str, Mapping[str, Any]], comments: Mapping[str, str]) -> list[str]:
-    """`name = { ... }   # comment`, the comments one under the other."""
+    """`name = { ... }   # comment`, with aligned comments."""
     lines = {name: f"{name} = {_toml(entry)}" for name, entry in entries.items()}
     width = max(map(len, lines.values()), default=0)
     return [f"{line:<{width}}  # {comments[name]}" for name, line in lines.items()]
 
 
 def _equations(model: Model) -> list[str]:
-    """Tables of the equations of the user's own."""
+    """Tables of the user's own equations."""
     lines = []
     if model.definitions:
         lines += ["", "[definitions]", *(f"{name} = {_toml(text)}" for name, text in model.definitions.items())]
@@ -159,7 +159,7 @@ def _equations(model: Model) -> list[str]:
 
 
 def _fields(entry: Any) -> dict[str, Any]:
-    """The fields of a part of a model that differ from their defaults, but for its name."""
+    """The fields of a part of a model that differ from their defaults, except its name."""
     return {
         each.name: getattr(entry, each.name)
         for each in fields(entry)
@@ -248,7 +248,7 @@ def _with_values(text: str, old: Model, new: Model) -> str:
 
 
 def _blocks(text: str) -> list[tuple[str, list[str]]]:
-    """(table, lines) in order: each entry of effects and history with the comment on top of it, and what is between."""
+    """(table, lines) in order: each entry of effects and history with the comment above it, and the text in between."""
     blocks: list[tuple[str, list[str]]] = [("", [])]
     for line in text.splitlines():
         header = re.match(r"\s*\[(\[?)\s*([A-Za-z0-9_-]+)", line)

@@ -1,6 +1,7 @@
-"""The models that are shipped, by name. `get("monocab_roll")` gives one; nothing here imports SymPy or numba.
+"""The shipped models, by name. `get("monocab_roll")` returns one; nothing here imports SymPy or numba.
 
-What belongs to no vehicle is beside this file; a vehicle's models are the `MODELS` of the module `model` in its folder.
+Models of no particular vehicle are beside this file; a vehicle's models are the `MODELS` of the module `model` in its
+folder.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ MODELS: dict[str, Model] = {model.name: model for module in each_with("model").v
 
 
 def get(name: str) -> Model:
-    """The shipped model `name`. Raises ModelError that lists the names there are."""
+    """The shipped model `name`. Raises ModelError, which lists the available names."""
     if name not in MODELS:
         raise ModelError(f"model {name}", "there is no such model", remedy=f"use one of: {', '.join(MODELS)}.")
     return MODELS[name]

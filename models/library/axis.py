@@ -1,9 +1,9 @@
-"""One axis that is pushed or turned by a known force: the bare minimum, to which effects are added.
+"""One axis that a known force or torque drives: the minimal model, to which effects are added.
 
     inertia * rate' = force
 
 Rename its channels with `axis(...)`: a carriage has `position` in m and a force in N, a pendulum an angle in rad and a
-motor voltage in V, whose `force_gain` is N m/V.
+motor voltage in V, with `force_gain` in N m/V.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def axis(
     smooth_rate: float = 1e-3,
     disturbance: Disturbance | None = Disturbance(),  # noqa: B008  # frozen
 ) -> Model:
-    """An axis with its own channel names, units and sizes. `load` is a further known force, an expression.
+    """An axis with its own channel names, units and scales. `load` is a further known force, an expression.
 
-    `process_noise` is in rate units/sqrt(s); `disturbance` as of a joint. The position is measured, the rate only where
-    `rate_measured`.
+    `process_noise` is in rate units/sqrt(s); `disturbance` is that of a joint. The position is measured, the rate only
+    if `rate_measured`.
     """
     outputs: tuple[Output, ...] = (Output(position, position_unit, position, position_noise),)
     if rate_measured:
@@ -64,9 +64,9 @@ def axis(
         inputs=(Input(force, "1" if force_gain_unit != "1" else force_unit, hold),),
         outputs=outputs,
         base_parameters=(
-            Parameter("inertia", inertia_unit, inertia, lower=0.0, scale=inertia, meaning="what resists acceleration"),
+            Parameter("inertia", inertia_unit, inertia, lower=0.0, scale=inertia, meaning="resistance to acceleration"),
             Parameter(
-                "force_gain", force_gain_unit, force_gain, estimated=False, meaning="force a unit of the input gives"
+                "force_gain", force_gain_unit, force_gain, estimated=False, meaning="force per unit of the input"
             ),
             *more_parameters,
         ),

@@ -1,2 +1,2 @@
-"""What is random in a model: part is a coloured signal as states, disturbance one at a joint, sensor_error one at an
-output, input_noise that of a measured input."""
+"""The random parts of a model: `part` is a coloured signal as states, `disturbance` one at a joint, `sensor_error` one
+at an output, `input_noise` the noise of a measured input."""

@@ -1,11 +1,11 @@
-"""The random disturbance at the joints of a machine: wind, rail, cables and people push every real one.
+"""The random disturbance at the joints of a machine: wind, rail, cables and people act on every real one.
 
-A first-order random force (models.random.part) beside a joint's load; white process noise is its limit for short
+A first-order random force (models.random.part) is added to a joint's load; white process noise is its limit for short
 correlation times, a drift that for long ones. Its RMS and correlation time are estimated with the parameters, by
-maximum likelihood. `disturbed` puts it into a model that is about to meet a record.
+maximum likelihood. `disturbed` adds it to a model before this is fitted to a record.
 
-A second one, where evidence asks for it (diagnosis.fits.random_parts) or a model states it, is of a narrow band, as a
-mode of the body or rail joints at constant speed make it.
+A second, narrow-band force is added if the evidence requires it (diagnosis.fits.random_parts) or the model states it.
+It is caused by a mode of the body, or by rail joints at constant speed.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ def time_of(joint: str) -> str:
 
 
 def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with a disturbance at each joint that says so, for records as long and as fast as `recordings`; without
-    any, as while a vehicle runs, for correlation times of a tenth to ten times of where their estimation starts.
+    """`model` with a disturbance at each joint that states one, for records as long and as fast as `recordings`.
 
-    Where a joint has a random force of the model's own, a state that only noise drives, that is its disturbance.
+    Without any recordings, as while a vehicle runs, the correlation times are bounded to a tenth to ten times the start
+    of their estimation. If the model has a random force of its own at a joint, a state that only noise drives, that is
+    the disturbance of the joint.
     """
     times = [each.timestamp_ns for each in recordings if len(each.timestamp_ns) > 1]
     steps = [float(np.median(np.diff(each))) * 1e-9 for each in times]
@@ -55,15 +56,15 @@ def disturbed(model: Model, recordings: Sequence[Recording]) -> Model:
 
 
 def undisturbed(model: Model, fitted: Model) -> Model:
-    """`fitted`, which came of what `disturbed` made of `model`, without the disturbances, and the random errors of
-    sensors: they are of a record."""
+    """`fitted`, a fit of `disturbed(model)`, without the disturbances and without the random errors of sensors: these
+    belong to a record."""
     own = {each.name: each for each in model.base_states}
     its = parameters_of([each for each in fitted.base_states if each.name not in own])
     joints = {each.name: each for each in model.joints}
     outputs = {each.name: each for each in model.outputs}
     return replace(
         fitted,
-        # An error of a sensor is in the states that integrate its noise alone.
+        # An error of a sensor occurs only in the states that integrate its noise.
         base_states=tuple(
             replace(each, derivative=own[each.name].derivative) if each.noise_of else each
             for each in fitted.base_states
@@ -77,8 +78,8 @@ def undisturbed(model: Model, fitted: Model) -> Model:
 
 def undriven(model: Model) -> Model:
     """`model` with each of its disturbances held at zero, as states that nothing drives."""
-    shaking = {place for _, place in (*at_joints(model), *narrow_at_joints(model))}
-    names = {name for place in shaking for name in (model.base_states[place].name, model.base_states[place].driven_by)}
+    places = {place for _, place in (*at_joints(model), *narrow_at_joints(model))}
+    names = {name for place in places for name in (model.base_states[place].name, model.base_states[place].driven_by)}
     states = tuple(
         replace(each, process_noise=0.0, noise_known=True, initial_std=0.0) if each.name in names else each
         for each in model.base_states
@@ -89,55 +90,57 @@ def undriven(model: Model) -> Model:
 
 
 def _has_own(model: Model, joint: Joint) -> bool:
-    """Whether a state of the model that nothing but noise drives pushes at `joint`, as a disturbance that is there."""
-    parameters, pushing = {each.name for each in model.base_parameters}, _pushing(model, joint)
+    """Whether a state that only noise drives acts at `joint`: a disturbance that the model has already."""
+    parameters, in_load = {each.name for each in model.base_parameters}, _names_in_load(model, joint)
     return any(
         state.process_noise > 0.0 and names_in(state.derivative) <= {state.name, *parameters}
         for state in model.base_states
-        if state.name in pushing
+        if state.name in in_load
     )
 
 
 def at_joints(model: Model) -> list[tuple[Joint, int]]:
-    """Each joint of `model` with the place of the state that is its disturbance, those that have one."""
+    """Each joint of `model` that has a disturbance, with the index of the state that is the disturbance."""
     return _at_joints(model, narrow=False)
 
 
 def narrow_at_joints(model: Model) -> list[tuple[Joint, int]]:
-    """The same of the disturbances of a narrow band."""
+    """The same for the narrow-band disturbances."""
     return _at_joints(model, narrow=True)
 
 
 def _at_joints(model: Model, *, narrow: bool) -> list[tuple[Joint, int]]:
-    shaken = [
+    disturbances = [
         (place, state.name)
         for place, state in enumerate(model.base_states)
         if state.correlation_time and bool(state.frequency) is narrow
     ]
-    return [(joint, place) for joint in model.joints for place, name in shaken if name in _pushing(model, joint)]
+    return [
+        (joint, place) for joint in model.joints for place, name in disturbances if name in _names_in_load(model, joint)
+    ]
 
 
 def parameters_of(states: Iterable[State]) -> frozenset[str]:
-    """Names of the parameters of those of `states` that are a disturbance: times and frequencies."""
+    """Names of the parameters of the disturbances among `states`: correlation times and frequencies."""
     return frozenset(name for each in states for name in (each.correlation_time, each.frequency) if name)
 
 
 def power_share(state: State) -> float:
-    """Variance of a disturbance in the long run, in its q^2 correlation_time."""
+    """Stationary variance of a disturbance, over its q^2 correlation_time."""
     return 0.25 if state.frequency else 0.5
 
 
 def with_narrow_band(model: Model, at: str, known: NarrowBand, longest: float) -> Model:
-    """`model` with a random force of a narrow band at the joint `at`, for a record of `longest` s, or, where that is 0,
-    for one that goes on."""
+    """`model` with a narrow-band random force at the joint `at`, for a record of `longest` s, or for one that goes on
+    if that is 0."""
     joint = next(each for each in model.joints if each.name == at)
     known = known if known.std else replace(known, std=SMALL * joint.force_scale)
-    meaning = f"random force of a narrow band at {at}"
-    return _pushed(model, joint, narrow_band(f"{NARROW}{at}", joint.force_unit, meaning, known, longest))
+    meaning = f"narrow-band random force at {at}"
+    return _with_part(model, joint, narrow_band(f"{NARROW}{at}", joint.force_unit, meaning, known, longest))
 
 
-def _pushing(model: Model, joint: Joint) -> set[str]:
-    """All names that the load at `joint` is made of, those behind definitions, too."""
+def _names_in_load(model: Model, joint: Joint) -> set[str]:
+    """All names that the load at `joint` uses, directly or through definitions."""
     names = set(names_in(joint.load))
     for name in reversed(list(model.definitions)):  # each uses those above it
         names |= names_in(model.definitions[name]) if name in names else set()
@@ -152,10 +155,10 @@ def _with(model: Model, joint: Joint, known: Disturbance, step: float, longest: 
     bounds = None if known.known else (shortest, most)
     name, meaning = state_of(joint.name), f"random force at {joint.name}"
     std = known.std or SMALL * joint.force_scale
-    return _pushed(model, joint, first_order(name, joint.force_unit, meaning, std, time, bounds))
+    return _with_part(model, joint, first_order(name, joint.force_unit, meaning, std, time, bounds))
 
 
-def _pushed(model: Model, joint: Joint, part: RandomPart) -> Model:
+def _with_part(model: Model, joint: Joint, part: RandomPart) -> Model:
     load = f"{joint.load} + {part.shown}"
     joints = tuple(replace(each, load=load) if each is joint else each for each in model.joints)
     return replace(

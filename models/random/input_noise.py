@@ -1,9 +1,9 @@
-"""An input that is measured, with white noise of which what acts knows nothing: the current of a motor that is passive.
+"""A measured input with white noise that does not act on the plant: the current of a motor that is passive.
 
     u_acting = u - share (u - usual),    usual' = (u - usual) / time
 
-`usual` is what a filter makes of the readings so far. With `share` 1 it is what acts, with 0 the reading is. Where a
-record asks for one is for diagnosis.fits.input_noise to say.
+`usual` is the filtered reading. With `share` 1 it acts, with 0 the reading itself acts. diagnosis.fits.input_noise
+decides whether a record requires such noise.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from models.parts import Parameter, State
 SHARE = "noise_share_"
 USUAL = "usual_"
 BEGIN = 0.5
-"""Share of the noise at which its estimation starts."""
+"""Start of the estimation of the share."""
 
 
 @dataclass(frozen=True, slots=True)
 class InputNoise:
-    """White noise of the input `name`: `std` of a reading, and the filter that tells it from what the input does: its
-    `time` s, where it begins, `level`, and how far off that may be, `spread`."""
+    """White noise of the input `name`: `std` of a reading, and the filter that separates it from the signal: its time
+    constant `time`, s, its initial value `level`, and the standard deviation of that, `spread`."""
 
     name: str
     std: float
@@ -59,13 +59,13 @@ def with_input_noise(model: Model, noise: InputNoise) -> Model:
 
 
 def noisy_inputs(model: Model) -> tuple[str, ...]:
-    """The names of the inputs of `model` of whose noise a share does not act."""
+    """The names of the inputs of `model` with a share of noise that does not act."""
     shares = {each.name for each in model.base_parameters}
     return tuple(each.name for each in model.inputs if f"{SHARE}{each.name}" in shares)
 
 
 def without_input_noise(model: Model, fitted: Model) -> Model:
-    """`fitted`, which came of `model`, with inputs that act as they were read: noise is of a record."""
+    """`fitted`, a fit of `model`, with inputs that act as measured: their noise belongs to a record."""
     noisy = noisy_inputs(fitted)
     if not noisy:
         return fitted

@@ -1,11 +1,11 @@
-"""Random signals as states of a model: of first order, or of a narrow band about a frequency.
+"""Random signals as states of a model: first-order, or narrow-band about a frequency.
 
     x' = -x / time + w,    std^2 = q^2 time / 2
     x' = W v,    v' = -W x - 2 v / time + w,    W = 2 pi frequency,    std^2 = q^2 time / 4
 
-w is white, of density q^2. The first (Ornstein-Uhlenbeck) fades within `time` s and has the RMS `std` in the long run.
-The second swings about its frequency, within `time` s no longer in phase; its damping ratio is 1 / (W time), and v has
-its RMS, too. Source: Gelb, "Applied optimal estimation" (1974), section 3.8 (Gauss-Markov processes).
+w is white, of density q^2. The first (Ornstein-Uhlenbeck) has the correlation time `time` s and the stationary RMS
+`std`. The second oscillates about its frequency and loses its phase within `time` s; its damping ratio is 1 / (W time),
+and v has the same RMS. Source: Gelb, "Applied optimal estimation" (1974), section 3.8 (Gauss-Markov processes).
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from dataclasses import dataclass, replace
 from models.parts import NarrowBand, Parameter, State
 
 SPREAD = 3.0
-"""Standard deviation of the natural logarithm of an RMS: of a random signal no more than the order of magnitude is
-known before, and that to a factor of twenty."""
+"""Prior standard deviation of the natural logarithm of an RMS: only the order of magnitude of a random signal is known
+in advance, to a factor of twenty."""
 ROUGHLY = 10.0
-"""Standard deviation of a correlation time before a record is seen, in multiples of where its estimation starts."""
+"""Prior standard deviation of a correlation time, in multiples of the start of its estimation."""
 LEAST_ROWS = 2.0
-"""Rows of the shortest correlation time: what fades faster is white."""
+"""Sampling intervals in the shortest correlation time: a signal that decays faster is white."""
 LEAST_TIMES = 10.0
-"""Correlation times that a record holds at least: of what fades more slowly it does not show that it is random, and
-what only drifts is not."""
+"""Correlation times in a record, at least: the record does not show that a signal that decays more slowly is random,
+and a mere drift is not."""
 PERIODS = 1.0
-"""For which a signal of a narrow band swings on at least: what fades within one has no frequency of its own."""
+"""Periods for which a narrow-band signal persists, at least: one that decays within a period has no frequency of its
+own."""
 MOST_DAMPED = 1.0 / (2.0 * math.pi * PERIODS)
-"""Its damping ratio then."""
+"""The damping ratio of a signal that persists for PERIODS."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomPart:
-    """The states of a random signal and their parameters; `shown` is what it is of them."""
+    """The states of a random signal and their parameters; `shown` is its expression in terms of them."""
 
     states: tuple[State, ...]
     parameters: tuple[Parameter, ...]
@@ -43,8 +44,8 @@ class RandomPart:
 def first_order(
     name: str, unit: str, meaning: str, std: float, time: float, bounds: tuple[float, float] | None
 ) -> RandomPart:
-    """One whose estimation starts at an RMS of `std`, unit, and a correlation time of `time`, s, which is sought within
-    `bounds`; both are known where there are none."""
+    """A first-order signal. Its estimation starts at an RMS of `std`, unit, and a correlation time of `time`, s, which
+    is estimated within `bounds`; without bounds both are known."""
     known = bounds is None
     lower, upper = bounds or (0.0, math.inf)
     state = State(
@@ -72,7 +73,8 @@ def first_order(
 
 
 def narrow_band(name: str, unit: str, meaning: str, known: NarrowBand, longest: float) -> RandomPart:
-    """One of which `known` is known before, for a record of `longest` s, or, where that is 0, for one that goes on."""
+    """A narrow-band signal with the prior knowledge `known`, for a record of `longest` s or, if that is 0, for one that
+    goes on."""
     lead, about, time = f"{name}_lead", f"{name}_frequency", f"{name}_time"
     shortest = PERIODS / known.frequency
     stated = MOST_DAMPED * shortest / known.damping_ratio if known.damping_ratio else 0.0
@@ -100,9 +102,9 @@ def narrow_band(name: str, unit: str, meaning: str, known: NarrowBand, longest: 
     )
     frequency = known.frequency
     parameters = (
-        Parameter(about, "Hz", frequency, std=frequency, lower=0.0, meaning=f"about which {name} swings"),
+        Parameter(about, "Hz", frequency, std=frequency, lower=0.0, meaning=f"centre frequency of {name}"),
         Parameter(
-            time, "s", lasting, std=ROUGHLY * lasting, lower=shortest, upper=most, meaning=f"for which {name} swings on"
+            time, "s", lasting, std=ROUGHLY * lasting, lower=shortest, upper=most, meaning=f"correlation time of {name}"
         ),
     )
     return RandomPart((swinging, leading), parameters, name)

@@ -1,8 +1,7 @@
-"""The random errors that a sensor makes beside white noise: what wanders, and what vibrates.
+"""The random errors of a sensor besides white noise: wander and vibration.
 
-An error of first order or of a narrow band (models.random.part) adds to what an output shows, and goes into the states
-that integrate the output's noise, as those of a filter do. Where a record asks for one is for
-diagnosis.fits.random_parts to say.
+A first-order or narrow-band error (models.random.part) adds to an output, and to the states that integrate the output's
+noise, as those of a filter do. diagnosis.fits.random_parts decides whether a record requires one.
 """
 
 from __future__ import annotations
@@ -19,12 +18,13 @@ from models.random.part import LEAST_ROWS, LEAST_TIMES, RandomPart, first_order,
 
 PREFIX = "error_of_"
 FIRST = 5.0
-"""Times the shortest correlation time at which the estimation of one of first order starts."""
+"""Start of the estimation of a first-order error's correlation time, in multiples of the shortest one."""
 
 
 def with_error(model: Model, output: str, frequency: float | None, step: float, longest: float) -> Model:
-    """`model` with a random error of `output`, about `frequency` (Hz) or, where that is None, of first order, for a
-    record of `longest` s with a row every `step` s. It may be as large as the white noise, to begin with."""
+    """`model` with a random error of `output`, narrow-band about `frequency` (Hz) or, if that is None, first-order, for
+    a record of `longest` s with a sample every `step` s. The estimation of its RMS starts at that of the white
+    noise."""
     shown = next(each for each in model.outputs if each.name == output)
     name, meaning = f"{PREFIX}{output}", f"random error of {output}"
     if frequency is None:
@@ -33,15 +33,15 @@ def with_error(model: Model, output: str, frequency: float | None, step: float, 
         part = first_order(name, shown.unit, meaning, shown.noise, min(FIRST * shortest, bounds[1]), bounds)
     else:
         part = narrow_band(name, shown.unit, meaning, NarrowBand(frequency, std=shown.noise), longest)
-        # Whether a sensor shows how far a mode is off, how fast it moves or both, is not known: as much of each.
+        # Whether a sensor shows the deflection of a mode, its rate or both is not known: take as much of each.
         one, other = (each.name for each in part.states)
         part = replace(part, shown=f"{math.sqrt(0.5)!r} * ({one} + {other})")
     return _with(model, shown, part)
 
 
 def at_outputs(model: Model) -> list[tuple[Output, int]]:
-    """Each output of `model` with the place of the state that is a random error of it, those that have one."""
-    # Of a narrow band, the state that the other one drives is the error.
+    """Each output of `model` that has a random error, with the index of the state that is the error."""
+    # The error of a narrow-band pair is the state that the other one drives.
     states = [
         (place, state.name)
         for place, state in enumerate(model.base_states)
@@ -53,8 +53,8 @@ def at_outputs(model: Model) -> list[tuple[Output, int]]:
 
 
 def random_count(model: Model) -> int:
-    """Numbers that tell the random parts of `model` beside the first-order disturbance: the RMS of each, and its
-    correlation time and frequency; of the noise of an input the share that does not act."""
+    """Number of parameters of the random parts of `model` besides the first-order disturbance: for each its RMS, its
+    correlation time and its frequency; for the noise of an input the share that does not act."""
     parts = [*narrow_at_joints(model), *at_outputs(model)]
     return sum(3 if model.base_states[place].frequency else 2 for _, place in parts) + len(noisy_inputs(model))
 

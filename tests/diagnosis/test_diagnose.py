@@ -209,7 +209,7 @@ class TestDocument:
         few = ("coulomb_friction", "viscous_friction")
         diagnose(MODEL, [friction], support=VEHICLE.support, candidates=few, progress=lambda text, _: told.append(text))
         compiled = [text for text in told if ": compiling with " in text]
-        assert any(text.endswith("with dry friction of constant size") for text in compiled)
+        assert any(text.endswith("with dry friction of constant magnitude") for text in compiled)
 
     def test_progress_is_told_in_order(self) -> None:
         told: list[float] = []

@@ -145,7 +145,7 @@ class TestFilter:
     def test_an_effect_cannot_have_names_of_the_filter(self) -> None:
         scale = find("sensor_scale")
         taken = EffectParameter("level_error", "1", "", amplitude=True, scale="1")
-        with pytest.raises(ModelError, match="given already"):
+        with pytest.raises(ModelError, match="is predefined"):
             validate(replace(scale, name="own_scale", parameters=(taken,), rate_reading="rate * (1 + level_error)"))
 
     def test_models_with_other_filters_have_code_of_their_own(self) -> None:

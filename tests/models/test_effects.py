@@ -307,8 +307,8 @@ def test_a_place_that_lacks_what_an_effect_needs_is_named_with_what_it_lacks() -
     _refused(bare, "gimbal_imbalance", "needs actuator_angle, which joint axis")
     _refused(bare, "gravity_nonlinearity", "needs coordinate in rad, which joint axis")
     _refused(bare, "gyro_bias", "needs rate, which sensor encoder")
-    _refused(replace(bare, sensors=()), "sensor_lag", "needs a sensor, and the model has none")
-    _refused(replace(bare, actuators=()), "input_delay", "needs an actuator, and the model has none")
+    _refused(replace(bare, sensors=()), "sensor_lag", "needs a sensor, but the model has none")
+    _refused(replace(bare, actuators=()), "input_delay", "needs an actuator, but the model has none")
     _refused(bare, "coulomb_friction", "there is no joint 'wheel'", at="wheel")
     _refused(bare.add("coulomb_friction"), "coulomb_friction", "has it already")
     rate_only = replace(bare, sensors=(Sensor("gyro", rate="position"),))
@@ -352,7 +352,7 @@ def test_starts_are_numbers_of_the_place_and_need_a_parameter() -> None:
     ("change", "what"),
     [
         ({"force": "-torque * wind"}, "there is no 'wind'"),
-        ({"command": "command"}, "is on a joint, where command means nothing"),
+        ({"command": "command"}, "is on a joint, where command has no meaning"),
         ({"force": ""}, "does nothing"),
         ({"place": Place.ACTUATOR, "force": "", "delay": "later"}, "there is no parameter 'later'"),
         ({"parameters": (replace(CATALOGUE["static_torque"].parameters[0], unit="{furlong}"),)}, "cannot be filled in"),
@@ -522,31 +522,31 @@ def test_an_effect_from_a_python_file_joins_the_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "where", "what"),
     [
-        ("[[parameters]]", "[[parameters", "own.toml", "is no TOML .*line"),
+        ("[[parameters]]", "[[parameters", "own.toml", "is not TOML .*line"),
         ('title = "a dent in the rail head"\n', "", "own.toml: title", "is missing"),
         ("force =", "forces =", "own.toml: forces", "did you mean force"),
         ('meaning = "of the dent"', 'meant = "x"', "own.toml: parameters.1: meant", "did you mean meaning"),
         ('family = "stiffness"', 'family = "springs"', "own.toml: family", "use one of: bias, "),
         ('place = "joint"', 'place = "rail"', "own.toml: place", "use one of: joint, actuator, sensor"),
-        ('place = "joint"', 'place = "sensor"', "own.toml: effect rail_bump", "where force means nothing"),
+        ('place = "joint"', 'place = "sensor"', "own.toml: effect rail_bump", "where force has no meaning"),
         ("coordinate / width", "coordinate / breadth", "own.toml: effect rail_bump, force", "there is no 'breadth'"),
         ("-torque *", "__import__('os') *", "own.toml: effect rail_bump, force", "Remedy"),
-        ("-torque *", "(-torque - 1) *", "own.toml: effect rail_bump, force", "is not 0 where torque is 0"),
+        ("-torque *", "(-torque - 1) *", "own.toml: effect rail_bump, force", "is not 0 if torque is 0"),
         ("coordinate / width", "sqrt(-1 - time)", "own.toml: effect rail_bump, force", "has no value"),
         ("amplitude = true", "amplitude = 1", "own.toml: parameters.0: amplitude", "neither true nor false"),
         ("amplitude = true\n", "", "own.toml: effect rail_bump, parameters", "none is an amplitude"),
         ("amplitude = true", "amplitude = true\nvalue = 3", "parameter torque, value", "begins at 0"),
         ('scale = "force_scale"', 'scale = "force"', "parameter torque, scale", "there is no 'force'"),
-        ('scale = "force_scale"\n', "", "parameter torque, scale", "a typical size"),
+        ('scale = "force_scale"\n', "", "parameter torque, scale", "a typical magnitude"),
         ("{coordinate}", "{furlong}", "parameter width, unit", "there is no {furlong} on joints"),
         ("{coordinate}", "{coordinate", "parameter width, unit", "cannot be filled in"),
-        ("value = 0.002", "value = 0.002\nlower = 0.01", "parameter width, value", "out of its bounds"),
-        ("value = 0.002", "value = [1]", "own.toml: parameters.1: value", "is no text"),
+        ("value = 0.002", "value = 0.002\nlower = 0.01", "parameter width, value", "outside its bounds"),
+        ("value = 0.002", "value = [1]", "own.toml: parameters.1: value", "is not text"),
         ('["position_cogging"]', '["cogs"]', "effect rail_bump, confused_with", "no other effect 'cogs'"),
-        ('["position_cogging"]', '"position_cogging"', "own.toml: confused_with", "is no list"),
-        ('name = "width"', 'name = "rate"', "parameter rate", "is given already"),
-        ('name = "width"', 'name = "torque"', "parameter torque", "is there twice"),
-        ('name = "rail_bump"', 'name = "rail bump"', "own.toml: effect rail bump, name", "is no name"),
+        ('["position_cogging"]', '"position_cogging"', "own.toml: confused_with", "is not a list"),
+        ('name = "width"', 'name = "rate"', "parameter rate", "is predefined"),
+        ('name = "width"', 'name = "torque"', "parameter torque", "is defined twice"),
+        ('name = "rail_bump"', 'name = "rail bump"', "own.toml: effect rail bump, name", "is not a valid name"),
         ('name = "rail_bump"', 'name = "backlash"', "own.toml: name", "the catalogue has an effect backlash"),
         ('place = "joint"', 'place = "joint"\nin_radians = ["roll"]', "in_radians", "there is no 'roll' on joints"),
     ],
@@ -565,7 +565,7 @@ def test_a_wrong_effect_file_is_refused_with_file_key_and_remedy(
 
 def test_parameters_that_are_no_list_of_tables_are_refused(tmp_path: Path) -> None:
     text = GOOD.split("[[parameters]]")[0] + 'parameters = ["torque"]\n'
-    with pytest.raises(ModelError, match="is no list of tables"):
+    with pytest.raises(ModelError, match="is not a list of tables"):
         load_effect(_file(tmp_path, text))
 
 
@@ -575,8 +575,8 @@ def test_parameters_that_are_no_list_of_tables_are_refused(tmp_path: Path) -> No
         ("EFFECT = Effect(", "SyntaxError"),
         ("raise SystemExit(3)", "SystemExit"),
         ("effect = 1", "does not define EFFECT"),
-        ("EFFECT = {}", "is a dict, no Effect"),
-        (PYTHON.replace("torque * sin", "sin"), "is not 0 where torque is 0"),
+        ("EFFECT = {}", "is a dict, not an Effect"),
+        (PYTHON.replace("torque * sin", "sin"), "is not 0 if torque is 0"),
     ],
 )
 def test_a_wrong_python_file_is_refused(tmp_path: Path, text: str, what: str) -> None:

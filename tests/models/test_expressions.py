@@ -200,7 +200,7 @@ def test_the_remedy_names_what_was_meant() -> None:
         check("2 * roll_rte", ["roll", "roll_rate"])
     with pytest.raises(ModelError, match=r"no function sinn\(\).*did you mean 'sin'"):
         check("sinn(roll)", ["roll"])
-    with pytest.raises(ModelError, match="'roll roll' is no expression at character 6"):
+    with pytest.raises(ModelError, match="'roll roll' is not an expression at character 6"):
         check("roll roll", ["roll"])
     with pytest.raises(ModelError, match=r"write a number"):
         check("roll", [])

@@ -374,10 +374,10 @@ def test_arrays_that_do_not_fit_are_refused(plant: Kernel) -> None:
     with pytest.raises(ModelError, match="gain"):
         plant.run(data, values, INITIAL, gain=GAIN.T)
     for active in ((-2,), (len(values) + len(INITIAL) + GAIN.size,)):
-        with pytest.raises(ModelError, match="there is no"):
+        with pytest.raises(ModelError, match="are not possible"):
             plant.run(data, values, INITIAL, active=active)
     memory = plant.memory(INITIAL)
-    with pytest.raises(ModelError, match="there is no"):
+    with pytest.raises(ModelError, match="there are no samples"):
         plant.proceed(data, values, memory, None, (), np.empty((10, 2)), np.empty((10, 2, 0)), last=10)
 
 

@@ -192,12 +192,12 @@ def test_load_model_takes_names_and_paths(based: Path) -> None:
     with pytest.raises(ModelError, match=r"there is no such model.*monocab_roll"):
         load_model("monocab")
     other = based.rename(based.with_suffix(".txt"))
-    with pytest.raises(ModelError, match=r"is no model file.*end in \.toml"):
+    with pytest.raises(ModelError, match=r"is not a model file.*end in \.toml"):
         load_model(other)
 
 
 WRONG_OWN = [
-    ('title = "Pendulum on a motor"', "title = 3", "title", "is no text (found 3)"),
+    ('title = "Pendulum on a motor"', "title = 3", "title", "is not text (found 3)"),
     ('title = "Pendulum on a motor"', 'titel = "x"', "titel", "did you mean 'title'?"),
     ('title = "Pendulum on a motor"', 'name = "my pendulum"', "name", "should match pattern"),
     ('title = "Pendulum on a motor"', 'base = "axis"', "states", "the base axis has equations already"),
@@ -211,18 +211,18 @@ WRONG_OWN = [
     ('derivative = "rate"', "derivative = 0", "states.angle.derivative", 'write it in quotes: derivative = "0"'),
     ('derivative = "rate"', 'derivatve = "rate"', "states.angle", "derivat"),
     ("initial_std = 1e-3", "initial_std = -1e-3", "states.angle.initial_std", "greater than or equal to 0"),
-    ("initial_std = 1e-3", "initial_std = nan", "states.angle.initial_std", "is no finite number (found nan)"),
-    ("initial_std = 1e-3", 'initial_std = "1e-3"', "states.angle.initial_std", "is no finite number (found '1e-3')"),
+    ("initial_std = 1e-3", "initial_std = nan", "states.angle.initial_std", "is not a finite number (found nan)"),
+    ("initial_std = 1e-3", 'initial_std = "1e-3"', "states.angle.initial_std", "is not a finite number (found '1e-3')"),
     ('initial = "angle"', 'initial = "rate"', "states.angle.initial", "there is no 'rate'"),
     ('initial = "angle"', 'noise_of = "angel"', "states.angle.noise_of", "did you mean 'angle'?"),
     ('initial = "angle"', 'error_of = "angel"', "states.angle.error_of", "did you mean 'angle'?"),
-    ("process_noise = 1e-3", "process_noise = inf", "states.rate.process_noise", "is no finite number (found inf)"),
+    ("process_noise = 1e-3", "process_noise = inf", "states.rate.process_noise", "is not a finite number (found inf)"),
     ("process_noise = 1e-3", "process_noise = true", "states.rate.process_noise", "(found True)"),
-    ("[inputs.voltage]", "[inputs.2volt]", "inputs.2volt", "is no name"),
-    ("[inputs.voltage]", "[inputs.time]", "inputs.time", "has a meaning in every equation already"),
-    ("[inputs.voltage]", "[inputs.pi]", "inputs.pi", "has a meaning in every equation already"),
+    ("[inputs.voltage]", "[inputs.2volt]", "inputs.2volt", "is not a valid name"),
+    ("[inputs.voltage]", "[inputs.time]", "inputs.time", "is predefined in every equation"),
+    ("[inputs.voltage]", "[inputs.pi]", "inputs.pi", "is predefined in every equation"),
     ("[inputs.voltage]", "[inputs.sin]", "inputs.sin", "is the name of a function"),
-    ("[inputs.voltage]", "[inputs.lambda]", "inputs.lambda", "is a word of Python"),
+    ("[inputs.voltage]", "[inputs.lambda]", "inputs.lambda", "is a keyword of Python"),
     ("[inputs.voltage]", "[inputs.rate]", "inputs.rate", "is in states already"),
     ("pull =", "angle =", "definitions.angle", "is in states already"),
     ("pull =", "voltage_slope =", "definitions.voltage_slope", "is the slope of input voltage already"),
@@ -232,18 +232,18 @@ WRONG_OWN = [
     ("pull =", "pull = 3\npulling =", "definitions.pull", "write it in quotes"),
     ('hold = "zero_order"', 'hold = "zero"', "inputs.voltage.hold", "'zero_order' or 'cubic'"),
     ('delays = ["late"]', 'delays = ["lte"]', "inputs.voltage.delays", "did you mean 'late'?"),
-    ('delays = ["late"]', 'delays = "late"', "inputs.voltage.delays", "is no list"),
+    ('delays = ["late"]', 'delays = "late"', "inputs.voltage.delays", "is not a list"),
     ('delays = ["late"]', 'lag = "voltage"', "inputs.voltage.lag", "there is no 'voltage' in parameters"),
     ("noise = 1e-4", "noise = 0.0", "outputs.angle.noise", "greater than 0"),
     ("noise = 1e-4", "", "outputs.angle.noise", "is missing"),
     ("value = 2.0,", "", "parameters.mass.value", "is missing, and there is no base"),
     ('unit = "kg", ', "", "parameters.mass.unit", "is missing, and there is no base"),
-    ("value = 2.0,", "value = -2.0,", "parameters.mass.value", "out of its bounds, 0 to inf"),
-    ("value = 2.0,", "value = inf,", "parameters.mass.value", "is no finite number"),
+    ("value = 2.0,", "value = -2.0,", "parameters.mass.value", "outside its bounds, 0 to inf"),
+    ("value = 2.0,", "value = inf,", "parameters.mass.value", "is not a finite number"),
     ("upper = 0.05", "upper = -0.05", "parameters.late", "its bounds cross"),
     ("upper = 0.05", "upper = nan", "parameters.late", "its bounds cross"),
     ("mass = {", "mass = { stdd = 1,", "parameters.mass.stdd", "did you mean 'std'?"),
-    ("arm = {", "arm = 0.5\narm_ = {", "parameters.arm", "is no table (found 0.5)"),
+    ("arm = {", "arm = 0.5\narm_ = {", "parameters.arm", "is not a table (found 0.5)"),
     ("arm = {", "mass = {", "", "not valid TOML"),
     ('command = "voltage"', 'command = "volts"', "actuators.motor.command", "there is no 'volts' in inputs"),
     ('joint = "pivot"', 'joint = ""', "actuators.motor.joint", "use one of: pivot"),
@@ -255,7 +255,7 @@ WRONG_OWN = [
         '[sensors.encoder]',
         '[sensors.encoder]\nactuator = "motor"\nangle_unit = "deg"',
         "sensors.encoder.angle_unit",
-        "is 'deg', and the joint of its actuator moves in 'rad'",
+        "is 'deg', but the joint of its actuator moves in 'rad'",
     ),
     ('joint = "pivot"', 'joint = "pivot"\ninertia = "angle"', "actuators.motor.inertia", "there is no 'angle'"),
     ("smooth_rate = 1e-3", "smooth_rate = 0", "joints.pivot.smooth_rate", "greater than 0"),
@@ -275,9 +275,9 @@ def test_what_is_wrong_with_own_equations_is_named(old: str, new: str, key: str,
     [
         ('base = "monocab_roll"', 'base = "monocab_rol"', "base", "did you mean 'monocab_roll'?"),
         ('base = "monocab_roll"', "", "base", "is missing, and there are no equations either"),
-        ('base = "monocab_roll"', "base = 3", "base", "is no text (found 3)"),
+        ('base = "monocab_roll"', "base = 3", "base", "is not text (found 3)"),
         ("inertia = {", "inertai = {", "parameters.inertai", "did you mean 'inertia'?"),
-        ("value = 1500,", "value = -1500,", "parameters.inertia.value", "out of its bounds"),
+        ("value = 1500,", "value = -1500,", "parameters.inertia.value", "outside its bounds"),
         ("value = 1500,", 'value = 1500, unit = "g m^2",', "parameters.inertia.unit", "give the value in 'kg m^2'"),
         ("value = 1500,", "value = 1500, lower = 2e3, upper = 1e3,", "parameters.inertia", "its bounds cross"),
         ("value = 1500,", "vale = 1500,", "parameters.inertia.vale", "did you mean 'value'?"),
@@ -288,13 +288,13 @@ def test_what_is_wrong_with_own_equations_is_named(old: str, new: str, key: str,
         ('at = "roll"', 'at = "rol"', "effects.0", "there is no joint 'rol'"),
         ('at = "roll"', 'at = "roll"\nfile = "no.toml"', "effects.0", "cannot be read"),
         ("torque = {", "troque = {", "effects.0.parameters.troque", "did you mean 'torque'?"),
-        ("value = 12.5", "value = -12.5", "effects.0.parameters.torque.value", "out of its bounds"),
-        ("value = 12.5", "value = nan", "effects.0.parameters.torque.value", "is no finite number"),
+        ("value = 12.5", "value = -12.5", "effects.0.parameters.torque.value", "outside its bounds"),
+        ("value = 12.5", "value = nan", "effects.0.parameters.torque.value", "is not a finite number"),
         ('name = "static_torque"', 'name = "coulomb_friction"', "effects.1", "has it already"),
         ('action = "add"\n', "", "history.0.action", "is missing"),
         ("error_before", "error_befor", "history.0.error_befor", "write 'error_before'"),
         ("error_before = 3.2", "error_before = inf", "history.0.error_before", "finite"),
-        ("[[history]]", "[history]", "history", "is no list"),
+        ("[[history]]", "[history]", "history", "is not a list"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_shipped_models_values_is_named(old: str, new: str, key: str, said: str) -> None:
@@ -313,7 +313,7 @@ def _wrong(text: str, key: str, said: str) -> None:
 def test_an_effect_needs_a_place_in_the_model() -> None:
     without = OWN[: OWN.index("[joints.pivot]")].replace("pivot_force", "torque")
     parse(without, "mine.toml")
-    _wrong(f'{without}\n[[effects]]\nname = "coulomb_friction"', "effects.0", "needs a joint, and the model has none")
+    _wrong(f'{without}\n[[effects]]\nname = "coulomb_friction"', "effects.0", "needs a joint, but the model has none")
     _wrong(f'{OWN}\n[[effects]]\nname = "gimbal_imbalance"', "effects.0", "actuator_angle")
 
 
@@ -333,7 +333,11 @@ def _as_toml(table: Mapping[str, Any]) -> str:
 
 def test_definitions_that_explode_are_refused_at_once() -> None:
     bombs = '\nd0 = "mass"\n' + "\n".join(f'd{i + 1} = "d{i} * d{i} * d{i}"' for i in range(60))
-    _wrong(OWN.replace("[definitions]", f"[definitions]{bombs}"), "definitions.d9", "terms when definitions are put in")
+    _wrong(
+        OWN.replace("[definitions]", f"[definitions]{bombs}"),
+        "definitions.d9",
+        "terms with the definitions substituted",
+    )
 
 
 def test_an_unused_input_is_fine() -> None:
@@ -522,7 +526,7 @@ def test_effects_of_ones_own_are_found_from_the_model_files_folder(tmp_path: Pat
     with pytest.raises(ModelError, match=r"effects\.0: .*bump\.toml describes rail_bump"):
         read(path)
     (tmp_path / "effects" / "bump.toml").write_text(BUMP.replace("** 2", "** 4"))
-    with pytest.raises(ModelError, match="describes another effect by now"):
+    with pytest.raises(ModelError, match="now describes another effect"):
         write(file, tmp_path / "other.toml")
 
 
@@ -601,7 +605,7 @@ def test_text_names_each_effect(crowded: Model) -> None:
     assert "pivot_load = torque - pull * sin(angle)" in text
     assert "voltage := voltage * (1 + input_gain.gain) [input_gain]" in text
     assert "angle_measured := angle_measured + sensor_offset.offset [sensor_offset]" in text
-    assert "voltage acts later by late + input_delay.delay" in text
+    assert "voltage is delayed by late + input_delay.delay" in text
 
 
 def _squeezed(text: str) -> str:
@@ -826,12 +830,12 @@ class TestDisturbance:
         ("text", "said"),
         [
             ("[joints.rol]\ndisturbance = false\n", "did you mean 'roll'"),
-            ('[joints.roll]\nload = "0"\n', "states the disturbance of a joint alone"),
+            ('[joints.roll]\nload = "0"\n', "states only the disturbance of a joint"),
             ("[joints.roll.disturbance]\nrms = 8.0\n", "is not a key"),
             ("[joints.roll.disturbance]\nstd = -1.0\n", "joints.roll.disturbance"),
             ("[joints.roll.disturbance]\nknown = true\n", "give both"),
             ("[joints.roll.disturbance]\nshortest = 2.0\nlongest = 1.0\n", "bounds cross"),
-            ("[joints.roll.disturbance]\ncorrelation_time = 3.0\nlongest = 1.0\n", "out of its bounds"),
+            ("[joints.roll.disturbance]\ncorrelation_time = 3.0\nlongest = 1.0\n", "outside its bounds"),
         ],
     )
     def test_what_is_wrong_is_named(self, tmp_path: Path, text: str, said: str) -> None:

@@ -163,7 +163,7 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
         ("absent.arrow", "No such file"),
         ("absent.csv", "No such file"),
         ("run.log", "--vehicle"),
-        ("run.xlsx", "not kept as .xlsx"),
+        ("run.xlsx", "not stored as .xlsx"),
         ("run", "without a suffix"),
     ]:
         with pytest.raises(RecordingError, match=words):
@@ -180,7 +180,7 @@ def test_a_parquet_file_that_was_cut_off(tmp_path: Path) -> None:
     save(make(), tmp_path / "run.parquet")
     content = (tmp_path / "run.parquet").read_bytes()
     (tmp_path / "run.parquet").write_bytes(content[: len(content) // 2])
-    with pytest.raises(RecordingError, match="no whole Parquet file"):
+    with pytest.raises(RecordingError, match="not a complete Parquet file"):
         load(tmp_path / "run.parquet")
 
 
