@@ -30,7 +30,7 @@ from scipy.optimize import minimize
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.data.segments import DataError
-from estimators.fit.result import asked_std, correlation, inverse, refused
+from estimators.fit.result import correlation, inverse, refused, required_std
 from estimators.methods.balance import Balance, split
 from estimators.methods.frequency_response import (
     DETRENDED,
@@ -261,7 +261,7 @@ def errors(measured: FrequencyResponse, residual: Array | ComplexArray, paramete
 
 def _told(place: int, parameters: Sequence[Parameter], fit: Fit, whole: Array) -> ParameterEstimate:
     parameter, value = parameters[place], float(fit.values[place])
-    std, asked = float(np.sqrt(fit.covariance[place, place])), asked_std(parameter)
+    std, asked = float(np.sqrt(fit.covariance[place, place])), required_std(parameter)
     coverage = 100.0 * min(1.0, asked / max(std, 1e-300))
 
     def unknown(status: Status, reason: str) -> ParameterEstimate:

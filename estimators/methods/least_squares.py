@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.data.segments import DataError, segments
-from estimators.fit.result import asked_std, correlation, refused
+from estimators.fit.result import correlation, refused, required_std
 from estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
 from estimators.recursive.least_squares import RecursiveLeastSquares
 from estimators.stopwatch import stopwatch
@@ -216,7 +216,7 @@ def _told(
     """What is known of one parameter; `covariance` is that of the data alone, `whole` with that of the anchors."""
     parameter = balance.model.parameter(balance.names[place])
     variance = float(covariance[place, place])
-    asked, std = asked_std(parameter), float(np.sqrt(variance)) if 0.0 <= variance < np.inf else np.inf
+    asked, std = required_std(parameter), float(np.sqrt(variance)) if 0.0 <= variance < np.inf else np.inf
     own = movement[place] * size_of(parameter) / (ASKED_SHARE * balance.joint.force_scale)
     if parameter.name in balance.shifts and own > 0.0:  # no noise can take its regressor's place
         own = asked / max(std, 1e-300)

@@ -30,14 +30,14 @@ from numpy.typing import NDArray
 
 from estimators.contract import Estimate
 from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.disturbance import Found, is_of_disturbance, told
+from estimators.fit.disturbance import Found, is_of_disturbance, of_joints
 from estimators.fit.gauss_newton import Minimum
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.likelihood import FLOOR
 from estimators.fit.logarithms import is_known_roughly
-from estimators.fit.long_run import long_run
 from estimators.fit.problem import Problem
 from estimators.fit.result import assemble
+from estimators.fit.stationary_start import stationary_start
 from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.compiler.kernel import Memory
@@ -257,7 +257,7 @@ class RecursivePredictor:
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
         values, logarithms = self._values, self._regression.z[self._free :]
         found = covariance * np.outer(sizes, sizes)
-        return told(Found(self._noise, values, logarithms, found, self._covariance(), self.rows))
+        return of_joints(Found(self._noise, values, logarithms, found, self._covariance(), self.rows))
 
     @property
     def _values(self) -> Array:
@@ -331,7 +331,7 @@ class RecursivePredictor:
         begins as it is in the long run."""
         if self._noise is None:
             return np.ones(len(self._problem.spread))
-        spread = long_run(self._noise, self._values, self._regression.z[self._free :]).spread
+        spread = stationary_start(self._noise, self._values, self._regression.z[self._free :]).spread
         return np.asarray((self._problem.spread / spread) ** 2)
 
     def _learn_again(self) -> Array:

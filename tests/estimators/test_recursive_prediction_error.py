@@ -239,7 +239,7 @@ def test_without_excitation_there_is_no_value_but_a_reason() -> None:
         found = estimate.parameters[name]
         assert found.value is None
         assert found.status in (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
-        assert "the record tells" in found.reason
+        assert "the record determines" in found.reason
         assert 0.0 < found.coverage_percent < 100.0
 
 
