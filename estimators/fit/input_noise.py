@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 GAINS = 24
 """Number of gains that are tried, from that of a filter with a memory as long as the record to 1, that without noise.
 
-The maximum of the likelihood is sought around the best of them, so their number is not critical."""
+The maximum of the likelihood is searched for around the best of them, so their number is not critical."""
 
 
 def input_noise(task: Problem, name: str) -> InputNoise | None:

@@ -108,7 +108,7 @@ def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = 
         raise EstimationError(f"joint {joint}".strip(), f"model {model.name} has none", remedy=f"its joints: {there}.")
     equations = compose(model)
     by_name = dict(zip((p.name for p in model.parameters), equations.parameters, strict=True))
-    asked = [p for p in model.parameters if p.estimated]
+    estimated = [p for p in model.parameters if p.estimated]
     fixed = {by_name[p.name]: sympy.Float(p.value) for p in model.parameters if not p.estimated}
     residual, acceleration = _residual(model, place, equations)
     measured, motion, position = _measured(model, place, equations, residual, fixed)
@@ -116,8 +116,8 @@ def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = 
     _refuse_lags(model, equations, residual)
 
     delays = {name for names in equations.delays for name in names}
-    free = [p.name for p in asked if residual.has(by_name[p.name])]
-    others = [p.name for p in asked if p.name not in free]
+    free = [p.name for p in estimated if residual.has(by_name[p.name])]
+    others = [p.name for p in estimated if p.name not in free]
     shifts, absent = [n for n in others if n in delays], [n for n in others if n not in delays]
     coefficients = [residual.diff(by_name[name]) for name in free]
     _require_linear(place, free, coefficients, by_name)
@@ -129,7 +129,7 @@ def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = 
     anchors = [p.name for p in model.parameters if not p.estimated and p.std > 0.0 and residual.has(by_name[p.name])]
     changes = [[part.diff(by_name[n]).xreplace(fixed) for part in (rest, *coefficients)] for n in anchors]
     anchored = [(n, place, e) for n, each in enumerate(changes) for place, e in enumerate(each, start=-1) if e != 0]
-    at_value = {**fixed, **{by_name[p.name]: sympy.Float(p.value) for p in asked}}
+    at_value = {**fixed, **{by_name[p.name]: sympy.Float(p.value) for p in estimated}}
     return Balance(
         model=model,
         joint=place,

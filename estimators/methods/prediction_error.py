@@ -63,7 +63,7 @@ def prediction_error(
         return found
     try:
         if (more := released(model, fitted)) is not model:
-            # A held parameter whose error is larger than the data's resolution would be taken for a disturbance.
+            # A held parameter whose error exceeds the resolution of the data is confounded with a disturbance.
             shaken = fit(problem(more, recordings, support=support, progress=progress))
             found = replace(found, disturbance=disturbances(shaken), seconds=stopwatch() - began)
     except (ArithmeticError, EstimationError, np.linalg.LinAlgError):

@@ -138,7 +138,7 @@ class FrameChunks:
         self._ran = False  # an experiment
         self.settled = not self._settling
         """Whether the model's settling time is over."""
-        self._settled_at = math.nan  # s; not known before the first free row
+        self._settled_at = math.nan  # s; not known before the first free sample
         self._known = -math.inf  # s until which the inputs are known, a sample beyond included
         self._end_segment()
 

@@ -367,7 +367,7 @@ def test_data_that_cannot_be_used_give_no_value_but_a_reason(
 
 
 def test_no_recording_and_no_such_detrending() -> None:
-    assert_unknown(frequency_output_error(ROLL, []), Status.TOO_FEW_SAMPLES, "there is none")
+    assert_unknown(frequency_output_error(ROLL, []), Status.TOO_FEW_SAMPLES, "none is given")
     with pytest.raises(EstimationError, match="none, mean, linear"):
         frequency_response(ROLL, [], detrend="cubic")
 
