@@ -183,7 +183,7 @@ def _coordinate(model: Model) -> str:
 def _falls(model: Model, recording: Recording) -> list[tuple[int, int]]:
     """The samples at which a vehicle begins to fall, and those at which it is held again.
 
-    A fall begins where the motion to one side begins that continues until nothing holds the vehicle any more.
+    A fall begins with the motion to one side that continues until nothing holds the vehicle any more.
     """
     coordinate = _coordinate(model)
     if "phase" not in recording.values or coordinate not in recording.values:

@@ -293,7 +293,7 @@ def test_what_the_excitation_does_not_move_has_no_instrument(sweep: list[Recordi
     [
         (lambda r: without(r, "precession_rate"), Status.MISSING_CHANNEL, "precession_rate"),
         (lambda r: with_channels(r, roll_rate=np.degrees(r["roll_rate"])), Status.BAD_DATA, "degrees"),
-        (lambda r: with_channels(r, roll_rate=np.clip(r["roll_rate"], -0.02, 0.02)), Status.BAD_DATA, "cut off"),
+        (lambda r: with_channels(r, roll_rate=np.clip(r["roll_rate"], -0.02, 0.02)), Status.BAD_DATA, "is clipped at"),
         (lambda r: with_channels(r, roll=np.zeros(len(r))), Status.BAD_DATA, "never moves"),
         (lambda r: rows(r, np.arange(len(r)) % 60 < 40), Status.TOO_FEW_SAMPLES, "gapless"),
         (lambda r: with_channels(r, roll=r["roll"] + 0.1), Status.TOO_FEW_SAMPLES, "free of its supports"),

@@ -124,9 +124,9 @@ def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers()
     assert len(numbers) == 13
     assert found.rank == found.generic_rank == 1 + len(TOLD_NEAR_UPRIGHT) == 7
     assert found.gap > 1e6
-    assert all(map(found.tells, TOLD_NEAR_UPRIGHT.values()))
+    assert all(map(found.identifies, TOLD_NEAR_UPRIGHT.values()))
     others = (*TOLD_AT_LARGE_TILT.values(), *TOLD_IN_TURNS.values(), "body_mass", "motor_constant", "rotor_inertia")
-    assert not any(map(found.tells, others))
+    assert not any(map(found.identifies, others))
     alone = {tie.parameter for tie in found.ties if len(tie.changes) == 1}
     assert alone == {"wheel_distance", "yaw_inertia", "armature_inductance"}
     # Torques are known as multiples of volts only: all masses and the conductance go together.
@@ -147,7 +147,7 @@ def test_larger_motion_tells_more(motions: tuple[Motion, ...], told: dict[str, s
     found = structure(TWSBR, motions)
     assert found.rank == found.generic_rank == 1 + len(told)
     assert found.gap > 1e6
-    assert all(map(found.tells, told.values()))
+    assert all(map(found.identifies, told.values()))
     assert not found.identifies("body_mass")
 
 
