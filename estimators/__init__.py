@@ -1,6 +1,8 @@
-"""Estimators: from control cycles and recordings to roll angle and parameters; no I/O, no clock in what they find.
+"""Estimators: from control cycles and recordings to roll angle and parameters. They do no I/O, and no estimate depends
+on a clock.
 
-For scripts and notebooks the batch methods are here by name, each `method(model, recordings, ...) -> Estimate`:
+For scripts and notebooks, the batch methods are available here by name, each `method(model, recordings, ...) ->
+Estimate`:
 
     from telemetry.storage import load
     import estimators
@@ -8,7 +10,7 @@ For scripts and notebooks the batch methods are here by name, each `method(model
     recording = load("sweep.arrow")
     estimators.prediction_error("monocab_roll", [recording])
 
-They are imported on use: the control process needs none of them.
+They are imported on first use, since the control process needs none of them.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ METHODS = {
     "frequency_equation_error": "estimators.methods.frequency_equation_error",
     "drive_lag": "estimators.methods.drive_lag",
 }
-"""Batch methods: name to the module that has it."""
+"""Batch methods: name to the module that defines it."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,8 @@
-"""How long a piece of work may take: whoever computes asks now and then whether the time is over.
+"""Time budget of a computation, which checks now and then whether its time is up.
 
-A fit that is cut off is one that failed (an ArithmeticError), as one that diverges is, so that a search goes on with
-those that ended. Nothing that is computed depends on the clock but what was left untried, and that is said.
+A fit that is cut off has failed (an ArithmeticError), as one that diverges has, so that a search continues with the
+fits that finished. The clock has no influence on computed values, only on which candidates remain untried, and these
+are reported.
 """
 
 from __future__ import annotations
@@ -13,33 +14,33 @@ from estimators.stopwatch import stopwatch
 
 
 class OutOfTime(ArithmeticError):
-    """The time is over before the work is."""
+    """The time was up before the computation finished."""
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Work that may take until `ends`, s of estimators.stopwatch."""
+    """A computation that may take until `ends`, s of estimators.stopwatch."""
 
     ends: float = math.inf
 
     @classmethod
     def of(cls, seconds: float | None) -> Budget:
-        """From now on; None for as long as it takes."""
+        """`seconds` from now; None for no limit."""
         return cls() if seconds is None else cls(stopwatch() + seconds)
 
     @property
     def left(self) -> float:
-        """s, 0 where the time is over."""
+        """Remaining time, s; 0 if the time is up."""
         return max(0.0, self.ends - stopwatch())
 
     def part(self, share: float) -> Budget:
-        """A share of what is left, 0 to 1."""
+        """A share (0 to 1) of the remaining time."""
         return Budget() if math.isinf(self.ends) else Budget(stopwatch() + share * self.left)
 
     def check(self) -> None:
-        """Raises OutOfTime."""
+        """Raises OutOfTime if the time is up."""
         if stopwatch() > self.ends:
-            raise OutOfTime("the time for it was over")
+            raise OutOfTime("its time was up")
 
 
 UNLIMITED = Budget()

@@ -1,8 +1,8 @@
-"""The contract every estimator keeps, live and offline: three verbs and a result a person can read.
+"""The interface of every estimator, live and offline: three methods and a human-readable result.
 
-`update(frame)` takes one control cycle, `result()` says what is known now, `reset()` forgets everything. An estimator
-does no I/O and asks no clock: live, replayed and simulated frames give the same numbers bit for bit. A value that is
-not known is `None` with a reason in words, never a silent NaN.
+`update(frame)` takes one control cycle, `result()` returns the current estimate, `reset()` forgets everything. An
+estimator does no I/O and reads no clock: live, replayed and simulated frames give the same numbers bit for bit. An
+unknown value is `None` with a reason in words, never a silent NaN.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from estimators.numbers import significant
 from telemetry.errors import UprightError
 from telemetry.samples import Frame
 
-WORTH_TELLING = 0.9
-"""Correlations from here on are told."""
+REPORTED_CORRELATION = 0.9
+"""Correlations of a larger magnitude are reported."""
 
 
 class EstimationError(UprightError):
-    """An estimator was set up with something it cannot work with. `what` names it."""
+    """An estimator was given something that it cannot use. `what` names it."""
 
     def __init__(self, what: str, message: str, *, remedy: str = "") -> None:
         super().__init__(f"{what}: {message}.", remedy=remedy)
@@ -34,7 +34,7 @@ class EstimationError(UprightError):
 
 
 class Status(StrEnum):
-    """Whether an estimate can be used, and if not, what it lacks."""
+    """Whether an estimate can be used, and if not, why."""
 
     OK = "ok"
     TOO_FEW_SAMPLES = "too_few_samples"
@@ -42,11 +42,11 @@ class Status(StrEnum):
     IMPLAUSIBLE = "implausible"
     MISSING_CHANNEL = "missing_channel"
     UNIDENTIFIABLE = "unidentifiable"
-    """The record cannot tell it from others, or it does not move what is measured."""
+    """In this record the parameter is indistinguishable from others, or does not affect the measurements."""
     AT_BOUND = "at_bound"
-    """The best value would be physically impossible."""
+    """The best value is physically impossible."""
     BAD_DATA = "bad_data"
-    """Gaps, saturation, a stuck channel, or a channel in another unit."""
+    """Gaps, saturation, a stuck channel, or a channel in a wrong unit."""
     NOT_CONVERGED = "not_converged"
 
 
@@ -54,9 +54,9 @@ class Status(StrEnum):
 class ParameterEstimate:
     """One estimated parameter.
 
-    `value` and its standard deviation `std` are in `unit` and are None unless `status` is OK; `reason` then says why.
-    `coverage_percent` tells how far the excitation has come: 100 where the parameter's own term of the equation has
-    moved, independently of all other terms, as much as the estimator asks for.
+    `value` and its standard deviation `std` are in `unit`. Both are None unless `status` is OK; `reason` then says why.
+    `coverage_percent` states how sufficient the excitation is: 100 if the parameter's own term of the equation has
+    varied, independently of all other terms, as much as the estimator requires.
     """
 
     value: float | None
@@ -73,14 +73,14 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What one estimator knows: its parameters by name, from `samples` samples that span `span` seconds of valid data.
+    """The result of one estimator: its parameters by name, from `samples` samples that span `span` s of valid data.
 
-    `status` is OK when every parameter asked for is; otherwise that of the first one that is not, with its reason.
-    `correlation` is that of the parameters' errors, by pairs of names in the order of `parameters`, shape (n, n), NaN
-    where one is not known. `fit_percent` tells by channel how well the model with these parameters predicts.
-    `disturbance`: the random force at each joint, of a method that estimates it.
-    `bounds_hit` names parameters whose best value would be physically impossible. `seconds` is what it took. `window` s
-    is the longest simulation without correction, None for a method that does not simulate.
+    `status` is OK if that of every requested parameter is; otherwise it is that of the first that is not, with its
+    reason. `correlation` is that of the parameters' errors, in the order of `parameters`, shape (n, n), NaN where it is
+    unknown. `fit_percent` states for each channel how well the model with these parameters predicts.
+    `disturbance`: the random force at each joint, if the method estimates it.
+    `bounds_hit` names parameters whose best value is physically impossible. `seconds` is the computing time. `window`
+    (s) is the longest simulation without correction, None for a method that does not simulate.
     """
 
     method: str
@@ -98,7 +98,7 @@ class Estimate:
 
     @property
     def values(self) -> dict[str, float]:
-        """Parameter name to value, those that are known."""
+        """Parameter name to value, of the known parameters."""
         return {name: p.value for name, p in self.parameters.items() if p.value is not None}
 
     def __str__(self) -> str:
@@ -108,7 +108,7 @@ class Estimate:
         return _as_html(self)
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON-ready values: what goes over MQTT and into `identify --json`."""
+        """As JSON-ready values, for MQTT and `identify --json`."""
         return {
             "parameters": {
                 name: {
@@ -189,22 +189,23 @@ def _notes(estimate: Estimate) -> list[str]:
     if estimate.correlation is not None:
         names = list(estimate.parameters)
         size = np.abs(np.nan_to_num(np.tril(estimate.correlation, -1)))
-        for row, column in sorted(np.argwhere(size > WORTH_TELLING).tolist(), key=lambda at: -size[at[0], at[1]]):
-            notes.append(f"{names[column]} and {names[row]} go together: {estimate.correlation[row, column]:+.3f}")
+        reported = np.argwhere(size > REPORTED_CORRELATION).tolist()
+        for row, column in sorted(reported, key=lambda at: -size[at[0], at[1]]):
+            notes.append(f"{names[column]} and {names[row]} are correlated: {estimate.correlation[row, column]:+.3f}")
     return notes
 
 
 class Estimator(Protocol):
-    """Three verbs. `method` is the name under which the result is reported, such as "recursive_least_squares"."""
+    """Three methods. `method` is the name under which the result is reported, such as "recursive_least_squares"."""
 
     @property
     def method(self) -> str: ...
 
     def update(self, frame: Frame) -> None:
-        """Take one control cycle. Cycles that carry no information are passed over, not complained about."""
+        """Take one control cycle. Cycles that carry no information are skipped without an error."""
 
     def result(self) -> Estimate:
-        """What is known from all cycles so far."""
+        """The estimate from all cycles so far."""
 
     def reset(self) -> None:
-        """Back to the state after construction."""
+        """Return to the state after construction."""

@@ -1,4 +1,4 @@
-"""What is known of a random force at a joint: its RMS and its correlation time, each with its standard deviation."""
+"""Estimate of the random force at a joint: RMS and correlation time, each with its standard deviation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from estimators.numbers import with_error
 
 @dataclass(frozen=True, slots=True)
 class NarrowBandEstimate:
-    """A random force about `frequency` (Hz): RMS `std` in the `unit`, and `damping` ratio, each with the standard
+    """A narrow-band random force at `frequency` (Hz): RMS `std` in `unit`, and `damping` ratio, each with the standard
     deviation of its error."""
 
     unit: str
@@ -35,7 +35,7 @@ class NarrowBandEstimate:
 
     @classmethod
     def from_json(cls, unit: str, entry: Mapping[str, float] | None) -> NarrowBandEstimate | None:
-        """What `to_json` made of one."""
+        """The inverse of `to_json`."""
         return None if entry is None else cls(unit, *entry.values())
 
     def __str__(self) -> str:
@@ -52,8 +52,9 @@ class DisturbanceEstimate:
     """A first-order random force at `joint`, in `unit`: RMS `std` and `correlation_time` (s), each with the standard
     deviation of its error.
 
-    Where the record shows none (`shown` is False), `std` is a bound that it is less than, and its error and the
-    correlation time are None. What is `known` was stated, and has no error. `narrow_band`: what acts beside it.
+    If the record does not show it (`shown` is False), `std` is an upper bound, and its error and the correlation time
+    are None. If it is `known`, it was stated in advance and has no error. `narrow_band`: a further force that acts in
+    addition.
     """
 
     joint: str
@@ -68,7 +69,7 @@ class DisturbanceEstimate:
 
     @classmethod
     def from_json(cls, joint: str, entry: Mapping[str, Any]) -> DisturbanceEstimate:
-        """What `to_json` made of one."""
+        """The inverse of `to_json`."""
         rms, time = entry["rms"], entry["correlation_time"]
         known = bool(entry["shown"] and entry["rms_std"] is None)
         unit, narrow = entry["unit"], NarrowBandEstimate.from_json(entry["unit"], entry.get("narrow_band"))
@@ -88,17 +89,17 @@ class DisturbanceEstimate:
         }
 
     def __str__(self) -> str:
-        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, and what acts beside it."""
+        """`8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s`, and the narrow-band force, if any."""
         return ", and ".join(map(str, self._acting(self._broad)))
 
     @property
     def acts(self) -> bool:
-        """Whether the record shows any of it."""
+        """Whether the record shows either force."""
         return self.shown or self.narrow_band is not None
 
     @property
     def size(self) -> str:
-        """`8.1 ± 0.4 N m RMS`, and what acts beside it."""
+        """`8.1 ± 0.4 N m RMS`, and the narrow-band force, if any."""
         return " and ".join(map(str, self._acting(rms(self))))
 
     def _acting(self, broad: str) -> list[str | NarrowBandEstimate]:
@@ -124,7 +125,7 @@ def rms(found: DisturbanceEstimate) -> str:
 
 
 def in_words(found: Sequence[DisturbanceEstimate]) -> str:
-    """A sentence, empty where nothing is known."""
+    """A sentence, empty if nothing is known."""
     shown = [each for each in found if each.acts] or list(found)
     if not shown:
         return ""

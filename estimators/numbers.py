@@ -1,4 +1,4 @@
-"""Numbers for people: how many digits a standard deviation leaves."""
+"""Numbers for people: as many digits as the standard deviation justifies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def significant(std: float) -> int:
 
 
 def with_error(value: float, std: float) -> str:
-    """`8.1 ± 0.4`: two digits of the standard deviation where its first is a 1, one otherwise, and as many places of
+    """`8.1 ± 0.4`: two digits of the standard deviation if its first digit is 1, otherwise one, and as many decimals of
     the value."""
     if not (math.isfinite(std) and std > 0.0):
         return f"{value:.3g}"

@@ -1,16 +1,16 @@
-"""Roll and pitch of the vehicle from its IMU: a Kalman filter that holds at any angle.
+"""Roll and pitch of the vehicle from its IMU: a Kalman filter that is valid at any angle.
 
-States are the up vector in the body frame u (3, unit length) and the gyro bias b (3, rad/s). With the measured angular
-rate w both are linear and time-varying, so no small-angle or Euler-angle singularity enters:
+The states are the up vector in the body frame u (3, unit length) and the gyro bias b (3, rad/s). With the measured
+angular rate w both equations are linear and time-varying, without a small-angle assumption or a singularity of Euler
+angles:
 
     u' = -(w - b) x u,   b' = white noise
     accelerometer = g u + w' x r + w x (w x r) + linear acceleration
 
 r is the lever arm from the roll axis to the accelerometer. Two consecutive accelerometer readings are averaged and the
-two angular rates between them differenced, so that all terms belong to the same instant, the middle of the interval.
-What is left of linear acceleration is zero on average in a frame that does not rotate; it is taken down by a low-pass
-there (as VQF does: Laidig and Seel, Information Fusion 91, 2023), and the measurement's covariance grows with the
-departure of |a| from g.
+two angular rates differenced, so that all terms belong to the same instant, the middle of the interval. The remaining
+linear acceleration has zero mean in a non-rotating frame. A low-pass in that frame attenuates it (as VQF does: Laidig
+and Seel, Information Fusion 91, 2023), and the measurement covariance grows with the departure of |a| from g.
 
 Axes: ISO 8855, x forward, y left, z up. roll = atan2(u_y, u_z), positive right side down; pitch is positive nose down.
 """
@@ -32,32 +32,33 @@ GRAVITY = 9.80665
 """m/s^2."""
 
 SMOOTHING_TIME = 1.0
-"""s, time constant of the accelerometer's low-pass in the frame that does not rotate."""
+"""s, time constant of the accelerometer's low-pass in the non-rotating frame."""
 
 DEPARTURE_TIME = 0.25
 """s over which the departure of |a| from g is averaged."""
 
 INITIAL_TILT_STD = 0.1
-"""rad, of the up vector taken from the first accelerometer reading."""
+"""rad, of the up vector from the first accelerometer reading."""
 
 INITIAL_BIAS_STD = 0.01
-"""rad/s, of the gyro bias before anything is known of it."""
+"""rad/s, prior standard deviation of the gyro bias."""
 
 LEVER_TIME = 0.1
-"""s after a start over which the tangential acceleration is faded in. Its average is the difference of the two gyro
-readings at its ends over the time between them: of the first few samples, that is noise."""
+"""s after a start over which the tangential acceleration is faded in. Its average over an interval is the difference of
+the gyro readings at both ends divided by the interval. Over the first few samples this is mostly noise."""
 
 LONGEST_STEP = 1.0
-"""s; after a longer silence the up vector is taken from the accelerometer anew. The bias is kept."""
+"""s; after a longer gap the up vector is initialised again from the accelerometer. The bias is kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class RollFilterConfig:
-    """What the filter believes of the sensor.
+    """The filter's assumptions about the sensor.
 
-    `rate` (Hz) is the IMU's stream rate, `acceleration_std` (m/s^2, a sample) the accelerometer's noise at rest,
-    `angular_rate_density` (rad/s/sqrt(Hz)) the gyro's with scale and alignment errors included, `bias_random_walk`
-    (rad/s/sqrt(s)) the wandering of its bias, `position` (m) the accelerometer's place from the roll axis.
+    `rate` (Hz) is the IMU's sampling rate, `acceleration_std` (m/s^2, per sample) the accelerometer's noise at rest,
+    `angular_rate_density` (rad/s/sqrt(Hz)) the gyro's noise with scale and alignment errors included,
+    `bias_random_walk` (rad/s/sqrt(s)) the random walk of its bias, `position` (m) the accelerometer's position relative
+    to the roll axis.
     """
 
     rate: float
@@ -69,7 +70,7 @@ class RollFilterConfig:
 
 @dataclass(frozen=True, slots=True)
 class RollState:
-    """The estimate at one IMU sample: rad and rad/s. The rates are the gyro about x and about y less its bias.
+    """The estimate at one IMU sample: rad and rad/s. The rates are the gyro about x and about y minus its bias.
 
     `bias_std` is that of the bias about x.
 
@@ -88,9 +89,9 @@ class RollState:
 
 
 class RollFilter:
-    """Feed every IMU sample to `update`; each answer is the state at that sample.
+    """Pass every IMU sample to `update`, which returns the state at that sample.
 
-    A pure function of the samples since `reset`: replaying them gives the same numbers bit for bit.
+    The state is a pure function of the samples since `reset`: replaying them gives the same numbers bit for bit.
     """
 
     def __init__(self, config: RollFilterConfig) -> None:
@@ -104,7 +105,7 @@ class RollFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the next sample starts the filter anew."""
+        """Forget everything: the next sample restarts the filter."""
         self._kalman = KalmanFilter(dim_x=6, dim_z=3)
         self._kalman.inv = _inverse
         self._kalman.P = np.diag([INITIAL_TILT_STD**2] * 3 + [INITIAL_BIAS_STD**2] * 3)
@@ -114,7 +115,7 @@ class RollFilter:
         self._start_smoothing((0.0, 0.0, 0.0))
 
     def update(self, sample: ImuSample) -> RollState:
-        """The state at `sample`. A sample that is not later than the one before adds its reading, but no motion."""
+        """The state at `sample`. A sample that is not later than the previous one adds its reading, but no motion."""
         last = self._last
         self._last = sample
         step = 0.0 if last is None else (sample.timestamp_ns - last.timestamp_ns) * 1e-9
@@ -143,7 +144,7 @@ class RollFilter:
         self._readings = 1
 
     def _step(self, last: ImuSample, sample: ImuSample, step: float) -> None:
-        """Carry the state over `step` seconds and correct it with the readings at both ends."""
+        """Predict the state over `step` seconds and correct it with the readings at both ends."""
         vx, vy, vz = last.angular_rate
         wx, wy, wz = sample.angular_rate
         rate = (0.5 * (vx + wx), 0.5 * (vy + wy), 0.5 * (vz + wz))
@@ -167,7 +168,7 @@ class RollFilter:
         self._correct(variance)
 
     def _lever(self, rate: Vector3, change: Vector3, elapsed: float) -> Vector3:
-        """Acceleration at the lever arm: tangential and centripetal."""
+        """Tangential and centripetal acceleration at the lever arm."""
         rx, ry, rz = self.config.position
         ax, ay, az = change[0] / elapsed, change[1] / elapsed, change[2] / elapsed
         cx, cy, cz = self._centripetal(rate)
@@ -182,7 +183,7 @@ class RollFilter:
         return (wx * along - rx * square, wy * along - ry * square, wz * along - rz * square)
 
     def _smooth(self, turn: Matrix3, reading: Vector3, step: float) -> float:
-        """Low-pass `reading` in the frame that does not rotate; the variance (m^2/s^4) it deserves."""
+        """Low-pass `reading` in the non-rotating frame; returns its variance (m^2/s^4)."""
         self._readings += 1
         gain = max(1.0 - math.exp(-step / SMOOTHING_TIME), 1.0 / self._readings)
         bx, by, bz = self._bias
@@ -207,7 +208,7 @@ class RollFilter:
         noise = self._noise * step
         lost = step - 1.5 * self._period
         if lost > 0.0:
-            # Between samples that were lost the rate is known no better than it changed.
+            # Across lost samples the rate is known no better than it changed.
             noise[:3, :3] += self._identity * (0.5 * lost * math.hypot(*change)) ** 2
         self._kalman.predict(F=self._transition, Q=noise)
 
@@ -231,9 +232,9 @@ class RollFilter:
             - 2.0 * uy * uz * float(covariance[1, 2])
             + uy * uy * float(covariance[2, 2])
         )
-        # At 90 deg of pitch roll is undefined: any angle is as good as another.
+        # At 90 deg of pitch, roll is undefined.
         std = min(math.sqrt(max(variance, 0.0)) / lateral, math.pi) if lateral > 1e-9 else math.pi
-        # Pitch is off by what the up vector is off within the plane of pitch, across itself.
+        # The error of pitch is the error of the up vector within the plane of pitch, perpendicular to the vector.
         across = math.sqrt(lateral)
         along = ux / across if lateral > 1e-9 else 0.0
         gy, gz = uy * along, uz * along
@@ -258,7 +259,7 @@ class RollFilter:
 
 
 def _turn(rate: Vector3, step: float) -> Matrix3:
-    """exp(-[w dt]x): how a vector at rest turns in the body frame (Rodrigues)."""
+    """exp(-[w dt]x): rotation of a vector at rest, seen from the body frame (Rodrigues)."""
     x, y, z = -rate[0] * step, -rate[1] * step, -rate[2] * step
     square = x * x + y * y + z * z
     if square < 1e-8:
@@ -275,7 +276,7 @@ def _turn(rate: Vector3, step: float) -> Matrix3:
 
 
 def _inverse(matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Of the symmetric innovation covariance, by cofactors: LAPACK takes three times as long for 3 x 3."""
+    """Inverse of the symmetric innovation covariance by cofactors: LAPACK takes three times as long for 3 x 3."""
     (a, b, c), (_, d, e), (_, _, f) = matrix.tolist()
     p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
     s = 1.0 / (a * p + b * q + c * r)

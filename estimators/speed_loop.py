@@ -1,13 +1,13 @@
-"""The speed loop of a servo drive: the rate that follows from the setpoint's jumps and from what pushes at the axis.
+"""The speed loop of a servo drive: the rate in response to steps of the setpoint and to the load on the axis.
 
 Tuned by the symmetric optimum, with small time constant tau and prefilter, an axis that carries a flywheel has
 
     rate = [ setpoint - reaction (s + tau s^2) roll_rate ] / (1 + 4 tau s + 8 tau^2 s^2 + 8 tau^3 s^3)
 
 where lag = 4 tau and reaction = 8 tau^2 angular_momentum / inertia of the axis, both s. Loop.FIRST_ORDER is
-[ setpoint - reaction s roll_rate ] / (1 + lag s). All responses are exact: setpoints are held, the roll rate is a
-straight line from sample to sample. Source: Griese et al., section II; Kessler, Das symmetrische Optimum,
-Regelungstechnik 6 (1958).
+[ setpoint - reaction s roll_rate ] / (1 + lag s). All responses are exact for setpoints that are held (zero-order hold)
+and a roll rate that is linear between samples (first-order hold). Source: Griese et al., section II; Kessler, Das
+symmetrische Optimum, Regelungstechnik 6 (1958).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from telemetry.recording import Recording
 
 RUN_IN = 1.0
-"""s of motion before a row that its rate follows from; nothing earlier is left at the longest lag."""
+"""s of motion before a sample from which its rate is computed; even at the longest lag, earlier motion has decayed."""
 WINDOW = 0.5
-"""s of rows that are computed at once: exp((RUN_IN + WINDOW) * pace / SHORTEST) is still a number."""
+"""s of samples that are computed at once: exp((RUN_IN + WINDOW) * pace / SHORTEST) does not overflow."""
 SHORTEST, LONGEST = 0.005, 0.2
-"""s, lags for which both hold."""
+"""s, range of lags for which RUN_IN and WINDOW are valid."""
 AFTER_A_STEP = 0.25
-"""s that a row counts after the setpoint moved."""
+"""s after a change of the setpoint during which samples are used."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -70,10 +70,10 @@ MODES = {
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Rows to be explained: the rate (n,) at `time` (n,) by jumps of the setpoint and of the roll acceleration.
+    """Samples to be predicted: the rate (n,) at `time` (n,), from steps of the setpoint and of the roll acceleration.
 
-    `begins` is the setpoint before all of its jumps. Times are s from the beginning of the run-in. `number` (n,) counts
-    the rows of all recordings.
+    `begins` is the setpoint before all of its steps. Times are s from the beginning of the run-in. `number` (n,) is the
+    index of each sample, counted over all recordings.
     """
 
     number: NDArray[np.intp]
@@ -87,10 +87,10 @@ class Window:
 
 
 def windows_of(recording: Recording, channels: Sequence[str], moves: float, first: int = 0) -> list[Window]:
-    """The rows that follow a change of the setpoint by `moves` or more, a gapless RUN_IN behind them.
+    """The samples that follow a change of the setpoint by more than `moves`, after a gapless RUN_IN.
 
-    `channels`: setpoint, rate, age of the rate (s) and, where something pushes at the axis, the roll rate. `first` is
-    the number of the recording's first row. A setpoint is sent where `setpoint_age` says, or with the row.
+    `channels`: setpoint, rate, age of the rate (s) and, if the axis has a load, the roll rate. `first` is the index of
+    the recording's first sample. A setpoint was sent `setpoint_age` before its sample or, without that channel, at it.
     """
     time, columns = recording.time, [recording[name] for name in channels]
     sent = time - recording["setpoint_age"] if "setpoint_age" in recording.values else time
@@ -137,9 +137,10 @@ def _window(
 
 
 def predict(windows: Sequence[Window], modes: Modes, values: Array) -> tuple[Array, Array]:
-    """Predicted less measured rate (n,), and its derivatives (n, p) by `values` (p,): lag, offset and, p = 3, reaction.
+    """Predicted minus measured rate (n,), and its derivatives (n, p) with respect to `values` (p,): lag, offset and, if
+    p = 3, reaction.
 
-    The offset is how much later than its row a setpoint begins to act; all in s.
+    The offset is the delay from the sample of a setpoint until it begins to act. All are in s.
     """
     lag, offset = values[0], values[1]
     reaction = values[2] if len(values) > 2 else 0.0
@@ -157,10 +158,11 @@ def predict(windows: Sequence[Window], modes: Modes, values: Array) -> tuple[Arr
 
 
 def respond(time: Array, jump_time: Array, jump: Array, speed: Complex, weight: Complex) -> tuple[Array, Array, Array]:
-    """Response (n,) at `time` to jumps of a step response 1 + Re sum weight exp(-speed t), and two derivatives.
+    """Response (n,) at `time` to steps, with step response 1 + Re sum weight exp(-speed t), and two derivatives.
 
-    These are by the logarithm of a factor on all speeds, and by a common delay of the jumps. Exact, in O(n): each
-    exponential of a difference of times is a product, so that the sum over earlier jumps is a running sum.
+    The derivatives are with respect to the logarithm of a common factor of all speeds, and to a common delay of the
+    steps. Exact, in O(n): the exponential of a time difference is a product, so that the sum over earlier steps is a
+    cumulative sum.
     """
     place = np.searchsorted(jump_time, time, side="right")
     total = np.concatenate(([0.0], np.cumsum(jump)))[place]

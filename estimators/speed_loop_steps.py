@@ -1,8 +1,8 @@
-"""The speed loop of estimators.speed_loop one row at a time, for a loop that is closed around it.
+"""The speed loop of estimators.speed_loop, one sample at a time, for simulation within a closed loop.
 
-Each mode of its step responses is a state that decays; a setpoint that jumps, or a roll acceleration that changes, adds
-its jump. Setpoints are held; the roll rate goes on as a straight line through its last rows, since the next one is not
-known yet. SI units.
+Each mode of its step responses is a state that decays. A step of the setpoint or of the roll acceleration adds to it.
+Setpoints are held. The roll rate is extrapolated from its last three samples, since the next one is not known yet. SI
+units.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from estimators.speed_loop import MODES, Loop
 
 
 class SpeedLoopSteps:
-    """A speed loop at rest at `setpoint`; `step` gives the rate a `period` (s) on.
+    """A speed loop that begins in steady state at `setpoint`; `step` returns the rate one `period` (s) later.
 
-    `lag`, `offset` (how much later than its row a setpoint begins to act, 0 to `period`) and `reaction` in s.
+    `lag`, `offset` (the delay until a setpoint begins to act, 0 to `period`) and `reaction` in s.
     """
 
     __slots__ = ("_decay", "_load", "_load_share", "_rates", "_reaction", "_rest", "_setpoint", "_share", "_state")
@@ -34,10 +34,11 @@ class SpeedLoopSteps:
         self._rates: tuple[float, ...] = ()
 
     def step(self, setpoint: float, roll_rate: float) -> float:
-        """The rate a row later, rad/s, where `setpoint` (rad/s) was sent at this row and the vehicle rolls so fast."""
+        """The rate one sample later, rad/s, if `setpoint` (rad/s) is sent at this sample and the vehicle rolls with
+        `roll_rate`."""
         jump, self._setpoint = setpoint - self._setpoint, setpoint
         before = self._rates or (roll_rate,) * 4
-        # By how much the roll rate changes until the next row, and until this one, if it goes on as it did before.
+        # Change of the roll rate until the next sample, and until this one, each extrapolated from earlier samples.
         one, two, three, four = roll_rate, *before[:3]
         change = 2.0 * one - 3.0 * two + three
         last = 2.0 * two - 3.0 * three + four

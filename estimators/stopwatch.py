@@ -1,4 +1,4 @@
-"""The one clock in the pure layers: how long a fit took. It feeds `Estimate.seconds` and nothing that is estimated."""
+"""The only clock in the pure layers: how long a fit took. It sets `Estimate.seconds`; no estimate depends on it."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from time import perf_counter
 
 
 def stopwatch() -> float:
-    """s from some instant on."""
+    """s since an arbitrary instant."""
     return perf_counter()

@@ -1,2 +1,2 @@
-"""What recordings give to fits: segments of usable samples, as_recorded the sensors that a record shows; resting,
-quantised, white_noise and input_noise are told from samples without a model, time_scale with it."""
+"""Preparation of recordings for fits: segments of usable samples (`segments`, `resting`), the sensors that a record
+shows (`as_recorded`, `quantised`, `white_noise`), filters and instruments of regressions, and the time scale."""

@@ -1,11 +1,11 @@
-"""A model with the sensors that a record shows, where these are not those that the model knows.
+"""Adapts the sensors of a model to a record, if the record contradicts them.
 
-A model may say that a sensor's noise is known, and that a filter made one reading of another: then the angle is the
-integrated rate to a millionth. Where the record's angle has white noise of its own, many times that, it was measured
-otherwise: its noise is then estimated as that of any other sensor, is not the integral of another one's, and no filter
-takes errors of the rate, or an accelerometer's, into the angle.
+A model may state that the noise of a sensor is known, and that a filter computes one reading from another: the angle is
+then the integrated rate to a millionth. If the recorded angle has many times as much white noise of its own, it was
+measured in another way. Its noise is then estimated as that of any other sensor and is not the integral of another
+sensor's noise, and no filter carries errors of the rate, or of an accelerometer, into the angle.
 
-Where the record counts in steps, and no more noise shows than these make, the output is what an encoder shows: it is
+If the record is quantised, and has no more noise than quantisation causes, the output is that of an encoder: it becomes
 `counted`, with the noise of a quantiser (estimators.data.quantised).
 """
 
@@ -22,14 +22,14 @@ from models.model import Model
 from telemetry.recording import Recording
 
 SHOWN = 3.0
-"""Times the noise that a model knows above which a record contradicts it."""
+"""A record contradicts the known noise of a model if it has more than this factor of it."""
 ALONE = 2.0
-"""Times the variance of a quantiser up to which a channel's white noise is the quantiser's, and not a sensor's."""
+"""Up to this factor of the variance of a quantiser, a channel's white noise is attributed to the quantiser alone."""
 
 
 def as_recorded(model: Model, recordings: Sequence[Recording]) -> Model:
-    """`model` with the noise of known sensors freed where `recordings` have more, and starts as uncertain as these;
-    what counts in steps there is counted."""
+    """`model` adapted to `recordings`: known sensor noise is released if they have more, with initial states as
+    uncertain as that noise, and quantised outputs become `counted`."""
     return _counted(_released(model, recordings), recordings)
 
 
@@ -39,17 +39,18 @@ def _counted(model: Model, recordings: Sequence[Recording]) -> Model:
         for each in model.outputs
         if not (each.noise_known or each.counted)
     }
-    told = {
+    counted = {
         name: noise
         for name, noise in steps.items()
         if noise > 0.0 and _white_noise(name, recordings) ** 2 <= ALONE * noise**2
     }
-    if not told:
+    if not counted:
         return model
     return replace(
         model,
         outputs=tuple(
-            replace(each, noise=told[each.name], counted=True) if each.name in told else each for each in model.outputs
+            replace(each, noise=counted[each.name], counted=True) if each.name in counted else each
+            for each in model.outputs
         ),
     )
 
@@ -78,7 +79,7 @@ def _released(model: Model, recordings: Sequence[Recording]) -> Model:
         base_states=states,
         outputs=outputs,
         sensors=tuple(replace(each, filter=None) if each.name in apart else each for each in model.sensors),
-        # What an effect has for the filter goes with it.
+        # The states that an effect has for the filter are removed with it.
         effects=tuple(
             replace(each, states=each.states[: len(each.effect.states)]) if each.at in apart else each
             for each in model.effects
@@ -87,7 +88,7 @@ def _released(model: Model, recordings: Sequence[Recording]) -> Model:
 
 
 def _white_noise(name: str, recordings: Sequence[Recording]) -> float:
-    """Standard deviation of the white noise on a channel; 0 where it is not recorded."""
+    """Standard deviation of the white noise on a channel; 0 if it is not recorded."""
     known = [each[name][np.isfinite(each[name])][:, None] for each in recordings if name in each.values]
     parts = [each for each in known if len(each) > 10]
     return float(np.sqrt(white_variance(parts)[0][0])) if parts else 0.0

@@ -1,4 +1,4 @@
-"""Instruments of a regression in closed loop: what filters make of the injected excitation, and of nothing else."""
+"""Instruments of a regression in closed loop: the injected excitation through filters."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from numpy.typing import NDArray
 
 
 class InstrumentBank:
-    """The excitation through first-order lags: instruments that carry nothing but what was injected.
+    """The excitation through first-order lags: instruments that depend on the injected signal only.
 
-    Time constants from 1/32 s to 1 s span a vehicle's response. It is another one to what is injected into the closed
-    loop than to what alone drives the actuators, as the step from rest does, so each has lags of its own.
+    Time constants from 1/32 s to 1 s span a vehicle's response. The response to a signal that is added to the
+    controller's differs from the response to one that drives the actuators alone, as the step from rest does. So each
+    has its own lags.
     """
 
     RATES = 2.0 ** np.arange(6)
     COUNT = 2 * (len(RATES) + 1)
     ALONE = 1e-3
-    """rad/s between excitation and setpoint, at most, where the excitation is all of it."""
+    """rad/s, largest difference between excitation and setpoint at which the excitation alone drives the actuators."""
 
     def __init__(self) -> None:
         self._lags: NDArray[np.float64] = np.zeros((len(self.RATES), 2))
         self._held = np.zeros(2)
 
     def update(self, spacing: float, excitation: float, setpoint: float) -> None:
-        """The next value, which is held until the one after."""
+        """Take the next value, which is held until the following one."""
         self._lags += -np.expm1(-self.RATES * spacing)[:, None] * (self._held - self._lags)
         alone = abs(setpoint - excitation) < self.ALONE
         self._held = np.array((0.0, excitation) if alone else (excitation, 0.0))

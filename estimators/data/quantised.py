@@ -1,11 +1,11 @@
-"""Outputs that a record shows in steps, as an encoder or rounded numbers do, and the noise that a quantiser makes.
+"""Quantised outputs, as of an encoder or of rounded numbers, and the noise of a quantiser.
 
     std = step / sqrt(12)
 
-is what rounding to `step` leaves of a reading that moves by more than a step between rows: uniform, and independent
-from row to row (Widrow, Kollar, "Quantization noise", 2008, chapter 4). While the axis hardly moves it is neither: the
-same error stays for many rows, and where the axis rests no scatter is left at all. So the noise of such a channel is
-known from its steps, and never taken for less, however quiet a record is.
+is the rounding error of a reading that changes by more than a `step` between samples: uniform, and independent from
+sample to sample (Widrow, Kollar, "Quantization noise", 2008, chapter 4). While the axis hardly moves it is neither: the
+same error persists for many samples, and while the axis is at rest there is no scatter at all. So the noise of such a
+channel is computed from its step, and never assumed smaller, however quiet a record is.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 EVEN = 0.02
-"""Share of a step by which readings may be off the grid of the steps: what text has rounded away."""
+"""Share of a step by which readings may be off the grid, because text files round them."""
 FEWEST = 10
-"""Values that have to occur: three may be multiples of anything."""
+"""Fewest distinct values: three may be multiples of anything by chance."""
 
 
 def step_of(values: Array) -> float:
-    """The step in which `values` (n,) count; 0 where they do not.
+    """The quantisation step of `values` (n,); 0 if they are not quantised.
 
-    It is the smallest between two that occur, if all others are multiples of it. Numbers that were written with so many
-    decimals count in these, which is far below the noise of most sensors.
+    It is the smallest difference between two distinct values, if all others are multiples of it. Numbers from a text
+    file are quantised to its last decimal, which is far below the noise of most sensors.
     """
     known = values[np.isfinite(values)]
     distinct = np.unique(known)
@@ -40,13 +40,13 @@ def step_of(values: Array) -> float:
     step = float(np.min(apart[apart > 1e-9 * np.ptp(distinct)], initial=np.inf))
     if not math.isfinite(step):
         return 0.0
-    # The smallest is off by what was rounded; the mean of all single steps is not.
+    # The smallest difference has a rounding error; the mean of all single steps has not.
     step = float(np.mean(apart[np.abs(apart / step - 1.0) < 0.5]))
     off = np.abs(apart / step - np.round(apart / step))
     return step if float(np.max(off)) < EVEN else 0.0
 
 
 def quantisation_noise(name: str, recordings: Sequence[Recording]) -> float:
-    """Standard deviation of what counting in steps adds to channel `name`, the largest of `recordings`."""
+    """Standard deviation of the quantisation noise of channel `name`, the largest of `recordings`."""
     steps = [step_of(each[name]) for each in recordings if name in each.values]
     return max(steps, default=0.0) / math.sqrt(12.0)

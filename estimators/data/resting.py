@@ -1,9 +1,9 @@
-"""Rows at which a counting sensor only says that the axis rests: they tell no more than that it is within a count.
+"""Exclusion of samples at which encoders only show that the axis is at rest, to within one count.
 
-Friction holds a machine against any force up to its own, and no formula that is drawn as a slope at rest holds it for
-long. Row after row of the same count, taken for as many measurements, would weigh that more than all motion before. So
-where every output is counted and none has counted for longer than REST, the rows up to the next count are left out, and
-what is on both sides are stretches of their own.
+Static friction holds a machine against any force up to a limit, but a formula that is regularised as a slope at rest
+does not hold it for long. If each of many samples with the same count were a measurement, this formula error would
+outweigh all motion before. So if every output is counted and none has changed for longer than REST, the samples up to
+the next count are left out, and the data on either side become separate segments.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from models.natural_time import USUAL, natural_time
 from telemetry.recording import Recording
 
 REST = 1.0
-"""Natural times (models.natural_time) of the same count that are a rest: an axis that swings has turned by then."""
+"""Natural times (models.natural_time) of the same count that mean rest: an oscillating axis has reversed by then."""
 
 
 def without_rests(model: Model, recordings: Sequence[Recording]) -> list[Recording]:
-    """`recordings` with the outputs of `model` unknown where they only show that nothing moves."""
+    """`recordings` with the outputs of `model` unknown while they only show that nothing moves."""
     names = [each.name for each in model.outputs]
     if not names or not all(each.counted for each in model.outputs):
         return list(recordings)
@@ -41,8 +41,8 @@ def _without(recording: Recording, names: Sequence[str], kept: float) -> Recordi
 
 
 def _rests(counts: NDArray[np.float64], time: NDArray[np.float64], longest: float) -> NDArray[np.bool_]:
-    """Which rows (n,) are of a run of the same `counts` (n, m) that lasts for more than `longest` s, but for its
-    first."""
+    """Mask (n,) of the samples within a run of identical `counts` (n, m) longer than `longest` s, without its first
+    sample."""
     changes = np.flatnonzero(np.any(np.diff(counts, axis=0) != 0.0, axis=1)) + 1
     starts = np.concatenate(([0], changes))
     ends = np.concatenate((time[changes], time[-1:]))

@@ -1,13 +1,14 @@
-"""From recordings to the gapless stretches a compiled model takes, and whether the data are fit for it at all.
+"""From recordings to the gapless segments that a compiled model takes, with a check whether the data can be used.
 
-A row is used where every input and the outputs are known and, where the model has a support angle to keep clear of, the
-vehicle is free. Inputs keep the instants at which they were sampled; outputs of a device that is sampled at other
-instants than the row (`age`) are read from the curve through them. An input that acts late acts on the first row by
-what it was before: where a recording begins with a stretch, its first row tells that and no more.
+A sample is used if all inputs and outputs are known and, if there is a support angle, the vehicle is free of its
+supports. Inputs keep the instants at which they were sampled. Outputs of a device that is sampled at other instants
+than the recording (`age`) are interpolated to the recording's instants. An input with a delay acts on the first sample
+of a segment by its earlier values. If a recording begins with a segment, its first sample provides only this earlier
+value.
 
-What makes a fit look good and be wrong is refused here, with the channel and the reason: a channel that is missing, one
-that never moves, that is clipped, and an angle and a rate that do not belong together (degrees for radians, a swapped
-sign or channel).
+Data that would make a fit look good but be wrong are refused here, with the channel and the reason: a missing channel,
+one that never moves or is clipped, and an angle and a rate that are inconsistent (degrees for radians, a swapped sign
+or channel).
 """
 
 from __future__ import annotations
@@ -33,26 +34,27 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 SHORTEST = 50
-"""Rows of a stretch that is worth using."""
+"""Samples of the shortest segment that is used."""
 SUPPORT_MARGIN = float(np.radians(0.3))
-"""rad inside the support angle within which a vehicle counts as free."""
+"""rad: a vehicle is free if its angle is smaller than the support angle by at least this margin."""
 RESTING = 0.8
-"""Share of the support angle from which on the vehicle rests on its support where a recording begins or ends."""
+"""Share of the support angle above which the vehicle rests on its support when a recording begins or ends."""
 REACH = 2.5
-"""Natural times (models.natural_time) before a stretch of which it keeps the inputs: a lag of half a one forgets all
-but a hundredth in that."""
-FORETOLD = 0.5
-"""Natural times before a fall, within which what made the vehicle fall may have been at work: left out, too."""
+"""Natural times (models.natural_time) before a segment for which its inputs are kept: a lag of half a natural time has
+then decayed to less than a hundredth."""
+BEFORE_A_FALL = 0.5
+"""Natural times before a fall that are left out too, since the cause of the fall may already have acted then."""
 OVER = 1.25
-"""Natural times over which an angle is compared with its rate: short against a record, long against quantisation."""
+"""Natural times over which an angle is compared with its rate: short compared with a record, but long enough for the
+motion to exceed quantisation."""
 LONGEST_GAP = 2.5
-"""Sampling periods after which a stretch ends."""
+"""A segment ends at a gap of more than this number of sampling periods."""
 AGREEMENT = (0.5, 2.0)
-"""Factors between a rate and the derivative of its angle that sensor errors can explain."""
+"""Range of the ratio between a rate and the derivative of its angle that sensor errors can explain."""
 
 
 class DataError(EstimationError):
-    """The data cannot be used for what is asked. `status` is what a result says then."""
+    """The data cannot be used for the task. `status` is the status of the result."""
 
     def __init__(self, status: Status, what: str, message: str, *, remedy: str) -> None:
         super().__init__(what, message, remedy=remedy)
@@ -62,10 +64,10 @@ class DataError(EstimationError):
 def segments(
     model: Model, recordings: Sequence[Recording], *, support: float | None = None, longest: float | None = None
 ) -> list[Segment]:
-    """The usable stretches of all `recordings`, none longer than `longest` s.
+    """The usable segments of all `recordings`, none longer than about `longest` s.
 
-    `support` is the coordinate's size (rad) at which the vehicle is carried and the model does not hold; without it,
-    that of the recording's metadata, where it has one. Raises DataError.
+    `support` is the magnitude of the coordinate (rad) at which supports carry the vehicle and the model is not valid;
+    by default that of the recording's metadata, if any. Raises DataError.
     """
     found: list[Segment] = []
     for recording in recordings:
@@ -76,26 +78,27 @@ def segments(
             raise DataError(
                 Status.TOO_FEW_SAMPLES,
                 recording.source,
-                "at no row are all channels known and the vehicle free of its supports",
+                "no sample has all channels known and the vehicle free of its supports",
                 remedy="record it upright.",
             )
         _check_free(model, recording, free)
         late = _late(model, recording)
-        found += [_segment(model, recording, part, late) for part in _stretches(recording, free, longest)]
+        found += [_segment(model, recording, part, late) for part in _gapless(recording, free, longest)]
     if not found:
         raise DataError(
             Status.TOO_FEW_SAMPLES,
             "recording",
-            f"no gapless stretch of free motion is as long as {SHORTEST} rows",
+            f"no gapless segment of free motion has {SHORTEST} samples",
             remedy="record for longer, with the vehicle upright.",
         )
     return found
 
 
 def after_settling(model: Model, recordings: Sequence[Recording], support: float | None = None) -> list[Recording]:
-    """`recordings`, of which each that begins on a support is cut where the model has settled (`Model.settling`).
+    """`recordings`, each of which is cut at the time when the model has settled (`Model.settling`) if it begins on a
+    support.
 
-    One that begins in free motion, or has no free motion for as long, stays as it is.
+    A recording that begins in free motion, or has none for as long, is unchanged.
     """
     if not model.settling:
         return list(recordings)
@@ -110,14 +113,14 @@ def after_settling(model: Model, recordings: Sequence[Recording], support: float
 
 
 def recorded_support(recording: Recording) -> float | None:
-    """The coordinate's size (rad) at which the vehicle is carried, as its recording says."""
+    """Magnitude of the coordinate (rad) at which supports carry the vehicle, from the recording's metadata."""
     text = recording.metadata.get("support")
     return float(text) if text else None
 
 
 def channels_of(model: Model) -> tuple[str, ...]:
-    """The channels the model's equations really use, and the ages with them, which a recording may lack: it then counts
-    as sampled all at once, and what is not so is for the model's time offsets."""
+    """The channels that the model's equations really use, and their ages. A recording may lack ages: all channels then
+    count as sampled at the same instant, and the model's time offsets cover the differences."""
     used = _used_names(model)
     inputs = [each for each in model.inputs if each.name in used or f"{each.name}_slope" in used]
     names = [each.channel for each in inputs] + [each.name for each in model.outputs]
@@ -126,7 +129,7 @@ def channels_of(model: Model) -> tuple[str, ...]:
 
 
 def optional_channels(model: Model) -> frozenset[str]:
-    """The channels that a recording may lack: those that say how old others are, and those with a usual value."""
+    """The channels that a recording may lack: the ages of other channels, and inputs with a usual value."""
     ages = [each.age for each in model.inputs] + [each.age for each in model.outputs]
     return frozenset(age for age in ages if age) | {each.channel for each in model.inputs if each.usual is not None}
 
@@ -161,7 +164,7 @@ def _free(model: Model, recording: Recording, support: float | None) -> NDArray[
     coordinate = _coordinate(model)
     if support is not None and coordinate in recording.values and known.any():
         size = np.abs(np.where(known, recording[coordinate], np.inf))
-        # A sensor that is off reads another angle on the support, where most recordings begin and end.
+        # A sensor with an offset shows another angle on the support, on which most recordings begin and end.
         ends = [float(each) for each in size[known][[0, -1]] if each > RESTING * support]
         known &= size < min([support, *ends]) - SUPPORT_MARGIN
     return np.asarray(known)
@@ -173,13 +176,15 @@ def _natural(model: Model) -> float:
 
 
 def _coordinate(model: Model) -> str:
-    """The one by which the vehicle falls."""
+    """The coordinate in which the vehicle falls."""
     return model.joints[0].coordinate if model.joints else ""
 
 
 def _falls(model: Model, recording: Recording) -> list[tuple[int, int]]:
-    """The rows in which a vehicle begins to fall, as it goes to one side alone from there on until nothing holds it any
-    more, and those from which on it is held again."""
+    """The samples at which a vehicle begins to fall, and those at which it is held again.
+
+    A fall begins with the motion to one side that continues until nothing holds the vehicle any more.
+    """
     coordinate = _coordinate(model)
     if "phase" not in recording.values or coordinate not in recording.values:
         return []
@@ -193,8 +198,8 @@ def _falls(model: Model, recording: Recording) -> list[tuple[int, int]]:
 
 
 def _fallen(model: Model, recording: Recording) -> NDArray[np.bool_]:
-    """The rows (n,) of falls, with FORETOLD before each."""
-    before = FORETOLD * _natural(model)
+    """Mask (n,) of the samples of falls and of BEFORE_A_FALL before each."""
+    before = BEFORE_A_FALL * _natural(model)
     fallen = np.zeros(len(recording.time), dtype=bool)
     for begin, end in _falls(model, recording):
         fallen[np.searchsorted(recording.time, recording.time[begin] - before) : end] = True
@@ -202,7 +207,7 @@ def _fallen(model: Model, recording: Recording) -> NDArray[np.bool_]:
 
 
 def falls_at(model: Model, recording: Recording, support: float | None = None) -> float | None:
-    """When, s from the first row on, the vehicle began to fall from free motion; None where it did not."""
+    """When the vehicle began to fall from free motion, s from the first sample; None if it did not."""
     limit = support if support is not None else recorded_support(recording)
     for begin, _ in _falls(model, recording):
         if limit is None or abs(recording[_coordinate(model)][begin]) < RESTING * limit:
@@ -211,7 +216,7 @@ def falls_at(model: Model, recording: Recording, support: float | None = None) -
 
 
 def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> None:
-    """Raises DataError for channels that cannot be what they are called."""
+    """Raises DataError for channels that cannot be what their names say."""
     used = _used_names(model)
     measured = [each.name for each in model.outputs]
     counted = {each.name for each in model.outputs if each.counted}
@@ -222,13 +227,13 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
         if name in {each.name for each in model.outputs} and np.ptp(values) == 0.0:
             remedy = "check the sensor and its scaling."
             raise DataError(Status.BAD_DATA, f"channel {name}", "never moves", remedy=remedy)
-        # What is counted stays where it is until the next count.
+        # A counted output is constant until the next count.
         share = 0.0 if name in counted else clipped_share(values)
         if share > 0.0:
             raise DataError(
                 Status.BAD_DATA,
                 f"channel {name}",
-                f"is cut off at {np.max(np.abs(values)):.4g} for {100.0 * share:.1f} % of the time",
+                f"is clipped at {np.max(np.abs(values)):.4g} for {100.0 * share:.1f} % of the time",
                 remedy="widen the sensor's range or excite less.",
             )
     pairs = [(sensor.angle, sensor.rate) for sensor in model.sensors]
@@ -239,7 +244,8 @@ def _check_free(model: Model, recording: Recording, free: NDArray[np.bool_]) -> 
 
 
 def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bool_], span: float) -> None:
-    """An angle moves by the integral of its rate: over `span` s, short against a record, long against noise."""
+    """Checks that an angle changes by the integral of its rate over `span` s, which is short compared with a record but
+    long enough for the motion to exceed the noise."""
     values, rates, time = recording[angle], recording[rate], recording.time
     ahead = max(1, round(span * recording.rate))
     whole = np.convolve(free, np.ones(ahead + 1), "valid") > ahead
@@ -269,10 +275,10 @@ def _check_pair(recording: Recording, angle: str, rate: str, free: NDArray[np.bo
 
 
 def clipped_share(values: Array) -> float:
-    """The share of `values`, (n,), that is cut off at their largest or smallest: flat there, and entered at speed.
+    """The share of `values`, (n,), that is clipped at their largest or smallest: constant there, and reached at speed.
 
-    A reading that counts in steps is flat in many places, and the last step to a turning point may be a whole one
-    however slowly it goes there. So its finest step is no speed.
+    A quantised reading is constant in many places, and its last step before a turning point may be a whole one however
+    slow the motion. So a change by its finest step does not count as speed.
     """
     step = np.abs(np.diff(values))
     usual = float(np.sqrt(np.mean(step**2)))
@@ -289,7 +295,7 @@ def clipped_share(values: Array) -> float:
     return clipped / len(values)
 
 
-def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | None) -> Iterator[slice]:
+def _gapless(recording: Recording, free: NDArray[np.bool_], longest: float | None) -> Iterator[slice]:
     spacing = np.diff(recording.time)
     follows = np.zeros(len(free), dtype=bool)
     follows[1:] = free[1:] & free[:-1] & (spacing < LONGEST_GAP * float(np.median(spacing)))
@@ -306,7 +312,7 @@ def _stretches(recording: Recording, free: NDArray[np.bool_], longest: float | N
 
 
 def _late(model: Model, recording: Recording) -> NDArray[np.bool_] | None:
-    """The rows (n,) at which all inputs are known that the model uses; None where none of them may act late."""
+    """Mask (n,) of the samples at which all inputs that the model uses are known; None if none of them has a delay."""
     used = channels_of(model)
     inputs = [each for each in model.inputs if each.channel in used and each.channel in recording.values]
     if not any(each.delays for each in inputs):
@@ -316,7 +322,7 @@ def _late(model: Model, recording: Recording) -> NDArray[np.bool_] | None:
 
 
 def _before(recording: Recording, part: slice, known: NDArray[np.bool_], reach: float) -> int:
-    """The first of the rows before `part` that follow each other to it, no more than `reach` s before, all `known`."""
+    """The first sample of the gapless, `known` samples that lead up to `part`, no more than `reach` s before it."""
     time, longest = recording.time, LONGEST_GAP * float(np.median(np.diff(recording.time)))
     row: int = part.start
     while (
@@ -349,12 +355,12 @@ def _segment(model: Model, recording: Recording, part: slice, late: NDArray[np.b
 
 
 def _sampled(recording: Recording, age: str) -> Array:
-    """The instants (n,) at which channels of this `age` were sampled."""
+    """The instants (n,) at which channels with this `age` were sampled."""
     return recording.time - recording[age] if age in recording.values else recording.time
 
 
 def _reading(recording: Recording, each: Output) -> Array:
-    """The samples of an output, (n,), read at the rows' instants."""
+    """The samples of an output, (n,), interpolated to the recording's instants."""
     values = recording[each.name]
     if each.age not in recording.values:
         return values
@@ -362,7 +368,8 @@ def _reading(recording: Recording, each: Output) -> Array:
 
 
 def reading(each: Output) -> Callable[[Array, Array, Array], Array]:
-    """How an output is read between its samples: (time, knots, values). Of steps a curve would make bumps."""
+    """How an output is interpolated: (time, knots, values). A curve through the steps of a counted one would
+    overshoot."""
     return np.interp if each.counted else read
 
 
@@ -375,9 +382,9 @@ def _input(recording: Recording, each: Input) -> Array:
 
 
 def ramp_shortfall(values: Array, time: Array, ramp: float) -> Array:
-    """What a limiter that follows held `values` (n,) by no more than `ramp` a second is short of them, a row's mean.
+    """Output minus input of a rate limiter (`ramp` per second) for held `values` (n,), as a mean over each sample.
 
-    Rows at which the value is not known say nothing; the limiter begins anew after them.
+    It is 0 at samples whose value is unknown; the limiter restarts after them.
     """
     short = np.zeros(len(values))
     spacing = np.append(np.diff(time), np.median(np.diff(time)))

@@ -1,21 +1,21 @@
-"""State-variable filter: every signal of an equation through the same low-pass, with its derivatives for free.
+"""State-variable filter: every signal of an equation through the same low-pass, together with its derivatives.
 
-A differential equation that holds for the signals holds for their filtered versions too, as long as all of them go
-through the same linear filter F(s). F is a Butterworth low-pass of order n,
+A differential equation that holds for the signals also holds for the filtered signals, if all of them go through the
+same linear filter F(s). F is a Butterworth low-pass of order n,
 
     F(s) = wc^n / prod (s - p_i) = sum c_i / (s - p_i),    x_F^(j) = sum c_i p_i^j z_i,    z_i' = p_i z_i + x,
 
 and its modes z_i give the filtered signal and its derivatives up to n - 1 without differencing. The modes are
-discretised exactly for an input that is a straight line between two samples (first-order hold), at any spacing, so
-jittery time stamps cost nothing and no half-sample delay slips in between a value and its derivative.
+discretised exactly for an input that is linear between two samples (first-order hold), at any spacing. So jitter of
+the time stamps causes no error, and there is no half-sample delay between a value and its derivative.
 
-Two details let short records count from their first sample:
+Two details make short records usable from their first sample:
 
-* The filter starts at rest with the start value taken off every input. The filtered derivative is then F applied to
-  the true derivative exactly, and a constant term of the equation is the filter's step response, output beside the
-  signals. There is no transient to wait for.
-* `outputs(ahead)` gives the filtered signals a little later than the last sample, with the input held: signals that
-  were sampled at different instants are brought to one, with an error of the order (wc * ahead)^n / n!.
+* The filter starts at rest, with the start value subtracted from every input. The filtered derivative is then exactly F
+  applied to the true derivative, and a constant term of the equation becomes the filter's step response, which is
+  output with the signals. There is no transient to wait for.
+* `outputs(ahead)` returns the filtered signals a little after the last sample, with the input held. This brings signals
+  that were sampled at different instants to a common one, with an error of the order (wc * ahead)^n / n!.
 
 Source: Isermann and Muenchhof, Identification of Dynamic Systems, section 15.1 (state-variable filters); Young,
 Recursive Estimation and Time-Series Analysis, chapter 8.
@@ -35,7 +35,7 @@ ComplexArray = NDArray[np.complex128]
 class StateVariableFilter:
     """Butterworth state-variable filter of `order` (2 or more) at `bandwidth` rad/s for `signals` signals at once.
 
-    Raises EstimationError where order or bandwidth make no filter.
+    Raises EstimationError if order or bandwidth is invalid.
     """
 
     def __init__(self, signals: int, bandwidth: float, order: int = 4) -> None:
@@ -59,14 +59,15 @@ class StateVariableFilter:
         self._coefficients: tuple[ComplexArray, ...] = ()
 
     def start(self, values: ArrayLike) -> None:
-        """Begin at rest at the first sample `values`, shape (signals,)."""
+        """Start at rest at the first sample `values`, shape (signals,)."""
         self._start = np.array(values, dtype=np.float64)
         self._modes[:] = 0.0
         self._input = np.zeros(len(self._start) + 1)
         self._input[-1] = 1.0
 
     def update(self, spacing: float, values: ArrayLike) -> None:
-        """Take the next sample `values`, shape (signals,), `spacing` seconds after the last; 0 or less is no news."""
+        """Take the next sample `values`, shape (signals,), `spacing` seconds after the last; ignored if `spacing` is 0
+        or less."""
         if spacing <= 0.0:
             return
         if spacing != self._spacing:
@@ -88,8 +89,8 @@ class StateVariableFilter:
     def outputs(self, ahead: float = 0.0) -> Array:
         """The filtered signals and their derivatives `ahead` seconds after the last sample, input held.
 
-        Shape (order, signals + 1): row j is the j-th derivative; the last column is the filtered constant 1, and
-        its derivatives, since the start.
+        Shape (order, signals + 1): row j is the j-th derivative. The last column is the constant 1, filtered since the
+        start, and its derivatives.
         """
         modes = self._modes
         if ahead != 0.0:

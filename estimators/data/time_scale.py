@@ -1,14 +1,16 @@
-"""The time scale T of a model on a record, s: what windows, blocks, gates and horizons are multiples of.
+"""The time scale T of a model on a record, s. Windows, blocks, gates and horizons are multiples of it.
 
-It is the natural time of the model (models.natural_time), which its author's typical sizes say, bounded by the record:
+It is the natural time of the model (models.natural_time), from the typical magnitudes that its author states, bounded
+by the record:
 
-* from above by FAR motion times: where the joints of the record swing a hundred times as fast as those sizes have it,
-  these are wrong, and the record is right;
-* from below by LEAST rows, since fewer say nothing of what is between them.
+* from above by FAR motion times: if the joints move a hundred times as fast in the record as those magnitudes imply,
+  the record is right;
+* from below by LEAST sampling periods, since fewer samples do not resolve the motion.
 
-So the same plant at another pace, sampled at that pace, has T in proportion, and all that follows from T holds the same
-rows. The motion time is 1 / (2 pi f), f the mean frequency of a coordinate's power, of the joint that moves slowest:
-of a multisine on the MONOCAB 0.17 s, of its square wave 0.43 s, where T is 0.4 s.
+So if the same plant is faster by a factor, and sampled faster by that factor, T scales with it, and everything derived
+from T covers the same samples. The motion time is 1 / (2 pi f), where f is the mean frequency of the power spectrum of
+a coordinate, for the slowest joint: 0.17 s for a multisine on the MONOCAB and 0.43 s for its square wave, with T of
+0.4 s.
 """
 
 from __future__ import annotations
@@ -26,16 +28,17 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 FAR = 5.0
-"""Motion times that T may be at most. Of one frequency, as far below it as a controlled vehicle is ever moved."""
+"""T is at most this many motion times. With a single frequency, it is as far below it as a controlled vehicle is ever
+moved."""
 LEAST = 10
-"""Rows that T is at least."""
+"""T is at least this many sampling periods."""
 MANY = 100
-"""Rows that T is where a model says nothing of its times."""
+"""T in sampling periods if a model states nothing about its times."""
 AHEAD = 1.25
-"""Time scales ahead at which predictions are told where nothing else is asked: half a second of the MONOCAB, far enough
-for a missing force to show."""
+"""Default prediction horizon in time scales: half a second for the MONOCAB, long enough for a missing force to show."""
 LONG = 20.0
-"""Times T that a stretch has to be for its motion to bound it: of a shorter one the slow part is not seen."""
+"""A segment must be longer than this many times the bound of T for its motion to bound T: a shorter one does not show
+the slow motion."""
 
 
 def time_scale(model: Model, rows: Sequence[Segment]) -> float:
@@ -52,12 +55,12 @@ def time_scale(model: Model, rows: Sequence[Segment]) -> float:
 
 
 def horizon(model: Model, rows: Sequence[Segment]) -> float:
-    """How far ahead predictions of `model` are told on `rows`, s."""
+    """Prediction horizon of `model` on `rows`, s."""
     return rounded(AHEAD * time_scale(model, rows))
 
 
 def motion_time(model: Model, rows: Sequence[Segment]) -> float | None:
-    """1 / (2 pi f) of the joint that moves slowest in `rows`, s; None where none of them is measured or moves."""
+    """1 / (2 pi f) of the slowest joint in `rows`, s; None if none of them is measured or moves."""
     found = []
     for joint in model.joints:
         angles, rates = (_shown(model, text) for text in (joint.coordinate, joint.rate))
@@ -67,7 +70,7 @@ def motion_time(model: Model, rows: Sequence[Segment]) -> float | None:
 
 
 def _shown(model: Model, text: str) -> list[int]:
-    """Places of the outputs that show what `text` names, by their own names or by what they are of."""
+    """Indices of the outputs that measure what `text` names, by their name or by their expression."""
     names = names_in(text)
     return [
         place
@@ -77,7 +80,7 @@ def _shown(model: Model, text: str) -> list[int]:
 
 
 def _mean_frequency(rows: Sequence[Segment], place: int, integrals: int) -> float:
-    """Hz, of the power of an output or, with `integrals` of 1, of what it is the rate of; 0 where it does not move."""
+    """Mean frequency (Hz) of the power of an output or, if `integrals` is 1, of its integral; 0 if it does not move."""
     moment = total = 0.0
     for segment in rows:
         known = np.isfinite(segment.measured[:, place])

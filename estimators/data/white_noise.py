@@ -1,4 +1,4 @@
-"""How much white noise a channel has, without a model: fourth differences leave hardly anything else."""
+"""White noise of a channel, estimated without a model: fourth differences suppress almost everything else."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from scipy.stats import chi2
 Array = NDArray[np.float64]
 
 GAIN_OF_DIFFERENCES = 70.0
-"""Variance of fourth differences over that of the white signal: 1 + 16 + 36 + 16 + 1."""
+"""Variance of the fourth differences of white noise divided by its own: 1 + 16 + 36 + 16 + 1."""
 CORRELATION = 12870.0 / 4900.0
-"""Rows a degree of freedom of that estimate: the sum of the squared autocorrelations of fourth differences."""
+"""Samples per degree of freedom of that estimate: the sum of the squared autocorrelations of fourth differences."""
 SKEWNESS = 2704156.0 / 900900.0
-"""Rows a degree of freedom of the chi squared whose median the mean square of a few fourth differences has: that is
-moved from its mean by the third moment over the second, C(24, 12) / 70^3 over C(16, 8) / 70^2 (Cornish and Fisher)."""
+"""Samples per degree of freedom of the chi-squared distribution that has the same median as the mean square of a few
+fourth differences. The median differs from the mean by the ratio of the third moment to the second, C(24, 12) / 70^3
+over C(16, 8) / 70^2 (Cornish and Fisher)."""
 LOSS_OF_MEDIAN = np.pi / 2.0
-"""Of degrees of freedom, where the median of blocks is taken and not the mean."""
+"""Factor by which the median of blocks has fewer degrees of freedom than the mean."""
 ROWS = 25
-"""Of a block: the median over blocks passes over impacts, which a mean would take for noise. The play of a gear strikes
-whenever the motor reverses: with 100 rows, 0.5 s, hardly a block was without, and the noise came out eight times too
-large."""
+"""Samples per block. The median over blocks ignores impacts, which a mean would include in the noise. Gear backlash
+causes an impact whenever the motor reverses: with 100 samples, 0.5 s, hardly a block was free of impacts, and the noise
+was estimated eight times too large."""
 
 
 def differences(signal: Array) -> Array:
@@ -31,7 +32,7 @@ def differences(signal: Array) -> Array:
 
 
 def white_variance(parts: Sequence[Array]) -> tuple[Array, float]:
-    """Variance of the white noise on each column of `parts` (n, m), by fourth differences, (m,), and its degrees of
+    """Variance of the white noise on each column of `parts` (n, m), from fourth differences, (m,), and its degrees of
     freedom."""
     rough = np.concatenate([differences(part) for part in parts])
     blocks = np.array_split(rough, max(1, len(rough) // ROWS))

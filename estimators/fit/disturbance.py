@@ -2,17 +2,17 @@
 
     std = q sqrt(correlation_time / 2)
 
-where the logarithm of q is among the noises that are estimated, and the correlation time among the parameters; the
-covariance of all of them gives the standard deviations (delta method). A fit tells the ratios of the noises; how large
-all are is told by what the filter corrects of the disturbance (NoiseModel.units). Where a record shows none, its RMS is
-said to be less than a bound. Of one of a narrow band beside it, where the model has that, frequency and damping ratio
-are told.
+where the logarithm of q is one of the estimated noises, and the correlation time one of the parameters. The covariance
+of all of them gives the standard deviations (delta method). A fit determines the ratios of the noises; the filter's
+corrections of the disturbance determine their common scale (NoiseModel.units). If a record shows no disturbance, an
+upper bound of its RMS is reported. For a narrow-band force, if the model has one, frequency and damping ratio are
+reported, too.
 
-Of a record of few correlation times the likeliest one is too short: what moves slowly is taken for the mean, and for
-parameters. The rate 1 / correlation_time is too large by 4 / (the record's length) on average, which is taken off
-(Kendall, "Note on bias in the estimation of autocorrelation", 1954; Marriott, Pope, "Bias in the estimation of
-autocorrelations", 1954: the coefficient of first order a, estimated beside a mean from n rows, is too small by
-(1 + 3 a) / n).
+If a record is only a few correlation times long, the maximum-likelihood estimate of the correlation time is too short:
+slow motion is attributed to the mean and to parameters. The rate 1 / correlation_time is too large by 4 / (the record's
+length) on average, which is subtracted (Kendall, "Note on bias in the estimation of autocorrelation", 1954; Marriott,
+Pope, "Bias in the estimation of autocorrelations", 1954: the first-order coefficient a, estimated together with a mean
+from n samples, is too small by (1 + 3 a) / n).
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ from models.random.part import LEAST_TIMES
 Array = NDArray[np.float64]
 
 SHOWN = 0.5
-"""Standard deviation of the logarithm of the RMS above which a record shows no disturbance, but bounds it."""
+"""Standard deviation of the logarithm of the RMS above which a record does not show a disturbance, but only bounds
+it."""
 STEP = 1e-3
-"""Share of a correlation time, or logarithm of a noise, by which it is moved for a derivative of a unit."""
+"""Relative step of a correlation time, and step of the logarithm of a noise, for the derivatives of a unit."""
 BOUND = 1.645
-"""Standard deviations of that bound: more than it is denied by 95 % of records without any."""
+"""Standard deviations of that bound: 95 % of records without a disturbance exclude more than it."""
 HALVINGS = 20
-"""In which it is looked for."""
+"""Number of bisections in the search for the bound."""
 TOO_FAST = 4.0
-"""By how much the likeliest rate of a random signal is too large, in records: (1 + 3 a) of the docstring where a is
-near one."""
+"""Bias of the maximum-likelihood rate of a random signal, times the record's length: (1 + 3 a) for a near one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What is known of the unknowns: parameter `values` (np,) and `logarithms` (q,) of the noise, `covariance`
-    (p + q, p + q) of the estimated parameters and the logarithms, `innovation` (ny, ny) of the innovations of so many
-    `rows`."""
+    """The estimates: parameter `values` (np,) and `logarithms` (q,) of the noise, `covariance` (p + q, p + q) of the
+    estimated parameters and the logarithms, and `innovation` (ny, ny), the covariance of the innovations over `rows`
+    samples."""
 
     noise: NoiseModel
     values: Array
@@ -72,13 +72,13 @@ class Found:
         return self.noise.problem.model
 
     def first_order(self, place: int) -> tuple[float, float, float, float]:
-        """RMS and correlation time of the random part at state `place`, less their bias, each with the standard
-        deviation of its logarithm; 0 of what was stated."""
+        """RMS and correlation time of the random part at state `place`, without their bias, each with the standard
+        deviation of its logarithm, which is 0 if the value was stated in advance."""
         task = self.noise.problem
         state, size = task.model.base_states[place], len(task.free)
         time_place = task.kernel.index(state.correlation_time)
         time, number = float(self.values[time_place]), self.noise.logarithm_of(state.name)
-        # Derivatives of the logarithms of both by the unknowns. What was stated is absolute.
+        # Derivatives of the logarithms of both with respect to the unknowns. Stated noise is absolute, with unit 1.
         unit, by_std, by_time = 1.0, np.zeros(len(self.covariance)), np.zeros(len(self.covariance))
         std = state.process_noise * math.sqrt(0.5 * time)
         if number is not None:
@@ -87,7 +87,7 @@ class Found:
             std *= unit * math.exp(float(self.logarithms[number]))
         if time_place in task.free:
             column = task.free.index(time_place)
-            # A record has LEAST_TIMES of it at least, or the model says itself that it has fewer.
+            # A record has at least LEAST_TIMES correlation times, unless the model itself states fewer.
             share = min(time / (self.rows * self.noise.spacing), 1.0 / LEAST_TIMES)
             longer = 1.0 / (1.0 - TOO_FAST * share)
             by_std[column] += 0.5 * longer / time
@@ -100,7 +100,8 @@ class Found:
         return std, error, time, time_error
 
     def narrow_band(self, place: int, unit: str) -> NarrowBandEstimate | None:
-        """Of the random part at state `place`, in `unit`; None of one that was stated, which is told by who did."""
+        """Estimate of the narrow-band random part at state `place`, in `unit`; None if its noise was stated in
+        advance."""
         task = self.noise.problem
         state, size = task.model.base_states[place], len(task.free)
         time_place, frequency_place = (task.kernel.index(name) for name in (state.correlation_time, state.frequency))
@@ -112,7 +113,7 @@ class Found:
         number = self.noise.logarithm_of(driving.name)
         if number is None:
             return None
-        # Derivatives of the logarithms of RMS, frequency and damping ratio by the unknowns.
+        # Derivatives of the logarithms of RMS, frequency and damping ratio with respect to the unknowns.
         slopes = np.zeros((3, len(self.covariance)))
         grown, slopes[0] = _unit(self, driving_place, time_place)
         grown *= math.exp(float(self.logarithms[number]))
@@ -122,23 +123,23 @@ class Found:
         slopes[0, by_time] += 0.5 / time
         slopes[1:, by_frequency] = (1.0 / frequency, -1.0 / frequency)
         slopes[2, by_time] = -1.0 / time
-        told = np.array([std, frequency, 1.0 / (2.0 * math.pi * frequency * time)])
-        errors = told * np.sqrt(np.diag(slopes @ self.covariance @ slopes.T))
-        return NarrowBandEstimate(unit, *np.stack((told, errors), axis=1).ravel().tolist())
+        estimates = np.array([std, frequency, 1.0 / (2.0 * math.pi * frequency * time)])
+        errors = estimates * np.sqrt(np.diag(slopes @ self.covariance @ slopes.T))
+        return NarrowBandEstimate(unit, *np.stack((estimates, errors), axis=1).ravel().tolist())
 
 
 def disturbances(fitted: Fit) -> tuple[DisturbanceEstimate, ...]:
-    """Of each joint that has one, in the model's order."""
-    return told(Found.of(fitted))
+    """The disturbance of each joint that has one, in the model's order."""
+    return of_joints(Found.of(fitted))
 
 
-def told(found: Found) -> tuple[DisturbanceEstimate, ...]:
-    """Of each joint that has one, in the model's order."""
+def of_joints(found: Found) -> tuple[DisturbanceEstimate, ...]:
+    """The disturbance of each joint that has one, in the model's order."""
     narrow = {joint.name: found.narrow_band(place, joint.force_unit) for joint, place in narrow_at_joints(found.model)}
-    return tuple(_told(found, joint, place, narrow.get(joint.name)) for joint, place in at_joints(found.model))
+    return tuple(_of_joint(found, joint, place, narrow.get(joint.name)) for joint, place in at_joints(found.model))
 
 
-def _told(found: Found, joint: Joint, place: int, narrow: NarrowBandEstimate | None) -> DisturbanceEstimate:
+def _of_joint(found: Found, joint: Joint, place: int, narrow: NarrowBandEstimate | None) -> DisturbanceEstimate:
     std, error, time, time_error = found.first_order(place)
     known = found.noise.logarithm_of(found.model.base_states[place].name) is None
     shown = known or error < SHOWN
@@ -156,11 +157,11 @@ def _told(found: Found, joint: Joint, place: int, narrow: NarrowBandEstimate | N
 
 
 def _bound(found: Found, place: int) -> float:
-    """What the RMS of the disturbance at state `place` is less than in 95 % of records as long as this, with the
+    """95 % upper bound of the RMS of the disturbance at state `place`, for records as long as this one and with the
     correlation time from which the estimation starts.
 
-    Where there is none, more of it in the predictor makes the innovations larger than a record shows them. The estimate
-    comes on top, as one of that correlation time with the same power at low frequencies.
+    If there is no disturbance, a predictor that assumes a larger one has larger innovations than the record shows. The
+    estimate is added, converted to that correlation time at the same power at low frequencies.
     """
     noise, values, logarithms = found.noise, found.values, found.logarithms
     model, kernel = noise.problem.model, noise.problem.kernel
@@ -189,8 +190,8 @@ def _bound(found: Found, place: int) -> float:
 
 
 def _unit(found: Found, place: int, time: int) -> tuple[float, Array]:
-    """Unit of the noise that drives the state at `place`, and the derivatives of its logarithm by the estimated
-    parameters, of which that at `time` alone has one, and by the logarithms, (p + q,)."""
+    """Unit of the noise that drives the state at `place`, and the derivatives (p + q,) of its logarithm with respect to
+    the estimated parameters, of which only that at `time` has one, and to the logarithms."""
     noise, values, free = found.noise, found.values, found.noise.problem.free
     moves = np.zeros((1 + 2 * (noise.size + 1), noise.size + 1))
     moves[1:] = np.repeat(STEP * np.eye(noise.size + 1), 2, axis=0)
@@ -206,7 +207,7 @@ def _unit(found: Found, place: int, time: int) -> tuple[float, Array]:
 
 
 def stated(model: Model, fitted: Fit) -> Model:
-    """`model` with the disturbances of `fitted` as what is known of them."""
+    """`model` with its disturbances held as `fitted` estimated them."""
     known = densities(fitted)
     values = dict(zip(fitted.problem.kernel.parameters, fitted.values.tolist(), strict=True))
     its = parameters_of([each for each in model.base_states if each.name in known])
@@ -222,7 +223,7 @@ def stated(model: Model, fitted: Fit) -> Model:
 
 
 def densities(fitted: Fit) -> Mapping[str, float]:
-    """By state, the fitted root q of the density of the white noise that drives each disturbance, unit/sqrt(s)."""
+    """Fitted square root q of the density of the white noise that drives each disturbance, unit/sqrt(s), by state."""
     task, noise = fitted.problem, NoiseModel.of(fitted.problem)
     logarithms = fitted.minimum.common[len(task.free) :]
     shaken = [state for state in task.model.base_states if state.correlation_time]
@@ -241,5 +242,5 @@ def densities(fitted: Fit) -> Mapping[str, float]:
 
 
 def is_of_disturbance(model: Model) -> frozenset[str]:
-    """Names of the parameters of `model` that are a disturbance's, and not the machine's."""
+    """Names of the parameters of `model` that belong to a disturbance, and not to the machine."""
     return parameters_of(model.base_states)

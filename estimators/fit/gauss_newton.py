@@ -1,9 +1,9 @@
-"""Nonlinear least squares with parameters that all data share and others that one stretch alone has.
+"""Nonlinear least squares with common parameters and with parameters of a single segment.
 
-Every stretch of data has its own initial state, so the normal equations have an arrow's shape: each stretch's own
-unknowns are eliminated before the common ones are solved for, and a fit over forty windows costs hardly more than over
-one. Levenberg-Marquardt steps in a box that grows with success, bounds by an active set. Where residuals stay large,
-what Gauss-Newton leaves out of the curvature is learned from step to step (symmetric rank one).
+Every segment of data has its own initial state, so the normal equations have arrowhead structure: the own unknowns of
+each segment are eliminated before the common ones are solved for, and a fit over forty windows costs hardly more than
+over one. Levenberg-Marquardt steps in a box that grows with success; bounds by an active set. If residuals remain
+large, the curvature that Gauss-Newton neglects is estimated from step to step (symmetric rank one).
 Sources: Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems" (2004); Nocedal and Wright,
 "Numerical optimization", 2nd ed., sections 6.2 and 10.3; Schur complement as in bundle adjustment.
 """
@@ -20,25 +20,27 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LONGEST_STEP = 2.0
-"""Typical sizes by which a parameter moves at most in the first step; twice as far after each that went as foreseen."""
+"""Longest first step of a parameter, in typical magnitudes; it doubles after each step that went as predicted."""
 LEAST_DAMPING, FIRST_DAMPING, STIFFER = 1e-7, 1e-3, 10.0
-"""Share of the diagonal that is added to it: at least, after a step too far, and the factor from step to step."""
+"""Share of the diagonal that is added to it: minimum, value after a step too far, and factor from step to step."""
 SHORTENED = 2
-"""Refusals in a row after which a step is no more than shorter: damping would turn it out of a narrow bent valley."""
+"""Consecutive rejections up to which a step is only shortened: damping would turn it out of a narrow curved valley."""
 PATIENCE = 12
-"""Steps, taken or refused, over which the cost has to fall by what is enough for each: at a kink, where a delay meets a
-sample, none does what is foreseen."""
+"""Steps, accepted or rejected, over which the cost has to fall by `enough` per step: at a kink, where a delay meets a
+sample, no step does what is predicted."""
 ROUNDING = 1e-10
-"""Share of the largest square of normal equations, each unknown in its own unit, below which one is rounding."""
+"""Share of the largest eigenvalue of the normal equations, with each unknown in its own unit, below which an eigenvalue
+is rounding error."""
 SILENT = 1e-7
-"""Share of the most that any unknown shows, in its typical size, below which one shows nothing."""
+"""An unknown has no effect on the data if its effect, per typical magnitude, is below this share of the largest."""
 LAST_DAMPING = 1e-4
-"""The same for the last step, which is not tried: where the data tell nothing it must not go far."""
+"""Least damping of the last step, whose cost is not checked: in directions without information it must not go far."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One stretch: residuals (m,), their derivatives by the common parameters (m, p) and by its own (m, q)."""
+    """One segment: residuals (m,), their derivatives with respect to the common parameters (m, p) and its own
+    (m, q)."""
 
     residual: Array
     common: Array
@@ -47,7 +49,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """One stretch's share of the normal equations: J'J (p + k, p + k) and J'r (p + k,), its own k unknowns last."""
+    """One segment's share of the normal equations: J'J (p + k, p + k) and J'r (p + k,), its own k unknowns last."""
 
     matrix: Array
     vector: Array
@@ -55,7 +57,7 @@ class Normal:
 
 @dataclass(frozen=True, slots=True)
 class Expansion:
-    """The cost at a point and how it changes from there, by stretch."""
+    """The cost at a point and its quadratic expansion there, by segment."""
 
     cost: float
     normals: tuple[Normal, ...]
@@ -67,15 +69,15 @@ class _Stacked(Expansion):
 
 
 Evaluate = Callable[[Array, Sequence[Array]], list[Block] | None]
-"""Of common parameters and own parameters by stretch; None where there is no finite value."""
+"""Function of the common parameters and of the own parameters by segment; None if there is no finite value."""
 E = TypeVar("E", bound=Expansion)
 
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Where it ended. `information` (p, p) is J'J of the common parameters with the own ones eliminated.
+    """The result of a descent. `information` (p, p) is J'J of the common parameters with the own ones eliminated.
 
-    `blocks` are those of `minimise` alone.
+    Only `minimise` sets `blocks`.
     """
 
     common: Array
@@ -100,7 +102,7 @@ def minimise(
     tolerance: float = 1e-6,
     enough: float = 1e-6,
 ) -> Minimum | None:
-    """The least half sum of squares. Arguments and result as for `descend`."""
+    """Minimises half the sum of squares. Arguments and result as for `descend`."""
 
     def expand(common: Array, own: Sequence[Array]) -> _Stacked | None:
         blocks = evaluate(common, own)
@@ -136,13 +138,14 @@ def descend(
     enough: float,
     watched: int | None = None,
 ) -> tuple[Minimum, E] | None:
-    """The least cost from `common` (p,) and `own` on, and its expansion; `scale` (p,) are typical sizes of the first.
+    """Minimises the cost from `common` (p,) and `own`; returns the minimum and the expansion there. `scale` (p,) are
+    typical magnitudes of `common`.
 
-    It is converged when no step moves one of the first `watched` parameters (all by default) by more than `tolerance`
-    of its scale, or the cost is not expected to fall by more than `enough`: with residuals of unit variance a fall of x
-    moves no parameter by more than sqrt(2 x) standard deviations. The curvature by the others is more than J'J: what
-    is missing is learned. That last step is still made, unless it leads to where there is no finite value; the
-    expansion is from where it begins. None where the start itself has no finite value.
+    The descent has converged if no step moves one of the first `watched` parameters (all by default) by more than
+    `tolerance` of its scale, or if the cost is not expected to fall by more than `enough`: with residuals of unit
+    variance a fall of x moves no parameter by more than sqrt(2 x) standard deviations. The curvature with respect to
+    the other parameters is more than J'J; the missing part is estimated. The last step is still made, unless its end
+    has no finite cost; the expansion is that at its beginning. None if the start itself has no finite cost.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]
@@ -153,7 +156,7 @@ def descend(
     costs = [here.cost]
     damping, reach = LEAST_DAMPING, LONGEST_STEP
     done = False
-    taken = refused = 0
+    taken = rejected = 0
     information, gradient, _, _ = _reduce(here, scale, 0.0)
     while taken < iterations and not done:
         taken += 1
@@ -179,21 +182,21 @@ def descend(
             if expand(trial, trial_own) is not None:
                 common, own = trial, trial_own
             break
-        foreseen = -float(slope @ step) - 0.5 * float(step @ curvature @ step) + reserve
+        predicted = -float(slope @ step) - 0.5 * float(step @ curvature @ step) + reserve
         there = expand(trial, trial_own)
-        # Where none of the common ones may move, the fall alone tells when the others are there.
+        # If no common parameter is free, only the predicted fall shows whether the own ones have converged.
         done = bool(free.any()) and float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
         if there is None or there.cost > here.cost:
-            refused += 1
-            if refused > SHORTENED:
+            rejected += 1
+            if rejected > SHORTENED:
                 damping = max(STIFFER * damping, FIRST_DAMPING)
             reach = 0.5 * float(np.max(np.abs(step), initial=0.0))
             if damping > 1e14:
                 break
             costs.append(here.cost)
             continue
-        refused = 0
-        ratio = (here.cost - there.cost) / max(foreseen, 1e-300)
+        rejected = 0
+        ratio = (here.cost - there.cost) / max(predicted, 1e-300)
         if ratio > 0.75:
             damping, reach = max(damping / STIFFER, LEAST_DAMPING), 2.0 * reach
         elif ratio < 0.25:
@@ -203,7 +206,7 @@ def descend(
         before = gradient
         information, gradient, _, _ = _reduce(here, scale, 0.0)
         if watched is not None:
-            missing[watched:, watched:] = _learned(
+            missing[watched:, watched:] = _updated(
                 missing[watched:, watched:], step[watched:], (gradient - before - information @ step)[watched:]
             )
     minimum = Minimum(
@@ -220,7 +223,7 @@ def descend(
 
 
 def eliminate(block: Block) -> tuple[Array, Array]:
-    """Residual and common derivatives of `block` with all that its own parameters explain taken out."""
+    """Residual and common derivatives of `block`, with everything that its own parameters explain projected out."""
     if block.own.shape[1] == 0:
         return block.residual, block.common
     basis, _ = np.linalg.qr(block.own)
@@ -239,21 +242,21 @@ def _normal(block: Block) -> Normal:
 
 
 def _solved(matrix: Array, vector: Array) -> Array:
-    """The solution without what the data do not tell: of a matrix that is positive but for rounding, so that half its
-    product with `vector` is a fall, never a rise."""
+    """The solution without the directions that the data do not determine. The matrix is positive definite but for
+    rounding, so that half the product of the solution with `vector` is a fall of the cost, never a rise."""
     if not len(vector):
         return vector
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     size = np.where(size > SILENT * np.max(size), size, np.inf)
     squares, turned = np.linalg.eigh(matrix / np.outer(size, size))
-    told = squares > ROUNDING * squares[-1]
-    along = (turned.T @ (vector / size))[told] / squares[told]
-    return np.asarray(turned[:, told] @ along / size)
+    determined = squares > ROUNDING * squares[-1]
+    along = (turned.T @ (vector / size))[determined] / squares[determined]
+    return np.asarray(turned[:, determined] @ along / size)
 
 
 def _step(curvature: Array, slope: Array, free: NDArray[np.bool_], lower: Array, upper: Array, reach: float) -> Array:
-    """The step of the `free` unknowns, none longer than `reach`. Where it leads beyond a bound, that unknown ends there
-    and the others make up for it: along a valley, half of a joint step leads uphill."""
+    """The step of the `free` unknowns, none longer than `reach`. An unknown that would exceed its bound stops there,
+    and the others are solved for again: along a valley, half of a joint step leads uphill."""
     step = np.zeros(len(slope))
     free = free.copy()
     while free.any():
@@ -269,17 +272,18 @@ def _step(curvature: Array, slope: Array, free: NDArray[np.bool_], lower: Array,
 
 
 def _is_definite(matrix: Array) -> bool:
-    """Whether it is positive definite, with something to spare in each unknown's own unit."""
+    """Whether `matrix` is positive definite by a margin, with each unknown in its own unit."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-150))
     scaled = matrix / np.outer(size, size)
     return bool(np.all(np.isfinite(scaled)) and np.min(np.linalg.eigvalsh(scaled), initial=1.0) > 1e-6)
 
 
-def _learned(missing: Array, step: Array, unexplained: Array) -> Array:
-    """`missing` curvature that explains how the gradient changed over the last `step` beyond J'J (symmetric rank one).
+def _updated(missing: Array, step: Array, unexplained: Array) -> Array:
+    """`missing` curvature, updated to explain the change of the gradient over the last `step` that J'J leaves
+    `unexplained` (symmetric rank one).
 
-    It is scaled down first where it was more than that (Dennis, Gay and Welsch: an adaptive nonlinear least-squares
-    algorithm, 1981).
+    It is scaled down first if it was too large (Dennis, Gay and Welsch: an adaptive nonlinear least-squares algorithm,
+    1981).
     """
     known = float(step @ missing @ step)
     if known != 0.0:
@@ -294,8 +298,8 @@ def _learned(missing: Array, step: Array, unexplained: Array) -> Array:
 def _reduce(
     expansion: Expansion, scale: Array, damping: float
 ) -> tuple[Array, Array, float, list[tuple[Array, Array]]]:
-    """Scaled normal equations of the common parameters, by how much the cost falls with the own parameters alone, and
-    how each stretch's own follow from a common step."""
+    """Scaled normal equations of the common parameters, the fall of the cost by the own parameters alone, and, for each
+    segment, the linear map from a common step to the step of its own parameters."""
     size = len(scale)
     matrix, vector, reserve = np.zeros((size, size)), np.zeros(size), 0.0
     parts: list[tuple[Array, Array]] = []

@@ -1,12 +1,12 @@
-"""The noise of a model in innovations form: from process and sensor noise to the steady Kalman gain.
+"""The noise of a model in innovations form: from process and sensor noise to the steady-state Kalman gain.
 
     x+ = f(x + K e, u),   e = y - h(x, u),   A K = (A P C' + N) S^-1,   S = C P C' + R
 
-P is from the discrete Riccati equation. Process noise is white on the states that name one. Sensor noise is white on
-every output, and integrated in states that are what a filter makes of a sensor (N is their common part). The gain
-depends on ratios only, so the last output's sensor noise is the unit that all others are told in, as logarithms: these
-are estimated along with the parameters. The gain makes a stable predictor of an unstable plant, which is why the
-prediction error is the sound choice there.
+P is the solution of the discrete Riccati equation. Process noise is white, on the states that have one. Sensor noise is
+white on every output, and integrated in states that a filter computes from a sensor (N is their cross-covariance). The
+gain depends on the ratios of the noises only, so the sensor noise of the last output is the unit of all others. Their
+logarithms are estimated together with the parameters. With this gain the predictor of an unstable plant is stable,
+which is why the prediction error is the sound choice there.
 Source: Ljung, "System identification", 2nd ed., sections 4.3 and 7.4; the Riccati equation by structure-preserving
 doubling: Chu et al., International Journal of Control 77 (2004) 767-788.
 """
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import EstimationError
 from estimators.fit.problem import Problem, at_rest, linearise, typical_motion
-from estimators.fit.stationary import DOUBLINGS, in_the_long_run, stationary
+from estimators.fit.stationary import DOUBLINGS, stationary, stationary_all
 from models.parts import Output, State
 from models.segment import Segment
 
@@ -31,24 +31,26 @@ Array = NDArray[np.float64]
 SENSOR_SPREAD = 1.0
 """Standard deviation, in natural logarithms, of the prior on a sensor's noise: a factor of 2.7."""
 WIDEST = 6.0
-"""Natural logarithm by which a noise may differ from what the model says: a factor of 400, or this, in SPREADS."""
+"""Largest natural logarithm of the ratio of a noise to the model's value, a factor of 400, unless SPREADS allows
+more."""
 SPREADS = 3.0
-"""Times its spread by which a noise that is hardly known may differ."""
+"""The same for a noise that is hardly known, in multiples of its spread."""
 STEP = 1e-4
-"""Share of its typical size by which an argument of the gain is moved for a derivative."""
+"""Step of an argument of the gain for a numerical derivative, relative to its typical magnitude."""
 SETTLED = 1e-8
-"""Share of its size by which the last doubling may change a covariance."""
+"""Largest relative change of a covariance by the last doubling."""
 FLOOR = 1e-6
-"""Process noise that every state has, in units of the process noise the model states: keeps every mode observable."""
+"""Process noise that every state has, relative to the process noise of the model: keeps every mode observable."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
     """The noises of a problem. `process` (nx,), unit/sqrt(s), and `sensor` (ny,) are where the estimation starts.
 
-    `noisy` are the states and `loud` the outputs but the last whose noise is not known: the logarithms, (q,), are
-    theirs. What reads exactly alike in every row, as both wheels of a vehicle that is symmetric to the last bit, has
-    one noise: `process_place` and `sensor_place` say which logarithm each of `noisy` and `loud` goes by.
+    The logarithms (q,) are those of the states `noisy` and of the outputs `loud`, whose noise is estimated; the output
+    that is the unit is not among them. Outputs that are identical in every sample, as of both wheels of a vehicle that
+    is symmetric to the last bit, share one noise: `process_place` and `sensor_place` are the indices of the logarithms
+    of `noisy` and `loud`.
     """
 
     problem: Problem
@@ -60,25 +62,26 @@ class NoiseModel:
     process_place: tuple[int, ...]
     sensor_place: tuple[int, ...]
     spread: Array
-    """Standard deviation of each logarithm before a record is seen, (q,)."""
+    """Prior standard deviation of each logarithm, (q,)."""
     integrated: Array
     """Which output's noise is integrated in which state, (nx, ny) of 0 and 1."""
     rest: Segment
+    """Inputs at which the model is linearised."""
     copies: tuple[int, ...]
-    """Outputs that read exactly as an earlier one."""
+    """Outputs that are identical to an earlier one."""
     motion: Array
-    """Inputs, and state (nx,), at which the model is taken as linear."""
+    """State (nx,) at which the model is linearised."""
 
     @classmethod
     def of(cls, problem: Problem) -> NoiseModel:
-        """What the model says of its noise."""
+        """The noises that the model states."""
         states, outputs = problem.model.states, problem.model.outputs
         process = np.array([state.process_noise for state in states])
         spacing = float(np.median(np.diff(problem.segments[0].time)))
-        same = _alike(problem)
+        same = _identical(problem)
         noisy = [place for place, state in enumerate(states) if state.process_noise > 0.0 and not state.noise_known]
         unit = _unit_of(states, outputs)
-        # What reads as the output that is the unit is in it, too.
+        # Outputs that are identical to the unit share its noise.
         loud = [
             place
             for place, output in enumerate(outputs)
@@ -107,40 +110,41 @@ class NoiseModel:
 
     @property
     def size(self) -> int:
-        """How many logarithms there are, q."""
+        """Number of logarithms, q."""
         return len(self.spread)
 
     @property
     def widest(self) -> Array:
-        """The most that a logarithm may be, to either side, (q,)."""
+        """Largest magnitude of each logarithm, (q,)."""
         return np.maximum(WIDEST, SPREADS * self.spread)
 
     def logarithm_of(self, state: str) -> int | None:
-        """Place of the logarithm of the process noise of `state`; None where it is known, or none."""
+        """Index of the logarithm of the process noise of `state`; None if the noise is known or there is none."""
         names = [self.problem.model.states[place].name for place in self.noisy]
         return self.process_place[names.index(state)] if state in names else None
 
     def gain(self, values: Array, logarithms: Array) -> Array | None:
-        """The filter gain (nx, ny) at parameter values (np,); None where there is no stable one."""
+        """The filter gain (nx, ny) at parameter values (np,); None if no filter is stable."""
         steady = _steady(*(each[None] for each in self.covariances(values, logarithms)))
         return steady.gain[0] if steady.there[0] else None
 
     def units(self, values: Array, logarithms: Array, covariance: Array) -> Array:
-        """By how much the noise that drives each state is larger than it is told here, (n, nx), where the innovations
-        have the `covariance` (ny, ny); for parameter values (n, np) and logarithms (n, q), 1 where nothing tells.
+        """Ratio (n, nx) of the actual noise that drives each state to its value in this model, if the innovations have
+        the `covariance` (ny, ny); for parameter values (n, np) and logarithms (n, q). 1 if it is not identifiable.
 
-        The gain depends on the ratios of the noises alone. A state's unit is by how much more its corrections k e move
-        than they would by these noises: the root of k S k' over its expectation, with k its row of the gain.
+        The gain depends on the ratios of the noises alone. The common scale of a state follows from the RMS of its
+        corrections k e over that expected with these noises: the square root of k S k' over its expectation, with k the
+        state's row of the gain.
         """
         steady = _steady(*self._systems(values, logarithms))
         moved = np.einsum("nij,jk,nik->ni", steady.gain, covariance, steady.gain)
         expected = np.einsum("nij,njk,nik->ni", steady.gain, steady.innovation, steady.gain)
-        told = expected > 0.0
-        return np.where(told, np.sqrt(moved / np.where(told, expected, 1.0)), 1.0)
+        corrected = expected > 0.0
+        return np.where(corrected, np.sqrt(moved / np.where(corrected, expected, 1.0)), 1.0)
 
     def innovation(self, values: Array, logarithms: Array, gain: Array | None) -> Array | None:
-        """Covariance (ny, ny) of the innovations of a predictor with that `gain` (nx, ny), at parameter values (np,)
-        and logarithms (q,) of the noise; None where it has none."""
+        """Covariance (ny, ny) of the innovations of a predictor with this `gain` (nx, ny), at parameter values (np,)
+        and logarithms (q,) of the noise; None if the predictor is not stable."""
         if gain is None:
             return None
         A, C, process, sensor, across = self.covariances(values, logarithms)
@@ -151,32 +155,32 @@ class NoiseModel:
         except EstimationError:
             return None
 
-    def of_start(self, values: Array, logarithms: Array) -> Array:
-        """What all rows tell of the state that they begin with, an inverse covariance (n, nx, nx), for parameter values
-        (n, np) and logarithms (n, q): the sum over the rows of F'^k C' S^-1 C F^k with the predictor F = A - A K C.
-        Zero where no filter is stable."""
-        return _steady(*self._systems(values, logarithms)).of_start
+    def start_information(self, values: Array, logarithms: Array) -> Array:
+        """Information of all samples on the initial state, an inverse covariance (n, nx, nx), for parameter values
+        (n, np) and logarithms (n, q): the sum over the samples of F'^k C' S^-1 C F^k with the predictor F = A - A K C.
+        Zero if no filter is stable."""
+        return _steady(*self._systems(values, logarithms)).start_information
 
     def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """The linear system that the gain is for: A (nx, nx), C (ny, nx) and the covariances of a row's process noise
-        (nx, nx), sensor noise (ny, ny) and of both together (nx, ny)."""
+        """The linear system of the gain: A (nx, nx), C (ny, nx) and, per sample, the covariances of the process noise
+        (nx, nx) and of the sensor noise (ny, ny), and their cross-covariance (nx, ny)."""
         A, C, process, sensor, across = self._systems(values[None], logarithms[None])
         return A[0], C[0], process[0], sensor[0], across[0]
 
     def slopes(self, values: Array, logarithms: Array, free: Sequence[int], scale: Array) -> Array | None:
-        """The gain's derivatives by the parameters `free`, of typical sizes `scale` (p,), and the logarithms,
-        (nx * ny, p + q)."""
+        """Derivatives (nx * ny, p + q) of the gain with respect to the parameters `free`, with typical magnitudes
+        `scale` (p,), and the logarithms."""
         found = self.gain_and_slopes(values, logarithms, free, scale)
         return None if found is None else found[1]
 
     def gain_and_slopes(
         self, values: Array, logarithms: Array, free: Sequence[int], scale: Array
     ) -> tuple[Array, Array] | None:
-        """Both at once; None where no filter is stable."""
+        """`gain` and `slopes` at once; None if no filter is stable."""
         sizes = STEP * np.concatenate((scale, np.ones(self.size)))
         moves = np.repeat(np.diag(sizes), 2, axis=0)
         moves[1::2] *= -1.0
-        # Parameters one by one, then all logarithms at the same values: what is linearised there is the same.
+        # Parameters one by one, then all logarithms at the same values, where the linearised model is the same.
         many = np.repeat(values[None], 2 * len(free) + 1, axis=0)
         many[:-1, list(free)] += moves[: 2 * len(free), : len(free)]
         systems = self._systems(many, logarithms + np.concatenate((moves[:, len(free) :], np.zeros((1, self.size)))))
@@ -186,13 +190,13 @@ class NoiseModel:
         rises = [(each[:-1:2] - each[1::2]) / (2.0 * sizes)[:, None, None] for each in systems]
         try:
             slopes = steady.slopes(*rises)
-        except np.linalg.LinAlgError:  # at the edge of stability a filter's error never fades
+        except np.linalg.LinAlgError:  # at the stability limit the error of a filter does not decay
             return None
         return steady.gain[0], np.ascontiguousarray(slopes.reshape(len(sizes), -1).T)
 
     def _systems(self, values: Array, logarithms: Array) -> tuple[Array, ...]:
-        """Transition and output matrices, covariances of process and sensors and of both, for each row of parameter
-        values (m, np) and of logarithms (n, q); where the values' rows end, the last one goes on."""
+        """Transition and output matrices, covariances of process and sensor noise and their cross-covariance, for each
+        row of parameter values (m, np) and of logarithms (n, q); the last row of values is repeated if m < n."""
         transition, output = (
             np.concatenate((each, np.repeat(each[-1:], len(logarithms) - len(values), axis=0)))
             for each in linearise(self.problem.kernel, values, self.rest, self.motion, substeps=self.problem.substeps)
@@ -203,30 +207,30 @@ class NoiseModel:
         process[:, list(self.noisy)] *= factors[:, list(self.process_place)]
         sensor[:, list(self.loud)] *= factors[:, list(self.sensor_place)]
         half = 0.5 * (np.eye(len(self.process)) + transition)
-        # What a filter makes of a sensor's noise, a trapezoid a row: half shows at once, all from the next row on.
+        # A filter integrates sensor noise by the trapezoidal rule: half acts at once, all from the next sample on.
         trapezoid = self.spacing * self.integrated * sensor[:, None, :]
         shown = np.eye(len(self.sensor)) * sensor[:, None, :] + 0.5 * output @ trapezoid
         floor = np.diag((FLOOR * np.maximum(self.process, np.min(self.sensor))) ** 2)
-        with np.errstate(invalid="ignore", over="ignore"):  # a motion that no step follows: there is no filter for it
+        with np.errstate(invalid="ignore", over="ignore"):  # no filter exists if the integration steps overflow
             smooth = half * (process * np.sqrt(self.spacing))[:, None, :]
             density = smooth @ _turned(smooth) + floor + trapezoid @ _turned(trapezoid)
         return transition, output, density, shown @ _turned(shown), trapezoid @ _turned(shown)
 
 
 def _unit_of(states: Sequence[State], outputs: Sequence[Output]) -> Output | None:
-    """The output whose noise is the unit of all others, since only ratios of noises make a gain.
+    """The output whose noise is the unit of all others, since the gain depends on ratios of noises only.
 
-    It is the last output whose noise is estimated and white, which a counted one's is not; where there is none, the
-    last output. None where a disturbance is stated: its size is the unit then."""
+    It is the last output whose noise is estimated and white, which that of a counted one is not. If there is none, it
+    is the last output. None if the magnitude of a disturbance is stated, which is then the unit."""
     if any(each.correlation_time and each.noise_known and each.process_noise > 0.0 for each in states):
         return None
     noisy = [each for each in outputs if not (each.noise_known or each.counted)]
     return noisy[-1] if noisy else outputs[-1]
 
 
-def _alike(problem: Problem) -> dict[str, str]:
-    """Outputs that read exactly as an earlier one in every row: name to the name of that one, and that one's to its
-    own."""
+def _identical(problem: Problem) -> dict[str, str]:
+    """Outputs that are identical to an earlier one in every sample: name to the name of that one, which maps to
+    itself."""
     names = [output.name for output in problem.model.outputs]
     same: dict[str, str] = {}
     for place, name in enumerate(names):
@@ -238,16 +242,16 @@ def _alike(problem: Problem) -> dict[str, str]:
 
 
 def _places(names: Sequence[str], same: dict[str, str], *, first: int) -> tuple[int, ...]:
-    """Numbers from `first` on, one for each of `names`, and the same for those that are alike."""
+    """Numbers from `first` on for `names`, the same for those that are identical."""
     number: dict[str, int] = {}
     return tuple(number.setdefault(same.get(name, name), first + len(number)) for name in names)
 
 
 @dataclass(frozen=True, slots=True)
 class _Steady:
-    """Filters in their steady state: the systems (n, ...), covariances (n, nx, nx) of the state before a row's
-    correction and (n, ny, ny) of the innovation, `ahead` (n, nx, ny) the gain of the next row's prediction, `gain` that
-    of the filter, and whether one is `there` (n,): NaN where none is."""
+    """Steady-state filters: the systems (n, ...), covariances (n, nx, nx) of the state before a correction and
+    (n, ny, ny) of the innovation, gain `ahead` (n, nx, ny) of the one-step prediction, `gain` of the filter, and
+    whether a filter is `there` (n,); NaN if not."""
 
     transition: Array
     output: Array
@@ -258,20 +262,21 @@ class _Steady:
     there: NDArray[np.bool_]
 
     @property
-    def of_start(self) -> Array:
+    def start_information(self) -> Array:
         """As of NoiseModel, (n, nx, nx)."""
         found = np.zeros_like(self.covariance)
         some = self.there
         output = self.output[some]
-        told = _turned(output) @ np.linalg.solve(self.innovation[some], output)
-        gathered = in_the_long_run(_turned(self.transition[some] - self.ahead[some] @ output), told)
+        sample = _turned(output) @ np.linalg.solve(self.innovation[some], output)
+        gathered = stationary_all(_turned(self.transition[some] - self.ahead[some] @ output), sample)
         found[some] = np.where(np.isfinite(gathered), gathered, 0.0)
         return found
 
     def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
-        """The derivatives (m, nx, ny) of the first filter's gain where m derivatives of its system are given.
+        """The derivatives (m, nx, ny) of the first filter's gain, given m derivatives of its system.
 
-        The covariance is least in the gain, so it changes as if the gain were held: by a Lyapunov equation.
+        The covariance is minimal with respect to the gain, so its derivative is that with the gain held, from a
+        Lyapunov equation.
         """
         A, C, P, L = self.transition[0], self.output[0], self.covariance[0], self.ahead[0]
         closed = A - L @ C
@@ -288,7 +293,7 @@ class _Steady:
 
 
 def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady:
-    """The filters whose gains K make x + K (y - C x) the best estimates.
+    """The filters whose gains K make x + K (y - C x) the minimum-variance estimates.
 
     x+ = A x + w, y = C x + v with covariances process (n, nx, nx), sensor (n, ny, ny), across (n, nx, ny) = E w v'.
     """
@@ -313,7 +318,7 @@ def _steady(transition: Array, output: Array, process: Array, sensor: Array, acr
     able = np.flatnonzero(finite)
     try:
         fill(able)
-    except np.linalg.LinAlgError:  # one of them has none: each alone
+    except np.linalg.LinAlgError:  # one of the systems has no filter: solve each alone
         for place in able:
             with suppress(np.linalg.LinAlgError):
                 fill(able[able == place])
@@ -325,9 +330,9 @@ def _turned(matrices: Array) -> Array:
 
 
 def _doubled(transition: Array, known: Array, process: Array) -> Array:
-    """P = A P (I + G P)^-1 A' + Q by doubling, (n, nx, nx); NaN where it does not settle.
+    """P = A P (I + G P)^-1 A' + Q by doubling, (n, nx, nx); NaN if it does not converge.
 
-    Raises LinAlgError where one of them has no next step."""
+    Raises LinAlgError if a matrix is singular."""
     states = transition.shape[1]
     found = np.full_like(process, np.nan)
     unit = np.eye(states)
@@ -338,14 +343,14 @@ def _doubled(transition: Array, known: Array, process: Array) -> Array:
             break
         ratio = np.linalg.solve(unit + G @ H, np.concatenate((A, G), axis=2))
         first, second = ratio[:, :, :states], ratio[:, :, states:]
-        with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers has no steady filter
+        with np.errstate(over="ignore", invalid="ignore"):  # on overflow there is no steady-state filter
             grown = H + _turned(A) @ H @ first
             G = G + A @ second @ _turned(A)
             A = A @ first
-            # Each state in its own unit: beside 100 N m of a disturbance an angle of 1e-5 rad is nothing, and not
-            # settled.
+            # Each state in its own unit: compared with a disturbance of 100 N m, an angle of 1e-5 rad would count as
+            # converged too early.
             size = np.sqrt(np.maximum(np.diagonal(grown, axis1=1, axis2=2), 0.0))
-            # The error squares with each doubling, so the one after this is exact.
+            # Convergence is quadratic, so the next doubling is exact.
             near = np.abs(grown - H) <= SETTLED * size[:, :, None] * size[:, None, :]
         finite, settled = np.isfinite(grown).all(axis=(1, 2)), near.all(axis=(1, 2))
         found[left[finite & settled]] = 0.5 * (grown + _turned(grown))[finite & settled]

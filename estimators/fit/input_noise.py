@@ -1,10 +1,10 @@
-"""The white noise of a measured input, told without a model from what the input does.
+"""White noise of a measured input, estimated from its samples alone, without a model of the vehicle.
 
     u(k) = level(k) + v(k),    level(k + 1) = level(k) + w(k)        v, w white
 
-is a level that wanders, and readings of it with noise: the innovations of the filter level += gain (u - level) are
-white, and the gain is the likeliest. Without noise it is 1. Source: Harvey, "Forecasting, structural time series models
-and the Kalman filter" (1989), section 4.1.2 (local level).
+is a random walk that is measured with noise. The innovations of the filter level += gain (u - level) are white, and its
+gain is estimated by maximum likelihood. Without noise it is 1. Source: Harvey, "Forecasting, structural time series
+models and the Kalman filter" (1989), section 4.1.2 (local level).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from models.random.input_noise import InputNoise
 Array = NDArray[np.float64]
 
 GAINS = 24
-"""That are tried, from that of a filter which remembers the whole record to 1, which knows of no noise.
+"""Number of gains that are tried, from that of a filter with a memory as long as the record to 1, that without noise.
 
-The likeliest is looked for beside the best of them, so that their number decides nothing."""
+The maximum of the likelihood is searched for around the best of them, so their number is not critical."""
 
 
 def input_noise(task: Problem, name: str) -> InputNoise | None:
-    """Of the input `name` on the rows of `task`; None where these show none."""
+    """White noise of the input `name` in the data of `task`; None if they show none."""
     place = task.kernel.inputs.index(name)
     parts = [np.ascontiguousarray(segment.row_inputs[:, place]) for segment in task.segments]
     power = float(np.var(np.concatenate(parts)))
@@ -55,13 +55,13 @@ def input_noise(task: Problem, name: str) -> InputNoise | None:
         std=math.sqrt(white),
         time=-_spacing(task) / math.log1p(-gain),
         level=float(np.mean(np.concatenate(parts))),
-        # A level that does not wander is known as the mean is.
+        # A constant level is known as well as a mean.
         spread=math.sqrt(gain * white + max(power - white, 0.0)),
     )
 
 
 def rough(task: Problem, noise: InputNoise) -> list[Array]:
-    """What the filter of `noise` leaves of the readings of its input, by stretch (n,): the noise, mostly."""
+    """Innovations of the filter of `noise` on its input, by segment (n,): mostly the noise."""
     place = task.kernel.inputs.index(noise.name)
     gain = -math.expm1(-_spacing(task) / noise.time)
     return [_innovations(segment.row_inputs[:, place], gain, noise.level) for segment in task.segments]
@@ -72,17 +72,17 @@ def _spacing(task: Problem) -> float:
 
 
 def _cost(parts: Sequence[Array], gain: float) -> float:
-    """Negative log likelihood of the innovations with a gain, at the variance that is likeliest, but for a constant."""
+    """Negative log-likelihood of the innovations at `gain` and at their likeliest variance, but for a constant."""
     error = np.concatenate(_all_innovations(parts, gain))
     return 0.5 * len(error) * math.log(max(float(np.mean(error**2)), 1e-300))
 
 
 def _all_innovations(parts: Sequence[Array], gain: float) -> list[Array]:
-    """By stretch (n,), from the mean of what the filter remembers on."""
+    """By segment (n,); the level begins at the mean over the memory of the filter."""
     return [_innovations(part, gain, float(np.mean(part[: max(1, round(1.0 / gain))]))) for part in parts]
 
 
 def _innovations(readings: Array, gain: float, level: float) -> Array:
-    """(n,), where the level begins at `level`."""
+    """Innovations (n,) if the level begins at `level`."""
     # e(k) = u(k) - level(k), level(k + 1) = level(k) + gain e(k): e = (1 - z^-1) / (1 - (1 - gain) z^-1) u.
     return np.asarray(lfilter([1.0, -1.0], [1.0, -(1.0 - gain)], readings - level))

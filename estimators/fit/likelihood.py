@@ -1,12 +1,13 @@
-"""How likely a record is under a model with noise: of parameters, of the noise and of each stretch's initial state.
+"""Negative log-likelihood of a record under a model with noise, as a function of parameters, noise and the initial
+state of each segment.
 
-    V = n/2 log det S + half the squares of what differs from the prior, in standard deviations,
-    S = the mean of e e' over the n rows, and a floor; of what is counted at least a quantiser's variance
+    V = n/2 log det S + half the sum of squared deviations from the prior, in standard deviations,
+    S = the mean of e e' over the n samples, plus a floor; for counted outputs at least a quantiser's variance
 
-e are the innovations of the steady Kalman filter (estimators.fit.innovations). This is the negative logarithm of the
-likelihood of Gaussian noise with the covariance that makes it most likely, so that no covariance has to be guessed. Its
-derivatives are those of a sum of squares e' S^-1 e. Rows are condensed to products of their derivatives at once: what
-is weighted is a small matrix. Source: Ljung, "System identification", 2nd ed., sections 7.4 and 15.
+e are the innovations of the steady-state Kalman filter (estimators.fit.innovations). V is the negative log-likelihood
+of Gaussian noise, maximised over its covariance, so that no covariance has to be assumed. Its derivatives are those of
+a sum of squares e' S^-1 e. Samples are reduced at once to products of their derivatives, so that only a small matrix is
+weighted. Source: Ljung, "System identification", 2nd ed., sections 7.4 and 15.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ from numpy.typing import NDArray
 
 from estimators.fit.gauss_newton import Expansion, Normal
 from estimators.fit.innovations import NoiseModel
-from estimators.fit.long_run import LongRun, long_run
 from estimators.fit.problem import Problem
+from estimators.fit.stationary_start import StationaryStart, stationary_start
 from models.compiler.kernel import ELSEWHERE
 
 Array = NDArray[np.float64]
 
 FLOOR = 10.0
-"""Times the known noise of a sensor below which its innovations are no information about the vehicle."""
+"""Innovations below this factor of a sensor's known noise carry no information about the vehicle."""
 RESOLUTION = 1e-5
-"""Share of the movement of an output below which it is not told from another one that reads exactly like it, as both
-wheels of a vehicle that is symmetric to the last bit do."""
+"""Share of an output's standard deviation that is added as noise if the output is identical to another, as with both
+wheels of a vehicle that is symmetric to the last bit."""
 
 DIVERGED = 1e15
-"""Condition of the innovations' covariance beyond which a predictor has left the record, if not yet for infinity."""
+"""Condition number of the innovations' covariance above which a predictor has diverged, even if it is still finite."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen(Expansion):
-    """What is seen from a point, with the filter gain (nx, ny) and the innovations' covariance S (ny, ny) there."""
+    """The expansion at a point, with the filter gain (nx, ny) and the innovations' covariance S (ny, ny) there."""
 
     gain: Array
     covariance: Array
@@ -45,7 +46,8 @@ class Seen(Expansion):
 
 @dataclass(frozen=True, slots=True)
 class Likelihood:
-    """V of parameters and logarithms of the noise, (p + q,): `prior` is 1/variance of these about `centre`."""
+    """V as a function of parameters and logarithms of the noise, (p + q,). `prior` is 1/variance of these about
+    `centre`."""
 
     task: Problem
     noise: NoiseModel
@@ -54,15 +56,15 @@ class Likelihood:
 
     @classmethod
     def of(cls, task: Problem, deviations: Array) -> Likelihood:
-        """`deviations` (p,) are the standard deviations known before, 0 where there is none."""
+        """`deviations` (p,) are the prior standard deviations of the parameters, 0 for no prior."""
         noise = NoiseModel.of(task)
         known = deviations > 0.0
         prior = np.concatenate((np.where(known, deviations, np.inf) ** -2.0, noise.spread**-2))
         return cls(task, noise, np.concatenate((task.start, np.zeros(noise.size))), prior)
 
     def __call__(self, common: Array, own: Sequence[Array]) -> Seen | None:
-        """V at `common` (p + q,) and each stretch's own; None where the model runs away. The prior comes last, as if it
-        were a stretch."""
+        """V at `common` (p + q,) and at each segment's own unknowns; None if the model diverges. The prior comes last,
+        in the form of a segment."""
         seen = self.of_data(common, own)
         if seen is None:
             return None
@@ -71,7 +73,7 @@ class Likelihood:
         return replace(seen, cost=seen.cost + 0.5 * float(off @ prior.vector), normals=(*seen.normals, prior))
 
     def of_data(self, common: Array, own: Sequence[Array], also: tuple[int, ...] = ()) -> Seen | None:
-        """Without the prior. `also`: places of further parameters to differentiate by, after the logarithms."""
+        """V without the prior. `also`: indices of further parameters to differentiate by, after the logarithms."""
         task, noise, size = self.task, self.noise, len(self.task.free)
         task.budget.check()
         kernel, values, places = task.kernel, task.values(common[:size]), (*task.free, *also)
@@ -85,8 +87,8 @@ class Likelihood:
         order = np.r_[0:size, len(places) : len(places) + noise.size, size : len(places)]
         by_gain = np.concatenate((slopes[:, order], np.zeros((gain.size, len(starts)))), axis=1)
         squares, moments, ends = np.zeros((gain.shape[1],) * 2), [], []
-        long_run = self.long_run(values, common[size:])
-        spread = long_run.spread
+        at_start = self.stationary_start(values, common[size:])
+        spread = at_start.spread
         for segment, initial, part in zip(task.segments, task.initials, own, strict=False):
             start = initial.copy()
             start[list(task.own)] = part
@@ -105,49 +107,50 @@ class Likelihood:
             moments.append((columns.T @ columns, columns.T @ error))
             ends.append((off / spread, by / spread[:, None]))
         covariance = _at_least(squares / task.rows + np.diag(self._floor), self._counted)
-        # In units of its own: a wheel that is stuck is no predictor that runs away.
+        # Each output in its own unit: a stuck wheel does not mean that the predictor diverges.
         unit = np.sqrt(np.diag(covariance))
         if not np.all(np.isfinite(covariance)) or np.linalg.cond(covariance / np.outer(unit, unit)) > DIVERGED:
             return None
         weights = np.linalg.inv(covariance).astype(np.float64)
-        normals = tuple(_weighted(*moment, weights, *end, long_run) for moment, end in zip(moments, ends, strict=True))
+        normals = tuple(_weighted(*moment, weights, *end, at_start) for moment, end in zip(moments, ends, strict=True))
         surprise = sum(float(end @ end) for end, _ in ends)
         cost = 0.5 * task.rows * float(np.linalg.slogdet(covariance)[1]) + 0.5 * surprise
         if self._counted.any():
-            # Where S is held above the mean of e e', the errors are fewer standard deviations than it has outputs.
+            # If S is held above the mean of e e', the weighted squares sum to less than samples times outputs.
             cost += 0.5 * (float(np.sum(weights * squares)) - task.rows * len(covariance))
-        return Seen(cost + len(ends) * long_run.cost, normals, gain, covariance)
+        return Seen(cost + len(ends) * at_start.cost, normals, gain, covariance)
 
-    def long_run(self, values: Array, logarithms: Array) -> LongRun:
-        """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
-        return long_run(self.noise, values, logarithms)
+    def stationary_start(self, values: Array, logarithms: Array) -> StationaryStart:
+        """Spread of the initial states at parameter values (np,) and logarithms (q,) of the noise."""
+        return stationary_start(self.noise, values, logarithms)
 
     @property
     def _counted(self) -> Array:
-        """The least variance of the innovations of each output, (ny,): that of a quantiser; 0 where none is known."""
+        """Lower bound of the innovations' variance of each output, (ny,): that of a quantiser; 0 without a bound."""
         outputs = self.task.model.outputs
         return np.array([output.noise**2 if output.counted and not output.noise_known else 0.0 for output in outputs])
 
     @property
     def _floor(self) -> Array:
-        """What is added to the innovations' variances, (ny,)."""
+        """Floor that is added to the innovations' variances, (ny,)."""
         outputs = self.task.model.outputs
         known = np.array([(FLOOR if output.noise_known else 1e-9) * output.noise for output in outputs])
-        alike = np.zeros(len(outputs))
+        identical = np.zeros(len(outputs))
         for place in self.noise.copies:
-            alike[place] = RESOLUTION * np.nanstd(
+            identical[place] = RESOLUTION * np.nanstd(
                 np.concatenate([each.measured[:, place] for each in self.task.segments])
             )
-        return np.asarray(known**2 + alike**2)
+        return np.asarray(known**2 + identical**2)
 
 
 def _at_least(covariance: Array, least: Array) -> Array:
-    """The likeliest covariance S (ny, ny) in which no combination of counted outputs has less than the variances
-    `least` (ny,) that a quantiser makes, once the other outputs are known; the mean of e e' is `covariance`.
+    """The likeliest covariance S (ny, ny) in which, given the other outputs, no combination of counted outputs has less
+    than a quantiser's variance `least` (ny,); `covariance` is the mean of e e'.
 
-    In units of `least`, what has a variance below one gets one. While an encoder does not count, errors vanish; were
-    they taken for what it is good to, a fit would follow its steps. Two that count at the same rows differ by nothing.
-    A quantiser's error has to do with no other sensor's, so all covariances with those stay as they are.
+    In units of `least`, combinations with a variance below one get one. While an encoder does not count, errors vanish;
+    if that were taken for its accuracy, a fit would follow its steps. Two encoders that count at the same samples have
+    no difference at all. The error of a quantiser is independent of the other sensors, so the covariances with those
+    are unchanged.
     """
     held = np.flatnonzero(least > 0.0)
     if not len(held) or not np.all(np.isfinite(covariance)):
@@ -164,11 +167,12 @@ def _at_least(covariance: Array, least: Array) -> Array:
     return found
 
 
-def _weighted(products: Array, pull: Array, weights: Array, end: Array, by: Array, long_run: LongRun) -> Normal:
-    """The normal equations of a stretch.
+def _weighted(products: Array, pull: Array, weights: Array, end: Array, by: Array, at_start: StationaryStart) -> Normal:
+    """The normal equations of a segment.
 
-    `products` (ny * c, ny * c) are of its columns, `pull` (ny * c, ny) of these with its errors; the last columns are
-    the initial state's, which is off by `end` (k,) times its spread in the `long_run`; `by` (k, c) are the derivatives.
+    `products` (ny * c, ny * c) are those of its columns, `pull` (ny * c, ny) those of its columns with its errors. The
+    last columns are those of the initial state, which deviates by `end` (k,) times its spread in `at_start`; `by`
+    (k, c) are the derivatives of `end`.
     """
     outputs = len(weights)
     columns = len(pull) // outputs
@@ -176,7 +180,7 @@ def _weighted(products: Array, pull: Array, weights: Array, end: Array, by: Arra
     matrix = np.einsum("jakb,jk->ab", four, weights)
     vector = -np.einsum("jak,jk->a", pull.reshape(outputs, columns, outputs), weights)
     off = by.copy()
-    for number, unknown, slope in long_run.entries:
+    for number, unknown, slope in at_start.entries:
         off[number, unknown] = -end[number] * slope
-    vector[: len(long_run.slopes)] += long_run.slopes
+    vector[: len(at_start.slopes)] += at_start.slopes
     return Normal(matrix + off.T @ off, vector + off.T @ end)

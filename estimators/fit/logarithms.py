@@ -1,7 +1,7 @@
-"""Steps in logarithms of the parameters that are known by their order of magnitude alone.
+"""Steps in the logarithms of parameters of which only the order of magnitude is known.
 
-What a record tells are often products and quotients of such numbers. In the numbers themselves the good values then lie
-along a curve, which straight steps leave at once; in their logarithms it is a straight line. The minimum is the same.
+Often only products and quotients of such parameters are identifiable. The good values then lie along a curve, which
+straight steps leave at once. In logarithms it is a straight line. The minimum is the same.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from models.parts import Parameter
 Array = NDArray[np.float64]
 
 ROUGHLY = 0.25
-"""Share of its value that a positive parameter's standard deviation has where only its size is known."""
+"""Only the order of magnitude of a positive parameter is known if its relative standard deviation exceeds this."""
 LEAST = 1e-6
-"""Share of its start below which such a parameter is not sought where its bound is zero."""
+"""Lower bound of such a parameter, relative to its start, if its own bound is zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class InLogarithms:
-    """A likelihood in unknowns (p + q,) of which those of `places` (p + q,) are the logarithms of what it takes."""
+    """A likelihood as a function of unknowns (p + q,), of which those at the mask `places` (p + q,) are the logarithms
+    of its own."""
 
     likelihood: Likelihood
     places: NDArray[np.bool_]
 
     @classmethod
     def of(cls, likelihood: Likelihood) -> InLogarithms:
-        """Of those parameters of the likelihood's problem that are known roughly."""
+        """With logarithms of the parameters that are known roughly."""
         roughly = [is_known_roughly(parameter) for parameter in likelihood.task.parameters]
         return cls(likelihood, np.array(roughly + [False] * likelihood.noise.size))
 
@@ -50,20 +51,20 @@ class InLogarithms:
         return replace(seen, normals=tuple(normals))
 
     def natural(self, common: Array) -> Array:
-        """What the likelihood takes."""
+        """The unknowns of the likelihood itself."""
         return np.where(self.places, np.exp(np.where(self.places, common, 0.0)), common)
 
     def inside(self, natural: Array) -> Array:
-        """The opposite of `natural`, for values and bounds; zero is as good as LEAST of the start."""
+        """The inverse of `natural`, for values and bounds; zero is replaced by LEAST of the start."""
         least = LEAST * np.abs(self.likelihood.centre)
         return np.where(self.places, np.log(np.where(self.places, np.maximum(natural, least), 1.0)), natural)
 
     def scale(self, natural: Array) -> Array:
-        """Typical sizes of the unknowns: a logarithm is changed by a half at a time."""
+        """Typical magnitudes of the unknowns: 0.5 for a logarithm."""
         return np.where(self.places, 0.5, natural)
 
     def minimum(self, found: Minimum, lower: Array, upper: Array) -> Minimum:
-        """`found` in the likelihood's unknowns, within bounds (p + q,) to the last bit."""
+        """`found` in the unknowns of the likelihood itself, exactly within the bounds (p + q,)."""
         common = np.clip(self.natural(found.common), lower, upper)
         slope = self._slope(common)
         return replace(found, common=common, information=found.information / np.outer(slope, slope))
@@ -73,5 +74,5 @@ class InLogarithms:
 
 
 def is_known_roughly(parameter: Parameter) -> bool:
-    """Whether it is a positive number of which no more than the size is known."""
+    """Whether `parameter` is positive and no more than its order of magnitude is known."""
     return parameter.lower >= 0.0 and parameter.value > 0.0 and parameter.std > ROUGHLY * parameter.value

@@ -1,9 +1,9 @@
-"""The fit of a model with its noise: the parameters under which each sample is best predicted from all before it.
+"""The fit of a model with its noise by prediction error: each sample is predicted from all previous ones.
 
 Kalman innovations with the gain of the estimated noise, weighted by their covariance: maximum likelihood for Gaussian
-noise, in open and in closed loop, on stable and on unstable plants. CAD values with their standard deviations are the
-prior (maximum a posteriori), which a record of half a minute outweighs a thousand times. Several recordings are one
-fit, each stretch with an initial state of its own. Source: Ljung, "System identification", 2nd ed., chapters 7 and 9.
+noise, in open and in closed loop, for stable and for unstable plants. CAD values with their standard deviations are the
+prior (maximum a posteriori), which a record of half a minute outweighs a thousand times. Several recordings are fitted
+together, each segment with its own initial state. Source: Ljung, "System identification", 2nd ed., chapters 7 and 9.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ from estimators.fit.result import inverse
 Array = NDArray[np.float64]
 
 SETTLING = 3
-"""Steps of the initial states alone, where a fit begins at values that were fitted to other rows."""
+"""Steps of the initial states alone, if a fit begins at values that were fitted to other data."""
 ITERATIONS = 200
-"""Steps at most. A robot of which seven numbers do much the same takes up to 102 (60 fits of 30 records)."""
+"""Largest number of steps. A robot with seven highly correlated parameters takes up to 102 (60 fits of 30 records)."""
 ENOUGH = 1e-3
-"""Fall of the log likelihood that is not worth a further step: no parameter moves by a twentieth of its deviation."""
+"""Rise of the log-likelihood below which no further step is made: no parameter would move by a twentieth of its
+standard deviation."""
 MUCH = 3.0
-"""Natural logarithm by which a noise is more, or less, than the model says, to begin with."""
+"""Natural logarithm by which a noise starts above, or below, the model's value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a step of the fit came to: the cost, and the parameters with the logarithms of the noise, (p + q,)."""
+    """The result of one step of a fit: the cost, and the parameters with the logarithms of the noise, (p + q,)."""
 
     cost: float
     common: Array
@@ -43,9 +44,9 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Where a fit begins other than at what was known before: `values` by parameter, others at the model's; `noise`
-    (q,), the logarithms of it that are estimated. From far off, the first steps of the others would drive a frequency
-    or an instant into a minimum beside its own."""
+    """Start of a fit other than the prior: `values` by parameter (others start at the model's), and `noise` (q,), the
+    estimated logarithms of the noise. From a distant start, the first steps of the other unknowns would drive a
+    frequency or a change point into a neighbouring local minimum."""
 
     values: Mapping[str, float]
     noise: Array
@@ -55,8 +56,8 @@ class Begin:
 class Fit:
     """A fitted predictor. `minimum.common` are the parameters, then the logarithms of the noise.
 
-    `gain` (nx, ny); `covariance` (ny, ny) of the innovations; `prior` (p + q,) what the prior informs; `steps` by which
-    the cost fell, the start first.
+    `gain` (nx, ny); `covariance` (ny, ny) of the innovations; `prior` (p + q,) the information of the prior; `steps`
+    that reduced the cost, the start first.
     """
 
     problem: Problem
@@ -73,14 +74,14 @@ class Fit:
 
     @property
     def end(self) -> Begin:
-        """Where a fit of more data, of less, or with more parameters may begin."""
+        """Start for a fit to more or fewer data, or with more parameters."""
         names = [parameter.name for parameter in self.problem.parameters]
         values = dict(zip(names, self.minimum.common.tolist(), strict=False))
         return Begin(values, self.minimum.common[len(names) :])
 
     @property
     def starts(self) -> list[Array]:
-        """The fitted initial state of each stretch, (nx,)."""
+        """The fitted initial state of each segment, (nx,)."""
         starts = []
         for initial, part in zip(self.problem.initials, self.minimum.own, strict=False):
             start = initial.copy()
@@ -89,24 +90,25 @@ class Fit:
         return starts
 
     def information(self, held: tuple[int, ...]) -> Array:
-        """What the data tell (k, k) of what was estimated and of the parameters at `held`, without the prior.
+        """Information (k, k) of the data on the estimated unknowns and on the parameters at `held`, without the prior.
 
-        Raises ArithmeticError where the model runs away from its own estimate.
+        Raises ArithmeticError if the model diverges at its own estimate.
         """
         minimum = self.minimum
         likelihood = Likelihood(self.problem, NoiseModel.of(self.problem), minimum.common, self.prior)
         seen = likelihood.of_data(minimum.common, minimum.own, also=held)
         if seen is None:
-            raise ArithmeticError("the model runs away from its own estimate")
+            raise ArithmeticError("the model diverges at its own estimate")
         return common_information(seen.normals, len(minimum.common) + len(held))
 
     def joint_covariance(self) -> tuple[tuple[int, ...], Array]:
-        """Places of the estimated and of the held parameters that are not exact, and the covariance of both (k, k)."""
+        """Indices of the estimated parameters and of the held ones that are not exact, and their covariance (k, k)."""
         task, unknown = self.problem, len(self.minimum.common)
         size, held = len(task.free), task.uncertain
         if not held:
             return task.free, inverse(self.minimum.information)[:size, :size]
-        # All of one evaluation: what takes the place of a held parameter cancels in a combination to the last digits.
+        # All from one evaluation: what is confounded with a held parameter then cancels in a combination to the last
+        # digits.
         information = self.information(held)
         alone = inverse(information[:unknown, :unknown] + np.diag(self.prior))
         deviations = np.array([task.model.parameters[place].std for place in held])
@@ -116,7 +118,7 @@ class Fit:
         return (*task.free, *held), covariance
 
     def innovations(self) -> list[Array]:
-        """By stretch, (n, ny)."""
+        """Innovations by segment, (n, ny)."""
         task = self.problem
         return [
             segment.measured
@@ -133,13 +135,12 @@ def fit(
     near: Fit | None = None,
     begin: Begin | None = None,
 ) -> Fit:
-    """Parameters and noise from the model's values on, or from `begin`, in so many steps at most.
+    """Fits parameters and noise, from the model's values or from `begin`, in at most `iterations` steps.
 
-    Noise and initial states begin as in the fit `near`, of the same data, where there is one. White process noise and a
-    disturbance take each other's place: what is missing may first go into the one that is less likely in the end. So
-    where there is nothing else to begin from, the noise also begins with much of the latter and little of the former,
-    and the likelier end stays.
-    Raises ArithmeticError where even these values run away.
+    Noise and initial states start as in the fit `near` to the same data, if it is given. White process noise and a
+    disturbance are confusable: the residual torque may first be attributed to the one that is finally less likely. So
+    if neither `near` nor `begin` is given, a second fit starts with a large disturbance and little white noise, and the
+    likelier result is returned. Raises ArithmeticError if the model diverges at the start values.
     """
     starts = [begin] if begin is not None or near is not None else _starts(task)
     found: list[Fit] = []
@@ -153,14 +154,13 @@ def fit(
 
 
 def _starts(task: Problem) -> list[Begin | None]:
-    """Of the noise: as the model has it, and with much of its disturbances and little white."""
+    """Starts of the noise: that of the model, and one with large disturbances and little white noise."""
     much = noise_of(task, shaken=MUCH, white=-MUCH)
     return [None, Begin({}, much)] if (much < 0.0).any() and (much > 0.0).any() else [None]
 
 
 def noise_of(task: Problem, *, shaken: float = 0.0, white: float = 0.0) -> Array:
-    """Logarithms (q,) of the noise as the model has it, but for those of its disturbances and of the white process
-    noise."""
+    """Logarithms (q,) of the noise: `shaken` for disturbances, `white` for white process noise, 0 for sensors."""
     noise, states = NoiseModel.of(task), task.model.states
     logarithms = np.zeros(noise.size)
     for place, number in zip(noise.noisy, noise.process_place, strict=True):
@@ -179,8 +179,8 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
         common = np.concatenate((task.start, near.minimum.common[len(near.problem.free) :]))
         own = list(near.minimum.own)[: len(own)]
     if begin is not None:
-        told = [begin.values.get(parameter.name, parameter.value) for parameter in task.parameters]
-        common = np.concatenate((told, begin.noise))
+        values = [begin.values.get(parameter.name, parameter.value) for parameter in task.parameters]
+        common = np.concatenate((values, begin.noise))
     steps: list[Step] = []
     while True:
         inside = InLogarithms.of(likelihood)
@@ -206,14 +206,14 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
             watched=size,
         )
         if found is None:
-            raise ArithmeticError("the model runs away from its start values even with the measurement's help")
+            raise ArithmeticError("the model diverges at the start values although the filter corrects it")
         minimum, there = inside.minimum(found[0], lower, upper), found[1]
         common, own = minimum.common, list(minimum.own[:-1])
         finer = task.refined(common[:size])
         if finer.substeps == task.substeps:
             gain = likelihood.noise.gain(task.values(common[:size]), common[size:])
             gain = there.gain if gain is None else gain
-            spread = likelihood.long_run(task.values(common[:size]), common[size:]).spread
+            spread = likelihood.stationary_start(task.values(common[:size]), common[size:]).spread
             return Fit(replace(task, spread=spread), minimum, gain, there.covariance, likelihood.prior, tuple(steps))
         task = finer
         likelihood = replace(likelihood, task=task)
@@ -222,7 +222,7 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
 def _settled(
     expand: Callable[[Array, Sequence[Array]], Seen | None], common: Array, own: Sequence[Array]
 ) -> list[Array]:
-    """Initial states that suit the values `common`, which are held."""
+    """Initial states fitted at the values `common`, which are held."""
     found = descend(
         expand,
         common,

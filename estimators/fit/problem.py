@@ -1,6 +1,7 @@
-"""A model, its kernel and the data it is fitted to, in the shape that the fits share.
+"""A model, its kernel and its data, in the form that all fits share.
 
-Common unknowns are the estimated parameters; each stretch's own are the initial states that are not exactly known.
+The common unknowns are the estimated parameters. The own unknowns of each segment are the initial states that are not
+exactly known.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 SHORT = 2e-4
-"""Of a row, over which a difference is a derivative by time: 1 microsecond at 200 Hz."""
+"""Share of a sampling period over which a difference approximates a time derivative: 1 microsecond at 200 Hz."""
 FINEST = 0.35
-"""Step times fastest pole that Runge-Kutta is trusted with; a step is divided until it is less."""
+"""Largest step times fastest pole for Runge-Kutta; steps are divided until they are below it."""
 SLOWEST = 0.1
-"""Share of the rate that differences of an angle show which is taken for motion where their noise is all of it."""
+"""Least share of the rate from differences of an angle that counts as motion, even if noise explains all of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """`free` are the places of the estimated parameters, `own` the states whose start each stretch fits for itself, and
-    `spread` (k,) how far off these may be. Passes over the data are made within the `budget`."""
+    """`free` are the indices of the estimated parameters, `own` those of the states whose initial value is fitted for
+    each segment, and `spread` (k,) its prior standard deviations. Passes over the data are made within the `budget`."""
 
     model: Model
     kernel: Kernel
@@ -52,7 +53,7 @@ class Problem:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The estimated ones."""
+        """The estimated parameters."""
         return tuple(self.model.parameters[place] for place in self.free)
 
     @property
@@ -76,12 +77,12 @@ class Problem:
 
     @property
     def span(self) -> float:
-        """s of data."""
+        """Duration of all data, s."""
         return sum(segment.duration for segment in self.segments)
 
     @property
     def shown(self) -> list[tuple[int, int]]:
-        """The starts, by their number in `own`, that are read from an output as it is, each with the output's place."""
+        """The initial states that equal an output: index in `own` and index of the output."""
         initials = {place: self.model.states[place].initial for place in self.own}
         outputs = {name: place for place, name in enumerate(self.kernel.outputs)}
         return [(k, outputs[initials[place]]) for k, place in enumerate(self.own) if initials[place] in outputs]
@@ -92,32 +93,34 @@ class Problem:
 
     @property
     def uncertain(self) -> tuple[int, ...]:
-        """Places of parameters that are not estimated and not exactly known either."""
+        """Indices of the parameters that are neither estimated nor exactly known."""
         return tuple(place for place, p in enumerate(self.model.parameters) if place not in self.free and p.std > 0.0)
 
     def values(self, common: Array) -> Array:
-        """All parameter values (np,) where the estimated ones are `common`."""
+        """All parameter values (np,) if the estimated ones are `common`."""
         values = self.kernel.vector()
         values[list(self.free)] = common
         return values
 
     def refined(self, common: Array) -> Problem:
-        """With steps as short as the model is fast at `common`: friction that starts at zero makes it stiff later."""
+        """With steps short enough for the model at `common`: friction that starts at zero makes it stiff later."""
         enough = _substeps(self.model, self.kernel, self.values(common), self.segments)
         return replace(self, substeps=max(self.substeps, enough))
 
     def like(self, other: Problem) -> Problem:
-        """With steps as short as those of `other`, and as sure of the starts of its states, which come first here."""
+        """With steps as short as those of `other`, and with its spread of the initial states that both have, which come
+        first here."""
         spread = np.concatenate((other.spread, self.spread[len(other.spread) :]))
         return replace(self, substeps=max(self.substeps, other.substeps), spread=spread)
 
     def off_at_the_start(self, run: Run, initial: Array, part: Array, starts: range) -> tuple[Array, Array]:
-        """How far a stretch's own starts `part` (k,) are from the readings of its first row (k,), each in the unit of
-        its state, and the derivatives of that by what is active in `run` (k, na); `starts` are the columns of `part`.
+        """Deviation (k,) of a segment's initial states `part` (k,) from the measurements of its first sample, each in
+        the unit of its state, and its derivatives (k, na) with respect to what is active in `run`; `starts` are the
+        columns of `part`.
 
-        `initial` (nx,) are the states as they were read. Where an output shows a state, its reading is compared with
-        what the model says that the output shows, errors of the sensor included: one that is mounted askew does not
-        make the start a surprise.
+        `initial` (nx,) are the measured states. If a state equals an output, the measurement is compared with the
+        output that the model predicts, errors of the sensor included, so that a misaligned sensor does not make the
+        initial state improbable.
         """
         own = list(self.own)
         off, by = part - initial[own], np.zeros((len(own), run.sensitivity.shape[2]))
@@ -138,11 +141,11 @@ class Problem:
         slopes: Array | None = None,
         also: Sequence[int] = (),
     ) -> list[Block] | None:
-        """Weighted errors of every stretch, and the rows that say how far its start may be off.
+        """Weighted errors of every segment, followed by the deviations of its initial state from the prior.
 
-        `weights` (ny, ny) turns an output error into independent ones of unit variance. `also`: places of parameters
-        to differentiate by beside the estimated ones, after them. `slopes` (nx * ny, p + q) are derivatives of the gain
-        by the same and by q further unknowns that act through the gain alone. None where the model runs away.
+        `weights` (ny, ny) turns an output error into independent ones of unit variance. `also`: indices of further
+        parameters to differentiate by, after the estimated ones. `slopes` (nx * ny, p + q) are the derivatives of the
+        gain with respect to these and to q further unknowns that act only through the gain. None if the model diverges.
         """
         self.budget.check()
         values = self.values(common)
@@ -190,13 +193,14 @@ def problem(
     rows: Sequence[Segment] | None = None,
     progress: Progress | None = None,
 ) -> Problem:
-    """The fit of `model` to `recordings`; `estimate` names the parameters sought, by default those the model says.
+    """The problem of fitting `model` to `recordings`; `estimate` names the estimated parameters, by default those that
+    the model marks.
 
-    `rows` are stretches that were made before, for another model of the same inputs and outputs; then no recording is
-    read.
+    `rows` are existing segments, made for another model with the same inputs and outputs; `recordings` are then not
+    used.
 
-    Raises DataError where the data are not fit for it, ModelError for an unknown name, EstimationError where nothing
-    is sought.
+    Raises DataError if the data cannot be used, ModelError for an unknown name, EstimationError if no parameter is to
+    be estimated.
     """
     if isinstance(model, str):
         model = library.get(model)
@@ -209,7 +213,7 @@ def problem(
         parameter = model.parameters[place]
         if not parameter.lower < parameter.upper:
             what = f"its bounds cross: {parameter.lower:g} and {parameter.upper:g}"
-            raise EstimationError(f"parameter {parameter.name}", what, remedy="mend them in the model.")
+            raise EstimationError(f"parameter {parameter.name}", what, remedy="correct them in the model.")
         if not parameter.lower <= parameter.value <= parameter.upper:
             what = f"{parameter.value:g} {parameter.unit} is outside {parameter.lower:g} to {parameter.upper:g}"
             raise EstimationError(f"parameter {parameter.name}", what, remedy="start inside the bounds.")
@@ -223,19 +227,20 @@ def problem(
 
 
 def _substeps(model: Model, kernel: Kernel, values: Array, data: Sequence[Segment]) -> int:
-    """Steps a row that the fastest pole asks for at parameter values (np,), at rest and in motion."""
+    """Steps per sample that the fastest pole requires at parameter values (np,), at rest and in motion."""
     return substeps_of(kernel, values, data, typical_motion(model, data))
 
 
 def substeps_of(kernel: Kernel, values: Array, data: Sequence[Segment], motion: Array) -> int:
-    """Steps a row that the fastest pole asks for at parameter values (np,), at rest and in the state `motion` (nx,)."""
+    """Steps per sample that the fastest pole requires at parameter values (np,), at rest and in the state `motion`
+    (nx,)."""
     matrices = [jacobian(kernel, values, data, state) for state in (None, motion)]
     fastest = float(np.max(np.abs(np.linalg.eigvals(np.array(matrices)))))
     return int(np.clip(np.ceil(float(np.median(np.diff(data[0].time))) * fastest / FINEST), 1, 50))
 
 
 def initial_state(model: Model, segment: Segment) -> Array:
-    """The state at the first row as it is measured."""
+    """The measured state at the first sample."""
     first = np.array([column[np.isfinite(column)][0] for column in segment.measured.T])
     known: Mapping[str, float] = {
         **model.values,
@@ -252,7 +257,7 @@ def jacobian(kernel: Kernel, values: Array, data: Sequence[Segment], motion: Arr
 
 
 def at_rest(kernel: Kernel, data: Sequence[Segment], spacing: float) -> Segment:
-    """Two rows `spacing` s apart at which each input has its mean."""
+    """Two samples `spacing` s apart with each input at its mean."""
     time = float(data[0].time[0]) + spacing * np.arange(2.0)
     held = np.repeat(data[0].inputs.mean(axis=0)[None, :], 2, axis=0)
     knots = np.repeat((time - 1.0)[:, None], len(kernel.inputs), axis=1)
@@ -260,9 +265,9 @@ def at_rest(kernel: Kernel, data: Sequence[Segment], spacing: float) -> Segment:
 
 
 def typical_motion(model: Model, data: Sequence[Segment]) -> Array:
-    """A state (nx,) in which the joints move as fast as they usually do, all else zero.
+    """A state (nx,) in which the joints move at their RMS rate in `data`, with all other states zero.
 
-    At rest a model with dry friction is damped as it is nowhere else.
+    At rest, dry friction damps a model more than at any other state.
     """
     states = [each.name for each in model.states]
     motion = np.zeros(len(states))
@@ -280,19 +285,19 @@ def typical_motion(model: Model, data: Sequence[Segment]) -> Array:
 
 
 def usual_motion(model: Model) -> Array:
-    """The same as the model's scales have it, where nothing is measured yet."""
+    """The same from the scales of the model, for use before there are measurements."""
     rates = {joint.rate: joint.rate_scale for joint in model.joints}
     return np.array([rates.get(state.name, 0.0) for state in model.states])
 
 
 def shown_by(model: Model, text: str) -> int | None:
-    """Place of the output that shows the state or expression `text` as it is; None where none does."""
+    """Index of the output that equals the state or expression `text`; None if there is none."""
     outputs = [place for place, each in enumerate(model.outputs) if text in (each.name, each.expression)]
     return outputs[0] if outputs else None
 
 
 def _usual_rate(data: Sequence[Segment], place: int) -> float:
-    """RMS of the rate of the output at `place`, unit/s, without what the output's white noise adds to differences."""
+    """RMS of the rate of the output at `place`, unit/s, without the contribution of its white noise to differences."""
     angles = [segment.measured[:, place] for segment in data]
     rates = np.concatenate([np.gradient(each, segment.time) for each, segment in zip(angles, data, strict=True)])
     noise = white_variance([each[:, None] for each in angles if len(each) > 4])[0][0]
@@ -304,10 +309,10 @@ def _usual_rate(data: Sequence[Segment], place: int) -> float:
 def linearise(
     kernel: Kernel, values: Array, rest: Segment, state: Array | None = None, *, substeps: int = 1
 ) -> tuple[Array, Array]:
-    """Transition matrices between the two rows of `rest` (m, nx, nx) and output matrices (m, ny, nx) at `state` (nx,),
-    by default all zero, for each row of parameter values (m, np).
+    """Transition matrices (m, nx, nx) between the two samples of `rest` and output matrices (m, ny, nx) at `state`
+    (nx,), by default zero, for each row of parameter values (m, np).
 
-    Derivatives of a linear model are the same everywhere.
+    For a linear model they do not depend on the state.
     """
     states, outputs = len(kernel.states), len(kernel.outputs)
     begin = np.zeros(states) if state is None else state

@@ -1,7 +1,8 @@
-"""What a model holds at its CAD value and the recordings tell better: it is estimated then, with that value as prior.
+"""Releases parameters that a model holds at CAD values but the data determine better; the CAD value becomes the prior.
 
-A model holds what most recordings do not tell. A trim mass that moves tells how high it is: held as far off as its file
-says, it was something missing that has no name, in 5 of 20 clean records.
+A model holds parameters that are not identifiable from most recordings. The height of a trim mass is identifiable if
+the mass moves: when it was held with an error as large as its file allows, the diagnosis found something missing
+without a name in 5 of 20 clean records.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from estimators.fit.result import inverse
 from models.model import Model
 
 BETTER = 0.5
-"""Share of what was known before to which the data have to tell it, were all else that is held exact."""
+"""A parameter is released if the data determine it to this share of its prior standard deviation, with all other held
+parameters exact."""
 
 
 def released(model: Model, fitted: Fit) -> Model:
-    """`model`, to which `fitted` belongs, with such parameters estimated; `model` itself where there are none."""
+    """`model`, to which `fitted` belongs, with such parameters estimated; `model` itself if there are none."""
     task, count = fitted.problem, len(fitted.minimum.common)
     own = {each.name for each in model.base_parameters}
     held = tuple(place for place in task.uncertain if task.model.parameters[place].name in own)
@@ -28,11 +30,11 @@ def released(model: Model, fitted: Fit) -> Model:
     information = fitted.information(held)
     across = information[:count, count:]
     known = inverse(information[:count, :count] + np.diag(fitted.prior))
-    told = np.diag(information)[count:] - np.einsum("ih,ij,jh->h", across, known, across)
+    informed = np.diag(information)[count:] - np.einsum("ih,ij,jh->h", across, known, across)
     before = np.array([task.model.parameters[place].std for place in held])
     names = {
         task.model.parameters[place].name
-        for place, better in zip(held, told > (BETTER * before) ** -2, strict=True)
+        for place, better in zip(held, informed > (BETTER * before) ** -2, strict=True)
         if better
     }
     if not names:

@@ -1,8 +1,8 @@
-"""From the minimum of a fit to an Estimate: what is known, how well, what is not and why.
+"""From the minimum of a fit to an Estimate: which parameters are identified, how well, and why others are not.
 
-A parameter counts as identified where the data alone, without its prior, tell it to within half of what was known
-before (or, where nothing was, to within 30 % of its size). What is not known well enough has no value; its reason says
-whether it hardly moves what is measured, or which other parameter does the same.
+A parameter is identified if the data alone, without its prior, determine it to half its prior standard deviation (or,
+without a prior, to 30 % of its magnitude). Otherwise it has no value, and its reason says whether it hardly affects the
+measurements, or with which other parameter it is confounded.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from models.random.disturbance import parameters_of
 
 Array = NDArray[np.float64]
 
-ASKED_OF_PRIOR = 0.5
-ASKED_OF_SIZE = 0.3
+REQUIRED_OF_PRIOR = 0.5
+REQUIRED_OF_SIZE = 0.3
 NOTHING = 1e-60
-"""Information that is none; the square of its inverse is still a number."""
+"""Information that counts as none; the square of its inverse does not overflow."""
 
 
-def asked_std(parameter: Parameter) -> float:
+def required_std(parameter: Parameter) -> float:
     """The standard deviation that the data alone have to reach for `parameter`."""
     if parameter.std > 0.0:
-        return ASKED_OF_PRIOR * parameter.std
-    return ASKED_OF_SIZE * (parameter.scale or abs(parameter.value) or 1.0)
+        return REQUIRED_OF_PRIOR * parameter.std
+    return REQUIRED_OF_SIZE * (parameter.scale or abs(parameter.value) or 1.0)
 
 
 def inverse(information: Array) -> Array:
-    """The inverse of an information matrix (p, p), with what is not informed at all very large instead of nonsense."""
+    """The inverse of an information matrix (p, p); directions without information get a very large variance."""
     size = np.sqrt(np.maximum(np.diag(information), NOTHING))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     values = np.maximum(values, 1e-12)
@@ -61,9 +61,9 @@ def assemble(
     seconds: float,
     disturbance: tuple[DisturbanceEstimate, ...] = (),
 ) -> Estimate:
-    """The Estimate of a fit. `covariance` (p, p) is told, `data_covariance` (p, p) decides what is identified.
+    """The Estimate of a fit. `covariance` (p, p) is reported, `data_covariance` (p, p) decides what is identified.
 
-    The correlation time of a disturbance is no parameter of the machine, and is told with its `disturbance`."""
+    The correlation time of a disturbance is not a parameter of the machine and is reported with its `disturbance`."""
     parameters: dict[str, ParameterEstimate] = {}
     related = correlation(data_covariance)
     lower, upper = problem.bounds
@@ -73,8 +73,8 @@ def assemble(
     for place in own:
         parameter = problem.parameters[place]
         alone = float(np.sqrt(data_covariance[place, place]))
-        asked = asked_std(parameter)
-        coverage = 100.0 * min(1.0, asked / max(alone, 1e-300))
+        required = required_std(parameter)
+        coverage = 100.0 * min(1.0, required / max(alone, 1e-300))
         value, std = float(minimum.common[place]), float(np.sqrt(covariance[place, place]))
         status, reason = Status.OK, ""
         hit = bool(minimum.at_bound[place])
@@ -82,13 +82,13 @@ def assemble(
             bounds_hit.append(parameter.name)
         if not minimum.converged:
             status = Status.NOT_CONVERGED
-            reason = f"the fit did not settle in {minimum.iterations} steps: the model may be far from the vehicle"
-        elif not alone < asked:
-            status, reason = _unknown(problem, place, related, alone, asked)
-        elif std > max(2.0 * asked, ASKED_OF_SIZE * abs(value)):
+            reason = f"the fit did not converge in {minimum.iterations} steps: the model may be far from the vehicle"
+        elif not alone < required:
+            status, reason = _unknown(problem, place, related, alone, required)
+        elif std > max(2.0 * required, REQUIRED_OF_SIZE * abs(value)):
             status = Status.UNIDENTIFIABLE
             held = ", ".join(problem.model.parameters[number].name for number in problem.uncertain)
-            reason = f"it is known to ± {std:.3g} {parameter.unit} only, since it rests on values that are held: {held}"
+            reason = f"it is known only to ± {std:.3g} {parameter.unit}, since it depends on held values: {held}"
         elif hit and not _is_neutral(parameter, value):
             status = Status.AT_BOUND
             bound = lower[place] if value <= lower[place] else upper[place]
@@ -98,8 +98,8 @@ def assemble(
             value if known else None, std if known else None, parameter.unit, status, coverage, reason
         )
     failed = next((p for p in parameters.values() if not p.identifiable), None)
-    told = [each.identifiable for each in parameters.values()]
-    shown = np.where(np.outer(told, told), correlation(covariance)[np.ix_(own, own)], np.nan)
+    identified = [each.identifiable for each in parameters.values()]
+    shown = np.where(np.outer(identified, identified), correlation(covariance)[np.ix_(own, own)], np.nan)
     return Estimate(
         method=method,
         parameters=parameters,
@@ -116,23 +116,23 @@ def assemble(
 
 
 def _is_neutral(parameter: Parameter, value: float) -> bool:
-    """An amplitude may well be zero: the effect is not there."""
+    """Whether `value` is an amplitude of zero, which is valid: the effect is absent."""
     return value == 0.0 and parameter.scale > 0.0
 
 
-def _unknown(problem: Problem, place: int, related: Array, alone: float, asked: float) -> tuple[Status, str]:
+def _unknown(problem: Problem, place: int, related: Array, alone: float, required: float) -> tuple[Status, str]:
     parameter = problem.parameters[place]
     others = np.abs(np.delete(related[place], place))
     names = [each.name for number, each in enumerate(problem.parameters) if number != place]
-    told = f"the record tells {parameter.name} to ± {alone:.3g} {parameter.unit}, ± {asked:.3g} is asked"
+    reached = f"the record determines {parameter.name} to ± {alone:.3g} {parameter.unit}, ± {required:.3g} is required"
     if len(others) and np.max(others) > 0.9:
         partner = names[int(np.argmax(others))]
-        return Status.UNIDENTIFIABLE, f"{told}: {partner} does the same to what is measured; hold one of them"
-    return Status.TOO_LITTLE_EXCITATION, f"{told}: excite it stronger, wider or for longer"
+        return Status.UNIDENTIFIABLE, f"{reached}: {partner} has the same effect on the measurements; hold one of them"
+    return Status.TOO_LITTLE_EXCITATION, f"{reached}: excite it more strongly, over a wider band or for longer"
 
 
 def refused(model: Model, method: str, error: DataError, seconds: float) -> Estimate:
-    """The Estimate where the data cannot be used: no value, and why."""
+    """The Estimate if the data cannot be used: no values, and the reason."""
     reason = f"{error}".rstrip(".")
     parameters = {
         p.name: ParameterEstimate(None, None, p.unit, error.status, 0.0, reason)
@@ -143,7 +143,7 @@ def refused(model: Model, method: str, error: DataError, seconds: float) -> Esti
 
 
 def with_known(covariance: Array, information: Array, across: Array, deviations: Array) -> Array:
-    """`covariance` (p, p) with the uncertainty of parameters that are held at a value that is not exact.
+    """`covariance` (p, p) with the uncertainty of parameters that are held at inexact values included.
 
     `information` (p, p); `across` (p, k) = J' J between the estimated and the held; `deviations` (k,).
     """

@@ -1,5 +1,5 @@
-"""The random errors of a fit's sensors beside the white noise of outputs, with their standard deviations: what wanders
-or vibrates in an output (models.random.sensor_error), and white noise of a measured input
+"""The random errors of the sensors in a fit, other than white noise of outputs, with their standard deviations: drift
+or vibration of an output (models.random.sensor_error), and white noise of a measured input
 (models.random.input_noise)."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True)
 class SensorError:
     """A random error of the output `channel`, in `unit`: RMS `std` and `correlation_time` (s), each with the standard
-    deviation of its error, or one of a `narrow_band`, whose numbers these are then not."""
+    deviation of its error, or, if `narrow_band` is given, the narrow-band error that it describes."""
 
     channel: str
     unit: str
@@ -46,7 +46,7 @@ class SensorError:
         }
 
     def scaled(self, unit: str, factor: float) -> SensorError:
-        """The same in another `unit`, of which there are `factor` in one."""
+        """The same in another `unit`; `factor` converts the values."""
         narrow = self.narrow_band
         if narrow is not None:
             narrow = replace(narrow, unit=unit, std=factor * narrow.std, std_error=factor * narrow.std_error)
@@ -62,8 +62,8 @@ class SensorError:
 
 @dataclass(frozen=True, slots=True)
 class InputError:
-    """White noise of the measured input `channel`, in `unit`, of RMS `std`: `idle` is the share of it that does not
-    act, with the standard deviation of its error."""
+    """White noise of the measured input `channel`, with RMS `std` in `unit`. `idle` is the share of it that does not
+    act on the vehicle, with the standard deviation of its error."""
 
     channel: str
     unit: str
@@ -76,7 +76,7 @@ class InputError:
         return {"unit": self.unit, "rms": self.std, "idle_share": self.idle, "idle_share_std": self.idle_error}
 
     def scaled(self, unit: str, factor: float) -> InputError:
-        """The same in another `unit`, of which there are `factor` in one."""
+        """The same in another `unit`; `factor` converts the values."""
         return replace(self, unit=unit, std=factor * self.std)
 
     def __str__(self) -> str:
@@ -86,9 +86,9 @@ class InputError:
 
 
 def sensor_errors(fitted: Fit) -> tuple[SensorError | InputError, ...]:
-    """Of each output and each input that has one, in the model's order."""
+    """The error of each output and each input that has one, in the model's order."""
     found = Found.of(fitted)
-    outputs = [_told(found, output.name, output.unit, place) for output, place in at_outputs(found.model)]
+    outputs = [_of_output(found, output.name, output.unit, place) for output, place in at_outputs(found.model)]
     return (*outputs, *_of_inputs(found))
 
 
@@ -105,7 +105,7 @@ def _of_inputs(found: Found) -> Iterator[InputError]:
         )
 
 
-def _told(found: Found, channel: str, unit: str, place: int) -> SensorError:
+def _of_output(found: Found, channel: str, unit: str, place: int) -> SensorError:
     if found.model.base_states[place].frequency:
         return SensorError(channel, unit, narrow_band=found.narrow_band(place, unit))
     std, error, time, time_error = found.first_order(place)

@@ -1,4 +1,4 @@
-"""The covariance that noise gives a stable system in the long run."""
+"""The stationary covariance of a stable system that noise drives."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from estimators.contract import EstimationError
 Array = NDArray[np.float64]
 
 DOUBLINGS = 60
-"""After these a state has had more time than any record."""
+"""Largest number of doublings, which is more time than any record has."""
 SETTLED = 1e-13
-"""Share of the covariance that one more doubling may add."""
+"""Largest relative change of the covariance by the last doubling."""
 
 
 def stationary(transition: Array, driven: Array) -> Array:
-    """X = A X A' + Q (nx, nx), of one system (in_the_long_run). Raises EstimationError where X grows for ever."""
-    found = np.asarray(in_the_long_run(transition[None], driven[None])[0])
+    """X = A X A' + Q (nx, nx), of one system (stationary_all). Raises EstimationError if X grows without bound."""
+    found = np.asarray(stationary_all(transition[None], driven[None])[0])
     if np.isfinite(found).all():
         return found
     raise EstimationError(
-        "predictor", "its errors grow for ever", remedy="check the values and the noises of the model."
+        "predictor", "its errors grow without bound", remedy="check the values and the noises of the model."
     )
 
 
-def in_the_long_run(transition: Array, driven: Array) -> Array:
-    """X = A X A' + Q (n, nx, nx), by doubling: Q + A Q A', then twice as many rows, and so on; NaN where X grows for
-    ever.
+def stationary_all(transition: Array, driven: Array) -> Array:
+    """X = A X A' + Q (n, nx, nx), by doubling: Q + A Q A', then over twice as many samples, and so on; NaN if X grows
+    without bound.
 
-    A state that decays slowly or not at all, and that nothing drives, does no harm, as it would to a linear system for
-    all of X at once. Source: Smith, SIAM J. Applied Mathematics 16 (1968) 198.
+    A state that decays slowly or not at all causes no error if nothing drives it, unlike in a linear system of
+    equations for all of X at once. Source: Smith, SIAM J. Applied Mathematics 16 (1968) 198.
     """
     found = np.full(driven.shape, np.nan)
     total, power, left = driven, transition, np.arange(len(driven))

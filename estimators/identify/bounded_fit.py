@@ -1,13 +1,14 @@
-"""A fit of many parameters within bounds, as the paper's of all 14 numbers of the balancing robot, and what it tells.
+"""A fit of many parameters within bounds, as that of all 14 numbers of the balancing robot in the paper, and which of
+them are identifiable.
 
-The paper minimises the squared error of a simulation; a plant that falls over is predicted from row to row instead
-(estimators.methods.prediction_error), with exact derivatives. Priors take no part: start and bounds are all that is
-known. At the minimum the Karush-Kuhn-Tucker conditions hold: inside its bounds no parameter has a slope, and at a
-bound the slope points outwards.
+The paper minimises the squared error of a simulation. A plant that falls over is predicted one step ahead instead
+(estimators.methods.prediction_error), with exact derivatives. There are no priors: only start and bounds are given. At
+the minimum the Karush-Kuhn-Tucker conditions hold: inside its bounds no parameter has a slope, and at a bound the slope
+points outwards.
 
-Whether a parameter is told at all says the scaled Jacobian (singular values, in units of noise for a change of 100 %)
-for small changes, and the profile likelihood for large ones: the least cost with this parameter held elsewhere. Where
-it rises by less than RISE up to a bound, the record does not tell the parameter.
+Whether a parameter is identifiable follows from the scaled Jacobian (singular values, in units of noise for a change of
+100 %) for small changes, and from the profile likelihood for large ones: the least cost with this parameter held at
+another value. If it rises by less than RISE up to a bound, the parameter is not identifiable from the record.
 Sources: Hassan, Moustafa, Moness, section 4.2; Nocedal, Wright, Numerical Optimization, section 12.3; Raue et al.,
 Bioinformatics 25 (2009) 1923 (profile likelihood).
 """
@@ -35,22 +36,22 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 RISE = 0.5 * float(chi2.ppf(0.95, 1))
-"""Of the cost, a negative log likelihood, beyond which a value is outside the 95 % interval."""
+"""Rise of the cost, a negative log-likelihood, beyond which a value is outside the 95 % interval."""
 ITERATIONS = 300
-"""Steps at most: from bound to bound it is a long way, along directions that the record hardly tells."""
+"""Largest number of steps: a fit may go from bound to bound, along directions that are hardly identifiable."""
 CHANGE = 0.01
-"""Share of a parameter by which it is moved to see what that does to the cost."""
+"""Relative change of a parameter with which the sensitivity of the cost is computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoundedFit:
     """A minimum within bounds. Arrays are in the order of `parameters`, (p,).
 
-    `kkt_residual` is the largest slope of the cost along a parameter that no bound holds, for a change by its own
-    standard deviation with all others held, 0 at an exact minimum. `multipliers` are the slopes of those that a bound
-    holds, by name, >= 0. `sensitivity` is by how much the cost rises when a parameter alone is changed by 1 %.
-    `singular_values` (p,) and `directions` (p, p), one a row, are of the Jacobian by relative changes: a change of
-    1 / singular value along a direction is one standard deviation.
+    `kkt_residual` is the largest slope of the cost along a parameter that is not at a bound, for a change by its own
+    standard deviation with all others held, 0 at an exact minimum. `multipliers` are the slopes of the parameters at a
+    bound, by name, >= 0. `sensitivity` is the rise of the cost if one parameter alone is changed by 1 %.
+    `singular_values` (p,) and `directions` (p, p), one per row, are those of the Jacobian with respect to relative
+    changes: a change of 1 / singular value along a direction is one standard deviation.
     """
 
     fit: Fit
@@ -65,7 +66,7 @@ class BoundedFit:
 
     @property
     def costs(self) -> Array:
-        """At the start and after each step."""
+        """The cost at the start and after each step."""
         return np.array([step.cost for step in self.fit.steps])
 
     @property
@@ -75,15 +76,17 @@ class BoundedFit:
 
     @property
     def told(self) -> int:
-        """How many combinations are told to within 30 %, at two standard deviations."""
+        """Number of combinations that are determined to within 30 %, at two standard deviations."""
         return int(np.sum(self.singular_values > 2.0 / 0.3))
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """The least cost with `parameter` held at `values` (n,), less that of the fit: `rises` (n,), inf where none fits.
+    """Rise of the least cost with `parameter` held at `values` (n,) over that of the fit: `rises` (n,), inf if the fit
+    fails.
 
-    `interval` is where it rises by less than RISE, None to a side on which it does not within the bounds.
+    `interval` is the range in which it rises by less than RISE; an end is None if it does not rise more up to the
+    bound.
     """
 
     parameter: str
@@ -93,15 +96,15 @@ class Profile:
 
     @property
     def told(self) -> bool:
-        """Whether the record bounds the parameter to both sides more narrowly than its bounds do."""
+        """Whether the parameter is identifiable: the record limits it on both sides more narrowly than its bounds."""
         return None not in self.interval
 
 
 def with_table(model: Model, table: Mapping[str, tuple[float, float, float]]) -> Model:
     """`model` with start value, lower and upper bound of each parameter of `table`, by name.
 
-    Raises EstimationError for numbers that are none, bounds that cross and a start outside; ModelError for an unknown
-    name.
+    Raises EstimationError for values that are not finite, bounds that cross and a start outside the bounds; ModelError
+    for an unknown name.
     """
     for name, (value, lower, upper) in table.items():
         unit = model.parameter(name).unit
@@ -130,10 +133,10 @@ def bounded_fit(
     support: float | None = None,
     progress: Progress | None = None,
 ) -> BoundedFit:
-    """Fit `model` from its values on within its bounds, by default all parameters that are not known exactly.
+    """Fit `model` from its values within its bounds; by default all parameters that are not known exactly.
 
-    Raises DataError where the recordings cannot be used, EstimationError for a start or bounds that cannot be,
-    ArithmeticError where the model runs away from the start, as it does from numbers that no vehicle can have.
+    Raises DataError if the recordings cannot be used, EstimationError for an invalid start or bounds, ArithmeticError
+    if the model diverges at the start, as it does with physically impossible values.
     """
     names = [each.name for each in model.parameters if each.std > 0.0] if estimate is None else list(estimate)
     task = problem(model, recordings, estimate=names, support=support, progress=progress)
@@ -141,13 +144,13 @@ def bounded_fit(
 
 
 def examined(fitted: Fit) -> BoundedFit:
-    """What a fit without priors tells."""
+    """The analysis of a fit without priors."""
     task, minimum = fitted.problem, fitted.minimum
     size = len(task.free)
     likelihood = replace(Likelihood.of(task, np.zeros(size)), prior=fitted.prior)
     seen = likelihood(minimum.common, minimum.own)
     if seen is None:
-        raise ArithmeticError("the model runs away from its own estimate")
+        raise ArithmeticError("the model diverges at its own estimate")
     slope, curvature = _reduced(seen.normals, len(minimum.common))
     lower, upper = (np.concatenate((each, np.full(len(slope) - size, w))) for each, w in _widened(task.bounds))
     common = minimum.common
@@ -155,7 +158,7 @@ def examined(fitted: Fit) -> BoundedFit:
     inside = ~((at_lower & (slope >= 0.0)) | (at_upper & (slope <= 0.0)))
     unit = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     names = tuple(each.name for each in task.parameters)
-    # What the noise does as well is no information about the parameters.
+    # Eliminate the noise: effects that it can imitate carry no information about the parameters.
     values = common[:size]
     information = common_information([Normal(curvature, slope)], size)
     turned, squares, _ = np.linalg.svd(values[:, None] * information * values)
@@ -177,7 +180,7 @@ def examined(fitted: Fit) -> BoundedFit:
 
 
 def profile(found: BoundedFit, name: str, *, points: int = 3) -> Profile:
-    """The profile likelihood of one parameter, at so many values to either side up to its bounds.
+    """The profile likelihood of one parameter, at `points` values to either side up to its bounds.
 
     Raises EstimationError for a parameter that was not estimated.
     """
@@ -194,7 +197,7 @@ def profile(found: BoundedFit, name: str, *, points: int = 3) -> Profile:
         if bound == best:
             continue
         there, last = model, found.fit
-        # Nearer values first, and quadratically so: each fit starts where the one before ended.
+        # Nearer values first, with quadratic spacing: each fit starts at the result of the previous one.
         for share in shares**2:
             value = best + share * (bound - best)
             held = there.change({name: value})
@@ -218,7 +221,7 @@ def profile(found: BoundedFit, name: str, *, points: int = 3) -> Profile:
 
 
 def _interval(values: Array, rises: Array, best: float) -> tuple[float | None, float | None]:
-    """Where `rises` pass RISE to either side of `best`, on a parabola between the points."""
+    """The values at which `rises` exceed RISE on either side of `best`, by a parabola between the points."""
     edges: list[float | None] = []
     for side in (values <= best, values >= best):
         away = np.abs(values[side] - best)
@@ -235,12 +238,12 @@ def _interval(values: Array, rises: Array, best: float) -> tuple[float | None, f
 
 
 def _widened(bounds: tuple[Array, Array]) -> tuple[tuple[Array, float], tuple[Array, float]]:
-    """Bounds, and with them those of the logarithms of the noise."""
+    """Each bound with that of the logarithms of the noise."""
     return (bounds[0], -WIDEST), (bounds[1], WIDEST)
 
 
 def _reduced(normals: Sequence[Normal], common: int) -> tuple[Array, Array]:
-    """Slope (p + q,) and curvature of the common unknowns, with each stretch's own at their best."""
+    """Slope (p + q,) and curvature of the common unknowns, with the own ones of each segment eliminated."""
     slope, curvature = np.zeros(common), np.zeros((common, common))
     for normal in normals:
         across, square = normal.matrix[:common, common:], normal.matrix[common:, common:]

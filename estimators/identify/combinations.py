@@ -1,8 +1,8 @@
-"""Combinations of parameters, such as a product that a record tells where it does not tell the factors.
+"""Combinations of parameters, such as a product that is identifiable although its factors are not.
 
-A record often knows `mass * height / gain` well and none of the three. The combination's standard deviation is from the
-joint covariance of what was estimated and of what was held at a value that is not exact: what held values move in the
-estimates cancels where the combination does not depend on them, and is all there where it does.
+A record often determines `mass * height / gain` well and none of the three. The combination's standard deviation
+follows from the joint covariance of the estimated parameters and of those held at inexact values. The effect of a held
+value on the estimates cancels if the combination does not depend on it, and is fully included if it does.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from models.expressions import names_in, parse
 def combinations(fitted: Fit, expressions: Mapping[str, str]) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of each of `expressions` of the model's parameters, by its name.
 
-    Raises ModelError where one is no expression of parameters.
+    Raises ModelError if one is not an expression of parameters.
     """
     import sympy
 

@@ -1,12 +1,13 @@
-"""The fit of several sets of parameter values, measured by one and the same predictor, for any compiled model.
+"""The fit of several sets of parameter values, measured by the same predictor for all, for any compiled model.
 
-A Kalman filter with the method's parameter values follows the record; every `horizon` s its state runs free for so
-long, and the error is compared with the channel's own movement (estimators.methods.prediction_error.predicted_percent).
-The noise and the initial states are fitted for each set of values, by maximum likelihood with the values held, so that
-no method is judged by a filter that was tuned to another one's values.
+A Kalman filter with the method's parameter values follows the record. Every `horizon` s its state is predicted for
+`horizon` s without correction, and the error is compared with the channel's own variation
+(estimators.methods.prediction_error.predicted_percent). The noise and the initial states are fitted for each set of
+values, by maximum likelihood with the values held, so that no method is judged by a filter that was tuned for the
+values of another.
 
 The horizon follows from the model's time scale: HORIZON over the real part of the fastest unstable pole, or over the
-absolute value of the slowest pole of a stable model. Poles slower than the longest segment are integrators to this
+absolute value of the slowest pole of a stable model. Poles slower than the longest segment act as integrators in this
 record and do not count.
 """
 
@@ -28,35 +29,36 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 HORIZON = 1.5
-"""Horizon times pole: an oscillation turns by a quarter, an unstable motion grows by e^1.5 = 4.5. It is the 0.5 s of
-the MONOCAB, whose pole is at 3 rad/s."""
+"""Horizon times pole: an oscillation advances by a quarter period, an unstable motion grows by e^1.5 = 4.5. For the
+MONOCAB, with a pole at 3 rad/s, the horizon is 0.5 s."""
 PARTS = 20.0
-"""Share of the longest segment that is predicted where the model has no time scale of its own."""
+"""Length of the longest segment in horizons if the model has no time scale of its own."""
 ITERATIONS = 40
-"""Steps of the fit of noise and initial states at most."""
+"""Largest number of steps of the fit of noise and initial states."""
 SHORT = 1e-6
 """s over which the model is linearised."""
 DIVERGED = -1e6
-"""Percent of fit below which a prediction has left the record altogether."""
+"""Percent of fit below which a prediction has diverged."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommonPredictor:
-    """A model on recordings. `task` is the fit that the recordings were prepared for; its own values do not matter."""
+    """A model on recordings. `task` is the problem for which the recordings were prepared; its own values do not
+    matter."""
 
     task: Problem
 
     @classmethod
     def of(cls, model: Model, recordings: Sequence[Recording], support: float | None) -> CommonPredictor:
-        """`support` rad: the vehicle is free where its coordinate is less.
+        """`support`: rad, the vehicle is free at a smaller coordinate.
 
-        Raises DataError where the recordings cannot be used, ModelError and EstimationError for a model that cannot be.
+        Raises DataError if the recordings cannot be used, ModelError and EstimationError for an invalid model.
         """
         return cls(problem(as_recorded(model, recordings), recordings, support=support))
 
     def poles(self, values: Mapping[str, float]) -> Array:
-        """The poles (nx,), 1/s, of the model at these values by name, linearised in typical motion at the mean of what
-        is measured."""
+        """The poles (nx,), 1/s, of the model at these values by name, linearised in typical motion at the mean of the
+        measurements."""
         task = self.task
         names = [state.name for state in task.model.states]
         rates = {joint.rate for joint in task.model.joints}
@@ -72,15 +74,13 @@ class CommonPredictor:
         return np.asarray(np.linalg.eigvals(system)) if np.isfinite(system).all() else np.zeros(0)
 
     def growth(self, values: Mapping[str, float]) -> float | None:
-        """The largest real part of the poles, 1/s: positive for an unstable model. None where it has none."""
+        """The largest real part of the poles, 1/s: positive for an unstable model. None without finite poles."""
         poles = self.poles(values)
         return float(np.max(poles.real)) if len(poles) else None
 
     def horizon(self, sets: Sequence[Mapping[str, float]]) -> float:
-        """s that is predicted: the median of what the models with these `sets` of values ask for.
-
-        One method whose values are far off does not decide it.
-        """
+        """Prediction horizon, s: the median over the models with these `sets` of values, so that a single method whose
+        values are far off does not decide it."""
         longest = max(segment.duration for segment in self.task.segments)
         found = []
         for values in sets:
@@ -90,14 +90,14 @@ class CommonPredictor:
                 found.append(HORIZON / float(np.max(unstable)))
             elif len(sizes):
                 found.append(HORIZON / float(np.min(sizes)))
-        row = float(np.median(np.diff(self.task.segments[0].time)))
-        asked = float(np.median(found)) if found else longest / PARTS
-        return float(np.clip(asked, row, max(row, longest / 3.0)))
+        spacing = float(np.median(np.diff(self.task.segments[0].time)))
+        median = float(np.median(found)) if found else longest / PARTS
+        return float(np.clip(median, spacing, max(spacing, longest / 3.0)))
 
     def percent(self, values: Mapping[str, float], horizon: float) -> dict[str, float]:
-        """By channel, percent of its movement that is predicted `horizon` s ahead; empty where no segment is that long.
+        """By channel, percent of its variation that is predicted `horizon` s ahead; empty if no segment is that long.
 
-        Raises ArithmeticError where the model diverges with these values, EstimationError where they are out of bounds.
+        Raises ArithmeticError if the model diverges with these values, EstimationError if they are out of bounds.
         """
         model = self.task.model.change(values)
         task = replace(problem(model, (), rows=self.task.segments), free=())

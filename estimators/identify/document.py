@@ -1,4 +1,4 @@
-"""From single fits to the document of `identify --json`: joint estimates, runs and their mean, which to rely on."""
+"""From single fits to the document of `identify --json`: joint estimates, runs and their mean, method to rely on."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from estimators.identify.table import METHODS, Domain, Experiment
 from telemetry.recording import Recording
 
 FAILED, NOT_SUITED, CANCELLED = "failed", "not_suited", "cancelled"
-"""What a method's status can be, besides those of an estimate."""
+"""Status values of a method, in addition to those of an estimate."""
 
 Results = dict[tuple[str, tuple[int, ...]], dict[str, Any]]
-"""By method and the places of its recordings: an estimate, JSON-ready."""
+"""By method and the indices of its recordings: an estimate, JSON-ready."""
 
 
 def nothing(status: str, reason: str) -> dict[str, Any]:
@@ -47,16 +47,16 @@ def document(
 ) -> dict[str, Any]:
     """The whole document.
 
-    `left_out`: by method, for each recording, why it is not taken, "" where it is. `before`: value, std and unit of
-    what is sought, as the vehicle file or the model has it; `own`: what the kind of vehicle has of
-    its own; `vehicle`: value and std of all that the file has. `horizon` s ahead that the fits tell of which were
-    measured alike; None where none was.
+    `left_out`: by method, for each recording, why it is not used, "" if it is. `before`: value, std and unit of the
+    estimated parameters in the vehicle file or the model; `own`: methods of the kind of vehicle; `vehicle`: value and
+    std of everything in the file. `horizon`: s ahead, of the fits that were measured in the same way; None if there
+    are none.
     """
     methods = {
         name: {"domain": METHODS[name].domain.value, **_method(name, recordings, reasons, found)}
         for name, reasons in left_out.items()
     }
-    # Every experiment of the service is recorded under control, and so is what is unstable.
+    # Every experiment of the service is recorded in closed loop, and so is every unstable vehicle.
     closed_loop = any(each.excitation for each in experiments) or any(
         (entry.get("pole") or 0.0) > 0.0 for entry in methods.values()
     )
@@ -91,7 +91,7 @@ def document(
 def _method(name: str, recordings: Sequence[Recording], reasons: Sequence[str], found: Results) -> dict[str, Any]:
     """The joint estimate of one method, its runs and their mean."""
     taken = tuple(place for place, reason in enumerate(reasons) if not reason)
-    cancelled = nothing(CANCELLED, "ended before it was done")
+    cancelled = nothing(CANCELLED, "ended before it was finished")
     if not taken:
         return {**nothing(NOT_SUITED, "; ".join(dict.fromkeys(reasons)) or "no recording"), "runs": [], "mean": {}}
     runs = []
@@ -103,7 +103,7 @@ def _method(name: str, recordings: Sequence[Recording], reasons: Sequence[str], 
 
 
 def _means(runs: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """By parameter the mean of the runs that know it; `std` is their scatter, None for a single one."""
+    """By parameter, the mean of the runs that identify it; `std` is their scatter, None for a single run."""
     units = {name: entry["unit"] for run in runs for name, entry in run["parameters"].items()}
     for name, unit in units.items():
         values = [run["parameters"][name]["value"] for run in runs if name in run["parameters"]]
@@ -119,11 +119,11 @@ def _derived(
     best: Mapping[str, Any],
     vehicle: Mapping[str, tuple[float, float]],
 ) -> dict[str, Any]:
-    """What the kind of vehicle makes of the drives' parameters and of those of the best method, JSON-ready."""
-    told, found = (
+    """The parameters that the kind of vehicle derives from those of the drives and of the best method, JSON-ready."""
+    of_drives, found = (
         {name: _estimate(entry) for name, entry in each.items()} for each in (drives, best.get("parameters", {}))
     )
-    shown: dict[str, Any] = Estimate("", own.derived(told, found, vehicle), Status.OK, "", 0, 0.0).to_json()
+    shown: dict[str, Any] = Estimate("", own.derived(of_drives, found, vehicle), Status.OK, "", 0, 0.0).to_json()
     parameters: dict[str, Any] = shown["parameters"]
     return parameters
 

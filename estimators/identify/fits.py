@@ -1,6 +1,6 @@
-"""The fits of all methods, measured alike, and the poles of the model at each method's values.
+"""The fits of all methods, measured in the same way, and the poles of the model at each method's values.
 
-The predictions are those of a filter (estimators.identify.common_fit), or as the kind of vehicle has it
+The predictions are those of a common filter (estimators.identify.common_fit), or those that the kind of vehicle defines
 (estimators.identify.subject).
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from estimators.identify.choice import ALIKE, OWN
+from estimators.identify.choice import COMMON, OWN
 from estimators.identify.common_fit import CommonPredictor
 from estimators.identify.subject import Subject, Values
 from models.model import Model
@@ -18,12 +18,12 @@ from telemetry.recording import Recording
 
 
 def measure(entries: Mapping[str, dict[str, Any]], subject: Subject, recordings: Sequence[Recording]) -> float | None:
-    """Write into each method's entry its `fit_percent`, `fit_measured` and `pole` (1/s, None where it is not known).
+    """Write into each method's entry its `fit_percent`, `fit_measured` and `pole` (1/s, None if it is not known).
 
-    Returns the horizon, s; None where no fit could be measured alike, each then being the method's own.
+    Returns the horizon, s; None if no fit could be measured in the common way, so that each is the method's own.
     """
     known = {
-        name: {parameter: told["value"] for parameter, told in entry["parameters"].items() if told["value"] is not None}
+        name: {parameter: each["value"] for parameter, each in entry["parameters"].items() if each["value"] is not None}
         for name, entry in entries.items()
     }
     try:
@@ -38,7 +38,7 @@ def measure(entries: Mapping[str, dict[str, Any]], subject: Subject, recordings:
     own = subject.own.prediction(subject, recordings)
     if own is not None:
         for name, entry in entries.items():
-            entry["fit_percent"], entry["fit_measured"] = own.percent(known[name]), ALIKE
+            entry["fit_percent"], entry["fit_measured"] = own.percent(known[name]), COMMON
         return own.horizon
     if common is None or not whole:
         return None
@@ -46,21 +46,21 @@ def measure(entries: Mapping[str, dict[str, Any]], subject: Subject, recordings:
     for name, values in whole.items():
         entry = entries[name]
         try:
-            entry["fit_percent"], entry["fit_measured"] = common.percent(values, horizon), ALIKE
+            entry["fit_percent"], entry["fit_measured"] = common.percent(values, horizon), COMMON
         except ArithmeticError as error:
-            entry["fit_percent"], entry["fit_measured"] = {}, ALIKE
+            entry["fit_percent"], entry["fit_measured"] = {}, COMMON
             entry["reason"] = "; ".join(filter(None, (entry["reason"], str(error))))
         except UprightError:
             continue
-    return horizon if any(entry["fit_measured"] == ALIKE for entry in entries.values()) else None
+    return horizon if any(entry["fit_measured"] == COMMON for entry in entries.values()) else None
 
 
 def _whole(model: Model, known: Values) -> Values | None:
-    """What a method knows of the model, None where it lacks what cannot be zero.
+    """The model's values by a method; None if a value is lacking that cannot be zero.
 
     An effect may be absent, an inertia may not.
     """
     absent = {name: 0.0 for effect in model.effects for name in effect.amplitudes}
     values = {each.name: known.get(each.name, absent.get(each.name)) for each in model.parameters if each.estimated}
-    told = {name: value for name, value in values.items() if value is not None}
-    return told if known and len(told) == len(values) else None
+    found = {name: value for name, value in values.items() if value is not None}
+    return found if known and len(found) == len(values) else None

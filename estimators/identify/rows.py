@@ -1,6 +1,6 @@
-"""What the methods found, as columns of finished text: for a terminal and for a page alike.
+"""The results of the methods as columns of formatted text, for a terminal as well as for a page.
 
-Methods are rows, each group of them under its name in square brackets; parameters are columns.
+Methods are rows, each group under its name in square brackets; parameters are columns.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from estimators.identify.table import Domain
 from estimators.numbers import significant
 
 NUISANCES = frozenset({"drive_offset", "setpoint_offset", "drive_time_offset"})
-"""Fitted along so that they do not bias the rest; no property of the vehicle. In the JSON they are."""
+"""Nuisance parameters: estimated so that they do not bias the others, but not properties of the vehicle. They are only
+in the JSON."""
 
 Columns = list[list[str]]
-"""Column by column, each with heading and unit first."""
+"""Columns, each with heading and unit first."""
 
 
 def shown_parameters(methods: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Name to unit of the parameters that any of `methods` is asked for, nuisances apart."""
+    """Name to unit of the parameters that any of `methods` estimates, without nuisance parameters."""
     return {
         name: entry["unit"]
         for method in methods.values()
@@ -30,7 +31,7 @@ def shown_parameters(methods: Mapping[str, Mapping[str, Any]]) -> dict[str, str]
 
 
 def joint_columns(methods: Mapping[str, Any], document: Mapping[str, Any], truth: Mapping[str, float]) -> list[Columns]:
-    """The estimates from all recordings, after what was known before; groups of columns that belong together."""
+    """The estimates from all recordings, below the prior values, as groups of columns that belong together."""
     before = document["before"]
     rows: list[tuple[str, Mapping[str, Any] | None]] = [("CAD", {"parameters": before})]
     if truth:
@@ -49,7 +50,7 @@ def joint_columns(methods: Mapping[str, Any], document: Mapping[str, Any], truth
 
 
 def disturbances(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Method, and the disturbance that it found at each joint, of those that estimate one."""
+    """Method and its disturbance at each joint, for the methods that estimate one."""
     for name, entry in document["methods"].items():
         found = [DisturbanceEstimate.from_json(*each) for each in entry.get("disturbance", {}).items()]
         for each in found:
@@ -57,7 +58,7 @@ def disturbances(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def mean_columns(methods: Mapping[str, Any], document: Mapping[str, Any]) -> list[Columns]:
-    """The mean of the single recordings by method, with their scatter."""
+    """The mean of the single recordings for each method, with their scatter."""
     rows = list(_grouped({name: entry for name, entry in methods.items() if entry["mean"]}))
     groups: list[Columns] = [[["method", "", *(name for name, _ in rows)]]]
     for name, unit in shown_parameters(methods).items():
@@ -69,7 +70,7 @@ def mean_columns(methods: Mapping[str, Any], document: Mapping[str, Any]) -> lis
 
 
 def _grouped(methods: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any] | None]]:
-    """The methods, each group of them under its name."""
+    """The methods, each group under its name."""
     for domain in Domain:
         inside = {name: entry for name, entry in methods.items() if entry["domain"] == domain}
         if inside:
@@ -80,7 +81,7 @@ def _grouped(methods: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any
 def _value_columns(
     name: str, unit: str, entries: Sequence[Mapping[str, Any] | None], before: Mapping[str, Any] | None
 ) -> Columns:
-    """Value and standard deviation, and, where it is known from before, the deviation from that in percent."""
+    """Value and standard deviation, and the deviation from the prior value in percent, if there is one."""
     words = name.replace(".", "_").split("_")
     columns = [[" ".join(dict.fromkeys(words)), unit, *map(value_text, entries)]]
     if before is not None:
@@ -91,7 +92,7 @@ def _value_columns(
 
 
 def value_text(entry: Mapping[str, Any] | None) -> str:
-    """Value and standard deviation, "-" where it is not known."""
+    """Value and standard deviation, "-" if it is not known."""
     if entry is None:
         return ""
     value, std = entry.get("value"), entry.get("std")
@@ -108,31 +109,31 @@ def _number(value: float | None, digits: int) -> str:
 
 
 def sentence(text: str) -> str:
-    """`text` with a capital at its start and a stop at its end."""
+    """`text` with a capital at its start and a full stop at its end."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def others(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    """Why each of the methods that give values is not the one to rely on; those with the same reason together."""
-    said: dict[str, list[str]] = {}
+    """Why each of the other methods that give values is not the one to rely on, grouped by reason."""
+    by_reason: dict[str, list[str]] = {}
     for name, entry in methods.items():
-        known = any(told["value"] is not None for told in entry["parameters"].values())
+        known = any(each["value"] is not None for each in entry["parameters"].values())
         if known and entry.get("not_chosen"):
-            said.setdefault(entry["not_chosen"], []).append(name)
-    for reason, names in said.items():
+            by_reason.setdefault(entry["not_chosen"], []).append(name)
+    for reason, names in by_reason.items():
         yield f"{', '.join(names)}: {reason}"
 
 
 def remarks(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    """What is to be said of single methods; those of which the same is to be said, together."""
-    said: dict[tuple[str, str], list[str]] = {}
+    """Remarks on single methods, grouped by remark."""
+    grouped: dict[tuple[str, str], list[str]] = {}
     for name, entry in methods.items():
         whole = entry["reason"]
         if whole or entry["status"] != "ok":
             state = "" if entry["status"] == "ok" else f"{entry['status'].replace('_', ' ')}: "
-            said.setdefault(("", f"{state}{whole}"), []).append(name)
-        for parameter, told in entry["parameters"].items():
-            if parameter not in NUISANCES and told.get("reason") not in (None, "", whole):
-                said.setdefault((parameter, told["reason"]), []).append(name)
-    for (parameter, reason), names in said.items():
+            grouped.setdefault(("", f"{state}{whole}"), []).append(name)
+        for parameter, each in entry["parameters"].items():
+            if parameter not in NUISANCES and each.get("reason") not in (None, "", whole):
+                grouped.setdefault((parameter, each["reason"]), []).append(name)
+    for (parameter, reason), names in grouped.items():
         yield f"{', '.join(names)}: {f'{parameter}: ' if parameter else ''}{reason}"

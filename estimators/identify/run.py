@@ -1,12 +1,12 @@
-"""Every method on several recordings, side by side: what `upright identify` prints, the paper's figure 3.
+"""Every method on several recordings: the output of `upright identify`, as in the paper's figure 3.
 
-Each method gives a joint estimate over all recordings that it takes (estimators.identify.table says which) and one of
-each by itself: the runs, whose scatter tells what one recording is worth. A method that fails, or takes none of the
-recordings, says so and does not stop the others.
+Each method gives a joint estimate over all recordings that it takes (estimators.identify.table says which) and one for
+each single recording: the runs, whose scatter shows the precision of a single recording. A method that fails, or takes
+none of the recordings, reports this and does not stop the others.
 
-How well a method's values predict is measured alike for all, over all recordings: what is measured, ahead of the
-filtered state by a horizon that follows from the model's time scale (estimators.identify.common_fit), or as the kind of
-vehicle has it. A method that does not give all values keeps its own measure. estimators.identify.choice chooses by it.
+The fit is measured in the same way for all methods, over all recordings: all outputs, predicted from the filtered state
+over a horizon that follows from the model's time scale (estimators.identify.common_fit), or as the kind of vehicle
+defines it. A method that does not give all values keeps its own measure. estimators.identify.choice uses the fit.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ RECURSIVE_FITS = ("recursive_output_error", "recursive_prediction_error")
 REGRESSIONS = ("least_squares", "instrumental_variables")
 COMPILED = ("output_error", "output_error_simplex", "prediction_error", *RECURSIVE_FITS)
 Progress = Callable[[str, str, int, int], None]
-"""Told the method, the recording, how many fits are done, and of how many."""
+"""Called with the method, the recording, the number of fits done and their total number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One fit: a method, and the places of the recordings it is given. `label` says to a person which these are."""
+    """One fit: a method, and the indices of its recordings. `label` names these for a person."""
 
     method: Method
     recordings: tuple[int, ...]
@@ -49,7 +49,7 @@ class Task:
 
 
 def with_values(model: Model, parameters: Mapping[str, float], deviations: Mapping[str, float]) -> Model:
-    """`model` with those of the values, and of their standard deviations, that it has a parameter for."""
+    """`model` with those values and standard deviations for which it has a parameter."""
     names = {parameter.name for parameter in model.parameters}
     return model.change(
         {name: value for name, value in parameters.items() if name in names},
@@ -73,11 +73,11 @@ def identify(
     """The document of `identify --json`: by method its parameters, fit, status, reason, seconds, runs and their mean.
 
     `parameters` and `deviations` are the vehicle file's; `support` is in rad. `methods` are names of
-    estimators.identify.table, by default all. `model` comes with its own values. `own` is what the kind of
-    vehicle has (`vehicles.registry.of(kind).identification()`). With `every`, each method takes all recordings;
-    `bandwidth` rad/s is that of the filter of least_squares and instrumental_variables. `progress` is told what begins
-    and how much is done. KeyboardInterrupt ends it early: what is missing then is "cancelled". Raises EstimationError
-    for an unknown method.
+    estimators.identify.table, by default all. `model` comes with its own values. `own` are the methods of the kind of
+    vehicle (`vehicles.registry.of(kind).identification()`). With `every`, each method takes all recordings; `bandwidth`
+    rad/s is that of the filter of least_squares and instrumental_variables. `progress` is called when a fit begins.
+    KeyboardInterrupt ends the identification early: missing fits are then "cancelled". Raises EstimationError for an
+    unknown method.
     """
     subject = Subject(model, parameters, deviations or {}, support, bandwidth, own)
     chosen = _chosen(methods, subject)
@@ -121,12 +121,13 @@ def _chosen(methods: Sequence[str], subject: Subject) -> list[str]:
             )
     own, apart = (*subject.own.regressions, *subject.own.asked), (Domain.RECURSIVE, Domain.DRIVES)
     if not methods and any(is_known_roughly(each) for each in subject.model.parameters if each.estimated):
-        return ["prediction_error"]  # such numbers are told in products: no balance is linear in them
+        return ["prediction_error"]  # only products of such numbers are identifiable: no balance is linear in them
     return list(methods or (name for name, method in METHODS.items() if name in own or method.domain not in apart))
 
 
 def plan(recordings: Sequence[Recording], left_out: Mapping[str, Sequence[str]]) -> list[Task]:
-    """The fits to do, the joint ones of all methods first. `left_out`: by method, why not, or "", of each recording."""
+    """The fits to do, first the joint ones of all methods. `left_out`: by method, for each recording, why it is not
+    used, or ""."""
     joint, single = [], []
     for name, reasons in left_out.items():
         taken = tuple(place for place, reason in enumerate(reasons) if not reason)
@@ -140,7 +141,7 @@ def plan(recordings: Sequence[Recording], left_out: Mapping[str, Sequence[str]])
 
 
 def run(task: Task, subject: Subject, recordings: Sequence[Recording]) -> dict[str, Any]:
-    """What the fit gives, JSON-ready; a failure is told and not raised."""
+    """The result of the fit, JSON-ready; a failure is reported and not raised."""
     began = stopwatch()
     chosen = [recordings[place] for place in task.recordings]
     try:
@@ -174,7 +175,7 @@ def _estimate(method: Method, subject: Subject, recordings: Sequence[Recording])
 
 
 def _recursive(name: str, subject: Subject, recorded: ChannelTable) -> tuple[Estimator, ChannelTable]:
-    """A recursive estimator, and the channels that it takes."""
+    """A recursive estimator and its channels."""
     if name not in RECURSIVE_FITS:
         regression = subject.own.regressions.get(name)
         if regression is None:
@@ -193,11 +194,11 @@ def _not_of_this_kind(method: str) -> EstimationError:
 
 
 def _before(subject: Subject) -> dict[str, dict[str, Any]]:
-    """Value, standard deviation and unit of what is sought, before it is identified: of the vehicle file, or the model.
+    """Prior value, standard deviation and unit of the estimated parameters, from the vehicle file or the model.
 
-    What is 0 there, such as the size of an effect, is not known before.
+    A value of 0, such as the amplitude of an effect, is not a prior.
     """
-    sought = [parameter for parameter in subject.model.parameters if parameter.estimated]
-    values = {p.name: subject.parameters.get(p.name, p.value) for p in sought}
-    stds = {p.name: subject.deviations.get(p.name, p.std) for p in sought}
-    return {p.name: {"value": values[p.name], "std": stds[p.name], "unit": p.unit} for p in sought if values[p.name]}
+    estimated = [parameter for parameter in subject.model.parameters if parameter.estimated]
+    values = {p.name: subject.parameters.get(p.name, p.value) for p in estimated}
+    stds = {p.name: subject.deviations.get(p.name, p.std) for p in estimated}
+    return {p.name: {"value": values[p.name], "std": stds[p.name], "unit": p.unit} for p in estimated if values[p.name]}

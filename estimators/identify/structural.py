@@ -1,11 +1,11 @@
-"""Which parameters the outputs could tell if there were no noise, and which occur only together with others.
+"""Structural identifiability: which parameters the outputs determine without noise, and which only in combinations.
 
-The outputs' sensitivities, exact ones from the model's kernel, are stacked over motions from many starting states; what
-an unknown starting state explains as well is taken out. A direction in which the parameters can move without any
-output moving lies in the null space of what is left. With a gap of many decades between the singular values that are
-rounding and those that are not, this is a test of local structural identifiability, for models of any form.
+The outputs' exact sensitivities, from the model's kernel, are stacked over motions from many initial states. The part
+that an unknown initial state explains as well is projected out. A direction in which the parameters can change without
+a change of any output lies in the null space of the remainder. With a gap of many decades between the singular values
+that are rounding and those that are not, this is a test of local structural identifiability, for models of any form.
 
-A motion can be generic (`generic_motions`) or that of a record: then it is what this experiment could tell at best.
+A motion can be generic (`generic_motions`) or that of a record: then the result is the best case for this experiment.
 
 Source: Jacquez, Greif, Math. Biosci. 77 (1985) 201 (sensitivity rank); Golub, Van Loan, Matrix Computations, section
 5.5.7 (subset selection, for what to hold).
@@ -30,18 +30,18 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-10
-"""Share of the largest singular value below which one is rounding: sensitivities are exact to about 1e-13."""
+"""Share of the largest singular value below which one counts as rounding: sensitivities are exact to about 1e-13."""
 DRAWS = 3
-"""Further parameter values, within a fifth of those given, at which the rank is looked at."""
+"""Number of further parameter values, within a fifth of those given, at which the rank is computed."""
 SPREAD = 4.0
-"""Generic motions start up to so many typical sizes away from zero, where sines and products show."""
+"""Generic motions start up to this many typical magnitudes away from zero, where sines and products have an effect."""
 SMALL = 1e-6
-"""The same for motions in which nothing shows but what is linear: squares are less than rounding."""
+"""The same for motions in which only linear terms have an effect: squares are below rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """An experiment without its readings: inputs in time, and the state (nx,) it starts from."""
+    """An experiment without measurements: inputs in time, and the initial state (nx,)."""
 
     segment: Segment
     initial: Array
@@ -49,10 +49,11 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Tie:
-    """A way to move parameters that no output shows. `changes` are in percent for +1 % of `parameter` (first there).
+    """A change of parameters without effect on any output. `changes` are in percent for +1 % of `parameter`, which is
+    the first entry.
 
-    With one entry the parameter has no influence at all. Where it is a `product`, the changes are the same whatever the
-    values: the outputs know products and quotients of these parameters only.
+    With one entry the parameter has no influence at all. If it is a `product`, the changes are the same for all values:
+    the outputs depend on products and quotients of these parameters only.
     """
 
     parameter: str
@@ -63,18 +64,18 @@ class Tie:
         if len(self.changes) == 1:
             return f"{self.parameter} has no influence on any output"
         moves = ", ".join(f"{name} {change:+.3g} %" for name, change in self.changes.items())
-        where = "in products and quotients alone" if self.product else "in sums with others"
+        where = "only in products and quotients" if self.product else "only in sums with others"
         return f"{self.parameter} occurs {where}: no output changes with {moves}"
 
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """What the outputs can tell about `parameters`, whatever their noise.
+    """Identifiability of `parameters` from the outputs, whatever their noise.
 
-    `rank` is how many combinations they tell at the model's values, `generic_rank` at values nearby: where it is
-    larger, the values are special, as an effect's size of zero is. `null_space` (np, np - rank) are the directions that
-    they do not tell, in multiples of `sizes`. `hold` is what to hold so that all others can be told: those that the
-    priors know best. `ties` say the same in words, one for each that is held.
+    `rank` is the number of identifiable combinations at the model's values, `generic_rank` that at nearby values: if it
+    is larger, the values are special, such as an effect's amplitude of zero. `null_space` (np, np - rank) are the
+    directions that are not identifiable, in multiples of `sizes`. `hold` are the parameters to hold so that all others
+    are identifiable: those with the most precise priors. `ties` say the same in words, one for each of `hold`.
     """
 
     parameters: tuple[str, ...]
@@ -89,20 +90,20 @@ class Structure:
 
     @property
     def gap(self) -> float:
-        """The smallest singular value that counts over the largest that does not; infinite where all or none count."""
+        """The smallest singular value that counts over the largest that does not; infinite if all or none count."""
         if self.rank in (0, len(self.parameters)):
             return np.inf
         return float(self.singular_values[self.rank - 1] / max(self.singular_values[self.rank], 1e-300))
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameters that can be told when those in `hold` are known."""
+        """The parameters that are identifiable if those in `hold` are known."""
         return tuple(name for name in self.parameters if name not in self.hold)
 
-    def tells(self, combination: str) -> bool:
-        """Whether the outputs tell the value of `combination`, an expression of parameters such as `mass * height`.
+    def identifies(self, combination: str) -> bool:
+        """Whether `combination`, an expression of parameters such as `mass * height`, is identifiable from the outputs.
 
-        Raises ModelError where it is none, EstimationError where it has no parameter in it.
+        Raises ModelError if it is not an expression, EstimationError if it depends on none of the parameters.
         """
         import sympy
 
@@ -111,7 +112,7 @@ class Structure:
         here = {symbols[name]: self.values[name] for name in names_in(combination)}
         gradient = np.array([float(expression.diff(symbols[name]).subs(here)) for name in self.parameters]) * self.sizes
         if not np.any(gradient):
-            what = "does not depend on a parameter that was looked at"
+            what = "depends on none of the examined parameters"
             raise EstimationError(combination, what, remedy=f"use one of: {', '.join(self.parameters)}.")
         return bool(np.linalg.norm(self.null_space.T @ gradient) < 1e-6 * np.linalg.norm(gradient))
 
@@ -119,23 +120,23 @@ class Structure:
 def structure(
     model: Model, motions: Sequence[Motion] | None = None, parameters: Sequence[str] | None = None
 ) -> Structure:
-    """What the outputs of `model` tell in `motions` (generic ones by default) about `parameters`.
+    """Identifiability of `parameters` from the outputs of `model` in `motions` (by default generic ones).
 
-    By default these are all that are estimated or not known exactly. Raises ModelError for a name that the model does
-    not have, EstimationError where there is nothing to look at or a motion runs away.
+    By default these are all parameters that are estimated or not known exactly. Raises ModelError for an unknown name,
+    EstimationError if there are no parameters or the model diverges in a motion.
     """
     if parameters is None:
         parameters = [each.name for each in model.parameters if each.estimated or each.std > 0.0]
     chosen = [model.parameter(name) for name in parameters]
     if not chosen:
-        raise EstimationError("parameters", "there are none to look at", remedy="name those that are not known.")
+        raise EstimationError("parameters", "there are none to examine", remedy="name those that are not known.")
     kernel = compile_model(model)
     motions = motions if motions is not None else generic_motions(model)
     columns = [kernel.index(each.name) for each in chosen]
     sizes = np.array([abs(each.value) or each.typical for each in chosen])
     singular, null = _null_space(_sensitivities(kernel, kernel.vector(), motions, columns) * sizes)
 
-    source = np.random.default_rng(0)  # any values do: special ones have measure zero
+    source = np.random.default_rng(0)  # any values will do: special ones have measure zero
     nearby = []
     for _ in range(DRAWS):
         shift = sizes * source.uniform(-0.2, 0.2, len(chosen))
@@ -146,7 +147,7 @@ def structure(
         there = np.where(moved == 0.0, sizes, np.abs(moved))
         nearby.append(_null_space(_sensitivities(kernel, values, motions, columns) * there)[1])
 
-    # Products first: what is left of the null space once their parameters are held are the other combinations.
+    # Products first: with their parameters held, the remaining null space contains the other combinations.
     deviations = np.array([each.typical for each in chosen])
     products = _common([null, *nearby])
     factors = _best_known(products, sizes, deviations)
@@ -175,13 +176,14 @@ def generic_motions(
     rows: int = 100,
     spacing: float = 5e-3,
 ) -> tuple[Motion, ...]:
-    """Motions that hide nothing: random starting states, inputs of random sines, `rows` each, `spacing` s apart.
+    """Motions that excite everything: random initial states, inputs of random sines, `rows` samples each, `spacing` s
+    apart.
 
-    `size` is in typical sizes of the model's joints, sensors and actuators; with SMALL it is the linearised model that
-    is looked at. `same` are groups of states or of inputs that have one value, as both motors of a vehicle that drives
+    `size` is in typical magnitudes of the model's joints, sensors and actuators; with SMALL the linearised model is
+    examined. `same` are groups of states or of inputs with the same value, as both motors of a vehicle that drives
     straight.
     """
-    source = np.random.default_rng(1)  # any motion does, see above
+    source = np.random.default_rng(1)  # any motion will do, see above
     sizes = _sizes(model)
     states, inputs = [state.name for state in model.states], [each.name for each in model.inputs]
     time: Array = spacing * np.arange(rows, dtype=np.float64)
@@ -203,13 +205,13 @@ def generic_motions(
 
 
 def reduced(model: Model, found: Structure) -> Model:
-    """`model` with what `found` proposes to hold held, and all else that was looked at estimated."""
+    """`model` with the parameters that `found` proposes to hold held, and the other examined ones estimated."""
     kept = {each.name for each in model.parameters if each.estimated} - set(found.parameters)
     return model.change(estimated=kept | set(found.free))
 
 
 def _sizes(model: Model) -> dict[str, float]:
-    """A typical size of each state and input."""
+    """A typical magnitude of each state and input."""
     sizes = {state.name: state.initial_std or 1.0 for state in model.states}
     sizes |= {each.name: 1.0 if each.usual is None else each.usual for each in model.inputs}
     known: dict[str, float] = {}
@@ -222,7 +224,8 @@ def _sizes(model: Model) -> dict[str, float]:
 
 
 def _sensitivities(kernel: Kernel, values: Array, motions: Sequence[Motion], columns: Sequence[int]) -> Array:
-    """(m, np) by the parameters, each output in multiples of its movement, starting states projected out."""
+    """Sensitivities (m, np) to the parameters, each output in multiples of its standard deviation, with initial states
+    projected out."""
     segments = [motion.segment for motion in motions]
     fastest = float(np.max(np.abs(np.linalg.eigvals(jacobian(kernel, values, segments)))))
     substeps = [
@@ -234,7 +237,7 @@ def _sensitivities(kernel: Kernel, values: Array, motions: Sequence[Motion], col
         for motion, steps in zip(motions, substeps, strict=True)
     ]
     if any(run.diverges for run in runs):
-        raise EstimationError("motions", "the model runs away in one", remedy="make them shorter.")
+        raise EstimationError("motions", "the model diverges in one of them", remedy="make them shorter.")
     moved = np.std(np.concatenate([run.predicted for run in runs]), axis=0)
     moved[moved == 0.0] = 1.0
     stacked = []
@@ -243,7 +246,7 @@ def _sensitivities(kernel: Kernel, values: Array, motions: Sequence[Motion], col
         by_parameter, by_start = rows[:, : len(columns)], rows[:, len(columns) :]
         length = np.linalg.norm(by_start, axis=0)
         basis = np.linalg.qr(by_start[:, length > 0.0] / length[length > 0.0])[0]
-        # Twice, since what is left after once may be small beside what was taken out.
+        # Twice, since the remainder of the first projection may be small compared with the projected part.
         for _ in range(2):
             by_parameter = by_parameter - basis @ (basis.T @ by_parameter)
         stacked.append(by_parameter)
@@ -251,7 +254,7 @@ def _sensitivities(kernel: Kernel, values: Array, motions: Sequence[Motion], col
 
 
 def _null_space(sensitivities: Array) -> tuple[Array, Array]:
-    """Singular values, and the right singular vectors (np, k) of those that are rounding."""
+    """Singular values, and the right singular vectors (np, k) of those that count as rounding."""
     triangle = np.linalg.qr(sensitivities, mode="r")
     _, singular, right = np.linalg.svd(triangle)
     rank = int(np.sum(singular > ROUNDING * singular[0])) if singular[0] > 0.0 else 0
@@ -259,7 +262,7 @@ def _null_space(sensitivities: Array) -> tuple[Array, Array]:
 
 
 def _common(spaces: Sequence[Array]) -> Array:
-    """The directions (np, k) that are in all of `spaces`."""
+    """The intersection (np, k) of all `spaces`."""
     size = len(spaces[0])
     outside = sum((np.eye(size) - space @ space.T for space in spaces), np.zeros((size, size)))
     values, vectors = np.linalg.eigh(outside)
@@ -267,7 +270,7 @@ def _common(spaces: Sequence[Array]) -> Array:
 
 
 def _best_known(directions: Array, sizes: Array, deviations: Array) -> list[int]:
-    """Parameters, as many as there are directions, whose priors leave the least freedom along them."""
+    """Indices of as many parameters as there are directions: those whose priors restrict the directions most."""
     if not directions.shape[1]:
         return []
     in_deviations = directions * (sizes / deviations)[:, None]
@@ -276,7 +279,7 @@ def _best_known(directions: Array, sizes: Array, deviations: Array) -> list[int]
 
 
 def _ties(names: Sequence[str], directions: Array, held: Sequence[int], *, product: bool) -> list[Tie]:
-    """`directions` in words: one for each of `held`, in which the others of them rest."""
+    """`directions` as ties: one for each of `held`, in which the others of `held` do not change."""
     apart = directions @ np.linalg.inv(directions[list(held)])
     ties = []
     for column, place in enumerate(held):

@@ -1,6 +1,6 @@
-"""What is identified, and what a kind of vehicle has of its own in an identification beside what works for every model.
+"""The subject of an identification, and the methods that a kind of vehicle adds to those for every model.
 
-A kind states it in its folder (`vehicles.registry.of(kind).identification()`); nothing here names one.
+A kind of vehicle defines them in its folder (`vehicles.registry.of(kind).identification()`); this package names none.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from telemetry.recording import Recording
 
 Values = Mapping[str, float]
 Percent = Callable[[Values], dict[str, float]]
-"""From a method's values to percent by channel."""
+"""Function from a method's values to percent by channel."""
 
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """A recursive regression of one kind of vehicle, while it runs or on recordings.
+    """A recursive regression of one kind of vehicle, for use while it runs or on recordings.
 
-    `channels` are what it takes. `make` takes the CAD values, their standard deviations, the angle on a support (rad)
-    and the channel table of the cycles. It raises EstimationError where a value is missing.
+    `channels` are those that it uses. `make` takes the CAD values, their standard deviations, the angle on a support
+    (rad) and the channel table of the cycles. It raises EstimationError if a value is missing.
     """
 
     channels: ChannelTable
@@ -41,13 +41,13 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class OwnMethods:
-    """What a kind of vehicle has of its own.
+    """The methods of a kind of vehicle.
 
-    `regressions` by the name of their method (estimators.identify.table). `asked`: further methods that are asked of
-    such a vehicle where none is named. `settings` of methods, by name: the keyword arguments of their functions.
-    `prediction` measures a fit, in place of the measure that is common to all models; None where the subject or the
-    recordings do not have what it takes. `derived` makes further parameters of those that a method of the drives and
-    the best method give, by name, and of the vehicle file's values with their standard deviations.
+    `regressions` by the name of their method (estimators.identify.table). `asked`: further methods that are run for
+    such a vehicle if none is named. `settings` of methods, by name: the keyword arguments of their functions.
+    `prediction` measures a fit in place of the measure that is common to all models; it returns None if the subject or
+    the recordings lack what it needs. `derived` computes further parameters from those of a method of the drives, those
+    of the best method, and the vehicle file's values with their standard deviations.
     """
 
     regressions: Mapping[str, Regression] = field(default_factory=dict)
@@ -65,11 +65,11 @@ NOTHING_OWN = OwnMethods()
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is identified: a model with its start values, and what the vehicle file says of the vehicle.
+    """The subject of an identification: a model with its start values, and data of the vehicle file.
 
-    `parameters` and `deviations` are CAD values and their standard deviations, by name; `support` rad is the angle at
-    which the supports carry, None for a vehicle without any; `bandwidth` rad/s of the filter of the regressions, None
-    for their own; `own` what its kind of vehicle has of its own.
+    `parameters` and `deviations` are CAD values and their standard deviations, by name; `support` (rad) is the angle at
+    which supports carry the vehicle, None without supports; `bandwidth` (rad/s) is that of the filter of the
+    regressions, None for their default; `own` are the methods of its kind of vehicle.
     """
 
     model: Model

@@ -1,20 +1,19 @@
-"""The methods that identify a vehicle, in groups as in the paper's figure 3, and which recordings each of them takes.
+"""The methods that identify a vehicle, in groups as in the paper's figure 3, and the recordings that each takes.
 
-Time domain: a step from rest, as in the paper, since nothing moves the vehicle more in so short a time. Where no
-recording is of a step, they take all: every experiment begins with getting up from the support. Prediction error and
-the recursive methods take all recordings at once anyway.
+Time domain: a step from rest, as in the paper, since nothing moves the vehicle more in so short a time. If no recording
+is of a step, they take all: every experiment begins with getting up from the support. Prediction error and the
+recursive methods always take all recordings.
 
-Frequency domain: an excitation of the roll reference that covers a band, while the vehicle is balanced. One at the
-controller's output the controller works against, which leaves the low frequencies, and so the gravity stiffness, unsure
-(Griese et al., section III-C); a step from rest is no periodic motion at all.
+Frequency domain: an excitation of the roll reference that covers a band, while the vehicle is balanced. The controller
+counteracts an excitation at its own output, so that the low frequencies, and with them the gravity stiffness, are
+uncertain (Griese et al., section III-C). A step from rest is not a periodic motion.
 
-A recording that does not say which experiment it is of (a CSV file) is given to every method; the method itself refuses
-what it cannot use.
+A recording that does not state its experiment (a CSV file) is given to every method; the method itself refuses data
+that it cannot use.
 
-Each method also states its flaws: what makes its values deviate by more than their standard deviations say, and under
-which condition. estimators.identify.choice reads them. Sources: Ljung, "System identification", 2nd ed., section 7.6
-(noisy regressors) and chapter 13 (closed loop); docs/explanation/methods.md for
-the simulation of an unstable model.
+Each method also states its flaws: reasons why its values deviate by more than their standard deviations imply, and the
+conditions. estimators.identify.choice uses them. Sources: Ljung, "System identification", 2nd ed., section 7.6 (noisy
+regressors) and chapter 13 (closed loop); docs/explanation/methods.md for the simulation of an unstable model.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class Domain(StrEnum):
     FREQUENCY = "frequency domain"
     RECURSIVE = "recursive"
     DRIVES = "drives"
-    """What is told of the actuators, apart from the vehicle."""
+    """Parameters of the actuators, apart from the vehicle."""
 
 
 class Takes(StrEnum):
@@ -46,18 +45,18 @@ class Takes(StrEnum):
 
 
 class Condition(StrEnum):
-    """When a flaw counts."""
+    """When a flaw applies."""
 
     ALWAYS = "always"
     CLOSED_LOOP = "closed loop"
-    """A controller acts on what is measured."""
+    """A controller feeds the measurements back."""
     UNSTABLE = "unstable"
-    """The model is unstable at the method's values, and the simulations are not short against its pole."""
+    """The model is unstable at the method's values, and the simulations are not short compared with its pole."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """Why a method is not sound where `condition` holds; `reason` completes "not sound here: ..."."""
+    """Why a method is not sound if `condition` holds; `reason` completes "not sound here: ..."."""
 
     condition: Condition
     reason: str
@@ -78,10 +77,10 @@ FREE_RUN = Flaw(
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One method by the name it is asked for and reported by.
+    """One method, by the name under which it is requested and reported.
 
-    `rank`: of methods that are sound and predict equally well, the one with the lowest rank is chosen; None for one
-    that does not estimate the model. `flaws` say when it is not sound.
+    `rank`: of methods that are sound and predict equally well, the one with the lowest rank is chosen; None for a
+    method that does not estimate the model. `flaws` state when it is not sound.
     """
 
     name: str
@@ -108,15 +107,15 @@ METHODS: dict[str, Method] = {
         Method("drive_lag", Domain.DRIVES, Takes.ALL),
     )
 }
-"""In the order in which they are shown. Ranks: methods without a bias first, and of these the most precise one; what
-the frequency domain estimates lacks the static torque."""
+"""In the order in which they are shown. Ranks: methods without a bias first, of these the most precise one first; the
+estimates of the frequency domain lack the static torque."""
 
 BANDS = ("sweep", "multisine")
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What a recording says it is of: `excitation` and where it acts, `at`; "" where it does not say."""
+    """The experiment that a recording states: `excitation` and where it acts, `at`; "" if it does not state it."""
 
     excitation: str = ""
     at: str = ""

@@ -1,7 +1,8 @@
-"""How well a fitted model predicts recordings that it was not fitted to: a row ahead, some time ahead, all the way.
+"""Validation of a fitted model on held-out recordings: one step ahead, some time ahead, and in simulation.
 
-Each figure is 100 % less the error over the channel's own movement about its mean, both RMS: 100 is perfect, 0 is no
-better than the mean. One step ahead every row is predicted from all rows before it; a simulation sees the inputs alone.
+Each figure is 100 % minus the error over the channel's own variation about its mean, both RMS: 100 is perfect, 0 is no
+better than the mean. One step ahead, every sample is predicted from all previous ones; a simulation uses the inputs
+only.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from telemetry.recording import Recording
 Array = NDArray[np.float64]
 
 HORIZON = 0.5
-"""s ahead, where no other is asked for."""
+"""Default horizon, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Validation:
     """Percent by channel: `one_step`, `ahead` (`horizon` s) and `simulation`; `error` is the simulation's, RMS.
 
-    By stretch: `time` s (n,), `measured` and `simulated` (n, ny), from where the simulation begins.
+    By segment: `time` s (n,), `measured` and `simulated` (n, ny), from the beginning of the simulation.
     """
 
     horizon: float
@@ -58,10 +59,10 @@ def validate(
     horizon: float = HORIZON,
     settle: float = 0.0,
 ) -> Validation:
-    """What `fitted` is worth on `recordings`, with `values` instead of some of its own.
+    """Validation of `fitted` on `recordings`, with `values` instead of some of its own.
 
-    A simulation starts from the state that the first row shows or, with `settle` s, from what the filter makes of so
-    much data. Raises DataError where the recordings cannot be used.
+    A simulation starts from the measured state at the first sample or, with `settle` > 0 s, from the filtered state
+    after that time. Raises DataError if the recordings cannot be used.
     """
     there = on_others(fitted, recordings, values=values, support=support)
     task, kernel = there.problem, there.problem.kernel
@@ -90,9 +91,9 @@ def on_others(
     values: Mapping[str, float] | None = None,
     support: float | None = None,
 ) -> Fit:
-    """`fitted` as it stands, with `values` instead of some of its own, on `recordings`: nothing is fitted again.
+    """`fitted` unchanged, except for `values`, on `recordings`: nothing is fitted again.
 
-    Raises DataError where the recordings cannot be used.
+    Raises DataError if the recordings cannot be used.
     """
     kernel = fitted.problem.kernel
     own = dict(zip(kernel.parameters, fitted.values.tolist(), strict=True)) | dict(values or {})
@@ -104,9 +105,9 @@ def on_others(
 
 
 def in_windows(fitted: Fit, horizon: float) -> list[Array]:
-    """Simulations of `horizon` s, one after the other, each from the filtered state where the last one ends.
+    """Consecutive simulations of `horizon` s, each from the filtered state at the end of the previous one.
 
-    By stretch, (n, ny); what is predicted while the filter settles, over the first horizon, is not known.
+    By segment, (n, ny); NaN over the first horizon, in which the filter settles.
     """
     task, values = fitted.problem, fitted.values
     found = []
@@ -128,7 +129,7 @@ def in_windows(fitted: Fit, horizon: float) -> list[Array]:
 
 
 def _simulated(fitted: Fit, segment: Segment, initial: Array, start: int) -> Array:
-    """Filtered up to row `start`, simulated from there: (n - start, ny)."""
+    """Filtered up to sample `start`, simulated from there: (n - start, ny)."""
     task, values = fitted.problem, fitted.values
     memory = task.kernel.memory(initial)
     predicted = np.empty_like(segment.measured)

@@ -1,1 +1,1 @@
-"""Estimators of whole recordings, one method a file: functions that return an estimators.contract.Estimate."""
+"""Batch estimators for whole recordings, one method per file: functions that return an estimators.contract.Estimate."""

@@ -2,14 +2,14 @@
 
     inertia * acceleration - load - effects = 0    becomes    known(t) = sum_j parameter_j * regressor_j(t)
 
-SymPy splits the model's own equations: what no estimated parameter multiplies is known and anchors the scale (the
-angular momentum of the gyroscopes, the force of a motor), the rest is one regressor a parameter. All are evaluated on
-the measured channels. Between two samples a measurement is a straight line and a command is held, so that every term
-has a value at either end of each interval; the acceleration is the slope of the measured rate. Where only a position is
-measured, rate and acceleration come from a first, wide filter that all channels go through.
+SymPy splits the model's own equations. Terms without an estimated parameter are known and anchor the scale (the angular
+momentum of the gyroscopes, the force of a motor); the others form one regressor per parameter. All are evaluated on the
+measured channels. Between two samples a measurement is linear and a command is held, so that every term has a value at
+either end of each interval; the acceleration is the slope of the measured rate. If only a position is measured, rate
+and acceleration come from a first, wide filter through which all channels go.
 
-An input's delay is a regressor, too: the derivative of what the input contributes, at the model's values. A fraction of
-a sample between drives and IMU would otherwise be a bias.
+The delay of an input is a regressor, too: the time derivative of the input's terms, at the model's values. Otherwise a
+fraction of a sample between drives and IMU would cause a bias.
 
 Source: Isermann and Muenchhof, Identification of Dynamic Systems, chapter 15; Griese et al., equation (6).
 """
@@ -38,12 +38,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """known = sum of parameter * regressor; expressions of the channels' symbols alone, parameters at their values.
+    """known = sum of parameter * regressor: expressions in the channels' symbols alone, with held parameters at their
+    values.
 
     `free` are the parameters of `regressors`, `shifts` those of `shifted`, whose time derivative is the regressor of a
-    delay beyond its value; `absent` are asked for and have no part in this balance. `anchors` are parameters taken
-    as known that have a standard deviation; what the balance changes by with one is known[anchor] + sum_j parameter_j *
-    anchored[anchor, j]. `position` names the measured channel where the rate is not measured, "" where it is.
+    delay in excess of its value; `absent` are estimated parameters that do not occur in this balance. `anchors` are
+    parameters assumed known that have a standard deviation; the derivative of the balance with respect to one is
+    known[anchor] + sum_j parameter_j * anchored[anchor, j]. `position` names the measured channel if the rate is not
+    measured, otherwise it is "".
     """
 
     model: Model
@@ -56,29 +58,29 @@ class Balance:
     shifted: tuple[sympy.Expr, ...]
     anchors: tuple[str, ...]
     anchored: tuple[tuple[int, int, sympy.Expr], ...]
-    """(place in anchors, place in free or -1 for what no free parameter multiplies, expression)."""
+    """(index in anchors, index in free or -1 for terms without a free parameter, expression)."""
     motion: tuple[sympy.Expr, sympy.Expr, sympy.Expr]
     """Coordinate, rate and acceleration in terms of the channels' symbols."""
     position: str
     delays: tuple[tuple[str, ...], ...]
-    """Of each input of the model, the parameters by which it acts later."""
+    """Parameters of the delay of each input of the model."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters of the regression, those of delays last."""
+        """The parameters of the regression, delays last."""
         return self.free + self.shifts
 
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """Channels over m intervals between the instants `time` (m + 1,): by symbol, the values at either end of each."""
+    """Channels over m intervals between the instants `time` (m + 1,): values at either end of each, by symbol."""
 
     time: Array
     left: dict[str, Array]
     right: dict[str, Array]
 
     def add(self, name: str, slope: str, left: Array, right: Array) -> None:
-        """A further channel with its slope; both run straight within an interval."""
+        """Add a channel and its slope; the channel is linear within an interval."""
         self.left[name], self.right[name] = left, right
         self.left[slope] = self.right[slope] = (right - left) / np.diff(self.time)
 
@@ -93,10 +95,10 @@ class Pieces:
 
 
 def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = None) -> Balance:
-    """The balance at `joint` of `model`, by default its first; `estimate` names the parameters sought.
+    """The balance at `joint` of `model`, by default its first; `estimate` names the estimated parameters.
 
-    Raises EstimationError where there is no such joint, its balance is not linear in what is sought, nothing of it is
-    sought, or it needs a state that is not measured; it names the parameters or the state.
+    Raises EstimationError if there is no such joint, its balance is not linear in the estimated parameters or has none
+    of them, or it needs a state that is not measured; the error names the parameters or the state.
     """
     model = library.get(model) if isinstance(model, str) else model
     model = model.change(estimated=estimate) if estimate is not None else model
@@ -106,7 +108,7 @@ def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = 
         raise EstimationError(f"joint {joint}".strip(), f"model {model.name} has none", remedy=f"its joints: {there}.")
     equations = compose(model)
     by_name = dict(zip((p.name for p in model.parameters), equations.parameters, strict=True))
-    asked = [p for p in model.parameters if p.estimated]
+    estimated = [p for p in model.parameters if p.estimated]
     fixed = {by_name[p.name]: sympy.Float(p.value) for p in model.parameters if not p.estimated}
     residual, acceleration = _residual(model, place, equations)
     measured, motion, position = _measured(model, place, equations, residual, fixed)
@@ -114,8 +116,8 @@ def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = 
     _refuse_lags(model, equations, residual)
 
     delays = {name for names in equations.delays for name in names}
-    free = [p.name for p in asked if residual.has(by_name[p.name])]
-    others = [p.name for p in asked if p.name not in free]
+    free = [p.name for p in estimated if residual.has(by_name[p.name])]
+    others = [p.name for p in estimated if p.name not in free]
     shifts, absent = [n for n in others if n in delays], [n for n in others if n not in delays]
     coefficients = [residual.diff(by_name[name]) for name in free]
     _require_linear(place, free, coefficients, by_name)
@@ -127,7 +129,7 @@ def split(model: Model | str, joint: str = "", estimate: Iterable[str] | None = 
     anchors = [p.name for p in model.parameters if not p.estimated and p.std > 0.0 and residual.has(by_name[p.name])]
     changes = [[part.diff(by_name[n]).xreplace(fixed) for part in (rest, *coefficients)] for n in anchors]
     anchored = [(n, place, e) for n, each in enumerate(changes) for place, e in enumerate(each, start=-1) if e != 0]
-    at_value = {**fixed, **{by_name[p.name]: sympy.Float(p.value) for p in asked}}
+    at_value = {**fixed, **{by_name[p.name]: sympy.Float(p.value) for p in estimated}}
     return Balance(
         model=model,
         joint=place,
@@ -149,7 +151,7 @@ def _residual(model: Model, joint: Joint, equations: Equations) -> tuple[sympy.E
     """inertia * acceleration - forces, and the symbol of the acceleration."""
     names = [state.name for state in model.states]
     if joint.rate not in names or joint.coordinate not in names:
-        what = f"its coordinate {joint.coordinate!r} or rate {joint.rate!r} is no state of model {model.name}"
+        what = f"its coordinate {joint.coordinate!r} or rate {joint.rate!r} is not a state of model {model.name}"
         raise EstimationError(f"joint {joint.name}", what, remedy="use prediction_error, which needs no balance.")
     every = (equations.time, *equations.states, *equations.inputs, *equations.slopes, *equations.parameters)
     symbols: dict[str, sympy.Expr] = {each.name: each for each in every}
@@ -168,9 +170,10 @@ def channel(name: str, derivative: int = 0) -> sympy.Symbol:
 def _measured(
     model: Model, joint: Joint, equations: Equations, residual: sympy.Expr, fixed: Mapping[sympy.Symbol, sympy.Expr]
 ) -> tuple[dict[sympy.Symbol, sympy.Expr], tuple[sympy.Expr, sympy.Expr, sympy.Expr], str]:
-    """States in terms of channels; coordinate, rate, acceleration in those terms; the position measured for a rate.
+    """States in terms of channels; coordinate, rate and acceleration in these terms; the position that is measured in
+    place of a rate.
 
-    A sensor error that is a state of its own (the roll filter's) is no part of the motion and counts as zero.
+    A sensor error that is a state of its own (that of the roll filter) is not part of the motion and counts as zero.
     """
     by_name = dict(zip((state.name for state in model.states), equations.states, strict=True))
     shown = {o.name: e.xreplace(fixed) for o, e in zip(model.outputs, equations.outputs, strict=True)}
@@ -195,13 +198,13 @@ def _measured(
     if lacking:
         remedy = "use prediction_error, which estimates states, or a model whose inputs are measured instead."
         raise EstimationError(
-            f"joint {joint.name}", f"its balance needs {lacking[0]}, which no output shows", remedy=remedy
+            f"joint {joint.name}", f"its balance needs {lacking[0]}, which no output measures", remedy=remedy
         )
     for _ in wanted:
         read = {state: sympy.expand(expression.xreplace(read)) for state, expression in read.items()}
     if any(expression.has(*equations.states) for expression in read.values()):
         remedy = "use prediction_error."
-        raise EstimationError(f"joint {joint.name}", "its sensors cannot be solved for the motion", remedy=remedy)
+        raise EstimationError(f"joint {joint.name}", "its outputs cannot be solved for the motion", remedy=remedy)
     if position:
         acceleration = gain * channel(position, 2)
     else:
@@ -220,17 +223,17 @@ def _refuse_lags(model: Model, equations: Equations, residual: sympy.Expr) -> No
 def _require_linear(
     joint: Joint, free: Sequence[str], coefficients: Sequence[sympy.Expr], by_name: Mapping[str, sympy.Symbol]
 ) -> None:
-    guilty = [
+    nonlinear = [
         n for n, c in zip(free, coefficients, strict=True) if any(sympy.simplify(c.diff(by_name[m])) for m in free)
     ]
-    if guilty:
+    if nonlinear:
         remedy = "hold one or more of them (estimate=...), or use prediction_error."
-        what = f"the balance is not linear in {', '.join(guilty)}"
+        what = f"the balance is not linear in {', '.join(nonlinear)}"
         raise EstimationError(f"joint {joint.name}", what, remedy=remedy)
 
 
 def _input_terms(model: Model, equations: Equations, residual: sympy.Expr, delay: str) -> sympy.Expr:
-    """The terms of `residual` that depend on nothing but inputs delayed by `delay`."""
+    """The terms of `residual` that depend only on inputs with the delay `delay`."""
     late = set()
     for symbol, slope, names in zip(equations.inputs, equations.slopes, equations.delays, strict=True):
         if delay in names:
@@ -240,7 +243,7 @@ def _input_terms(model: Model, equations: Equations, residual: sympy.Expr, delay
 
 
 def evaluator(expressions: Sequence[sympy.Expr]) -> Callable[[Signals], Pieces]:
-    """A function that evaluates `expressions` of the channels' symbols on the signals of a stretch."""
+    """A function that evaluates `expressions` of the channels' symbols on the signals of a segment."""
     plain = [_plain(sympy.sympify(expression)) for expression in expressions]
     symbols = sorted(set().union(*(each.free_symbols for each in plain)), key=lambda symbol: symbol.name)
     function: Callable[..., Sequence[Any]] = sympy.lambdify(symbols, plain, modules="numpy", cse=True)
@@ -256,7 +259,7 @@ def evaluator(expressions: Sequence[sympy.Expr]) -> Callable[[Signals], Pieces]:
 
 
 def _plain(expression: sympy.Expr) -> sympy.Expr:
-    """In functions that NumPy has, of arrays and numbers alike."""
+    """`expression` in functions that NumPy has, for arrays as well as numbers."""
 
     def larger(*each: sympy.Expr) -> sympy.Expr:
         return reduce(lambda a, b: (a + b + sympy.Abs(a - b)) / 2, each)
@@ -269,7 +272,7 @@ def _plain(expression: sympy.Expr) -> sympy.Expr:
 def channel_signals(balance: Balance, segment: Segment) -> Signals:
     """All channels of `segment`, and their slopes, between the instants at which any of them was sampled.
 
-    Inputs act later by the values of their delays. From the first instant on that all are known, up to the last.
+    Inputs are shifted by the values of their delays. The signals span the time in which all channels are known.
     """
     model = balance.model
     knots = [

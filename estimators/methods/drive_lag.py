@@ -1,18 +1,20 @@
-"""How fast a drive's speed loop is, and how far it gives way to what pushes: from setpoint to measured rate.
+"""Lag of a drive's speed loop and its compliance under load, from setpoint and measured rate.
 
     rate = [ setpoint - roll_reaction (s + tau s^2) body_rate ] / (1 + 4 tau s + 8 tau^2 s^2 + 8 tau^3 s^3)
 
 is a speed loop tuned by the symmetric optimum (estimators.speed_loop). `speed_loop_lag` is 4 tau (s), the mean delay of
-the loop. Rolling precesses the gimbals against their loops; `roll_reaction` (s) is the rate that they give way by for a
-roll acceleration, 8 tau^2 angular_momentum / gimbal_inertia: times the angular momentum it is what the apparent inertia
-adds to the mechanical one. Leaving it out would leave 20 mrad/s unexplained. `setpoint_offset` (s), how much later than
-its row a setpoint begins to act, is a nuisance. The measured rate of a row was sampled `age` before it.
+the loop. Rolling precesses the gimbals against their loops. `roll_reaction` (s) is the rate by which they yield per
+roll acceleration, 8 tau^2 angular_momentum / gimbal_inertia: times the angular momentum it is the difference between
+the apparent inertia and the mechanical one. Without it, 20 mrad/s would remain unexplained. `setpoint_offset` (s), the
+delay from the sample of a setpoint until it begins to act, is a nuisance parameter. The measured rate of a sample was
+taken `age` before it.
 
-Loop.FIRST_ORDER is for drives tuned otherwise. Of a symmetric optimum it makes half the lag with the rest in the
-offset, since a first-order lag has no point of inflection.
+Loop.FIRST_ORDER is for drives with another tuning. For a symmetric optimum it estimates half the lag and attributes the
+rest to the offset, since a first-order lag has no point of inflection.
 
-A loop at its torque limit obeys neither. Such rows are outliers, and the fit bears them (Cauchy's loss). Standard
-deviations are those of an M-estimator with correlated residuals (Huber and Ronchetti, Robust Statistics, chapter 6).
+A loop at its torque limit follows neither model. Such samples are outliers, and the fit tolerates them (Cauchy's loss).
+Standard deviations are those of an M-estimator with correlated residuals (Huber and Ronchetti, Robust Statistics,
+chapter 6).
 """
 
 from __future__ import annotations
@@ -35,18 +37,18 @@ LOWER, UPPER = np.array((SHORTEST, -0.05, -1.0)), np.array((LONGEST, 0.1, 1.0))
 START = np.array((0.04, 0.0, 0.0))
 TYPICAL = np.array((0.01, 0.001, 0.01))
 STEP_SHARE = 0.1
-"""Of the setpoint's whole range: what it must have moved by for a row to count."""
+"""Least change of the setpoint before a sample that is used, as a share of the setpoint's whole range."""
 FEWEST_ROWS = 25
-ASKED_STD = 0.1
+REQUIRED_STD = 0.1
 """Largest standard deviation, as a share of the lag, with which a parameter counts as known."""
 CORRELATED = 0.25
-"""s that residuals can stay alike."""
+"""Longest correlation of the residuals, s."""
 ORDER = 5
-"""Lags of the residual's autocovariance that are taken as measured; the others follow from these."""
+"""Lags of the residual's autocovariance that are used as measured; the others are extrapolated from these."""
 ROUNDS = 20
-"""Of scale and fit, at most."""
+"""Largest number of iterations of scale and fit."""
 SCALE = 2.385 * 1.4826
-"""Of Cauchy's loss, over the residuals' median size, at which it is 95 % efficient for Gaussian ones."""
+"""Scale of Cauchy's loss over the residuals' median magnitude, for 95 % efficiency with Gaussian residuals."""
 
 Array = NDArray[np.float64]
 
@@ -60,12 +62,12 @@ def drive_lag(
     age: str = "drive_age",
     loop: Loop = Loop.SYMMETRIC_OPTIMUM,
 ) -> Estimate:
-    """Lag, offset and reaction of the speed loops, s, from the rows after a change of the setpoint; see the module.
+    """Lag, offset and reaction of the speed loops, s, from the samples after a change of the setpoint; see the module.
 
-    The others are names of channels, in rad/s and s; `body_rate` "" leaves the reaction out, for axes that nothing
-    pushes at.
+    The other arguments are names of channels, in rad/s and s. With `body_rate` "" the reaction is left out, for axes
+    without a load.
 
-    Raises RecordingError where a channel is missing.
+    Raises RecordingError if a channel is missing.
     """
     started = stopwatch()
     count = 3 if body_rate else 2
@@ -76,7 +78,7 @@ def drive_lag(
     span = max((float(np.ptp(values)) for values in known if len(values)), default=0.0)
     windows: list[Window] = []
     for number, recording in enumerate(recordings):
-        # Two apart, so that the rows of two recordings are never neighbours.
+        # Two apart, so that samples of two recordings are never adjacent.
         first = 2 * number + sum(len(before) for before in recordings[:number])
         windows += windows_of(recording, channels, STEP_SHARE * span, first) if span > 0.0 else []
     rows = sum(len(window.time) for window in windows)
@@ -106,7 +108,7 @@ def drive_lag(
 
 
 def _refused(names: Sequence[str], rows: int, setpoint: str, span: float, seconds: float) -> Estimate:
-    status, why = Status.TOO_FEW_SAMPLES, f"{rows} rows follow a change of {setpoint}, {FEWEST_ROWS} needed"
+    status, why = Status.TOO_FEW_SAMPLES, f"{rows} samples follow a change of {setpoint}, {FEWEST_ROWS} are required"
     if span == 0.0:
         status, why = Status.TOO_LITTLE_EXCITATION, f"{setpoint} never moves"
     reason = f"{why}: record a step, with {RUN_IN:g} s before it"
@@ -115,7 +117,7 @@ def _refused(names: Sequence[str], rows: int, setpoint: str, span: float, second
 
 
 def _fit(windows: Sequence[Window], modes: Modes, count: int) -> tuple[Array, Array, Array, Array, bool]:
-    """Values, Jacobian, residual and weight of each row at the robust optimum, and whether it was found."""
+    """Values, Jacobian, residual and weight of each sample at the robust optimum, and whether it was found."""
     last: tuple[bytes, tuple[Array, Array]] = (b"", (np.empty(0), np.empty(0)))
 
     def at(values: Array) -> tuple[Array, Array]:
@@ -146,9 +148,10 @@ def _fit(windows: Sequence[Window], modes: Modes, count: int) -> tuple[Array, Ar
 
 
 def _covariance(jacobian: Array, residual: Array, weight: Array, windows: Sequence[Window]) -> Array:
-    """Covariance (p, p) of the values; NaN where the rows do not tell.
+    """Covariance (p, p) of the values; NaN if they are not identifiable.
 
-    That of an M-estimator, with the second derivative of the loss, and the score's autocovariance up to CORRELATED.
+    It is that of an M-estimator, with the second derivative of the loss, and the score's autocovariance up to
+    CORRELATED.
     """
     information = jacobian.T @ ((weight**2 * (2.0 - 1.0 / weight))[:, None] * jacobian)
     size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
@@ -181,14 +184,14 @@ def _parameter(
         reason = "the fit found no minimum: the drives may be at their limit all the time"
         return ParameterEstimate(None, None, "s", Status.NOT_CONVERGED, 0.0, reason)
     if not np.isfinite(variance):
-        reason = f"this motion of {setpoint} does not tell {name} from the rest: record a step"
+        reason = f"{name} is not identifiable from this motion of {setpoint}: record a step"
         return ParameterEstimate(None, None, "s", Status.UNIDENTIFIABLE, 0.0, reason)
-    std, asked = float(np.sqrt(max(variance, 0.0))), ASKED_STD * float(values[0])
-    coverage = 100.0 * min(1.0, asked / std) if std > 0.0 else 100.0
+    std, required = float(np.sqrt(max(variance, 0.0))), REQUIRED_STD * float(values[0])
+    coverage = 100.0 * min(1.0, required / std) if std > 0.0 else 100.0
     if min(value - LOWER[place], UPPER[place] - value) < 1e-3 * TYPICAL[place]:
-        reason = f"{name} comes out at the end of what is looked at, {value:g} s: check the channels' signs and times"
+        reason = f"{name} is at the limit of its search range, {value:g} s: check the channels' signs and times"
         return ParameterEstimate(None, None, "s", Status.AT_BOUND, coverage, reason)
     if coverage < 100.0:
-        reason = f"{name} is known to ± {std:.2g} s only, {asked:.2g} s asked: record larger or more steps"
+        reason = f"{name} is known only to ± {std:.2g} s, ± {required:.2g} s is required: record larger or more steps"
         return ParameterEstimate(None, None, "s", Status.TOO_LITTLE_EXCITATION, coverage, reason)
     return ParameterEstimate(value, std, "s", Status.OK, coverage)

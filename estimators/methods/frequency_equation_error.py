@@ -2,13 +2,13 @@
 
     G = n0 / (d2 s^2 + d1 s + 1):        e = G measured (d2 s^2 + d1 s + 1) - n0,        P = sum w |e|^2
 
-with n0 = 1 / stiffness term, d2 = inertia / stiffness term and w = (|G| / std |G|)^2: the paper's (10) to (13). Where
-the joint has no stiffness to divide by, or a part of the balance is known, e = G measured / G - 1 is used instead. Real
-and imaginary part count alike, and no start value is needed. A static torque is neglected here, too; the weights
-leave it little to spoil, see `frequency_output_error`.
+with n0 = 1 / stiffness term, d2 = inertia / stiffness term and w = (|G| / std |G|)^2: the paper's (10) to (13). If the
+joint has no stiffness to divide by, or a part of the balance is known, e = G measured / G - 1 is used instead. Real and
+imaginary part have the same weight, and no start value is needed. A static torque is neglected here, too; with these
+weights it does little harm, see `frequency_output_error`.
 
-Source: Griese et al., section III-D, with the gravity's sign set right; Pintelon and Schoukens, System Identification:
-A Frequency Domain Approach, section 9.3 (the estimate is biased where the response is noisy).
+Source: Griese et al., section III-D, with the sign of gravity corrected; Pintelon and Schoukens, System Identification:
+A Frequency Domain Approach, section 9.3 (the estimate is biased if the response is noisy).
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ def frequency_equation_error(
     coherence: float = COHERENT,
     joint: str = "",
 ) -> Estimate:
-    """As `frequency_output_error`, by the equation error."""
+    """As `frequency_output_error`, but minimising the equation error."""
     spectral = {"excitation": excitation, "support": support, "window": window, "detrend": detrend}
     return frequency_fit(METHOD, equation_fit, split(model, joint, estimate), recordings, band, coherence, **spectral)
 
 
 def equation_fit(denominator: Denominator, measured: FrequencyResponse, parameters: Sequence[Parameter]) -> Fit:
-    """The paper's (12) with the weights (13), and the parameters that follow."""
+    """The paper's (12) with the weights (13), and the resulting parameters."""
     known, terms = denominator.at(measured.frequency)
     found = measured.response
     weight = np.abs(found) / measured.magnitude_std
@@ -80,7 +80,7 @@ def equation_fit(denominator: Denominator, measured: FrequencyResponse, paramete
         change[place] = 0.0
         change[place, place] = -values[place] / solved[place]
     residual = regressors @ solved - target
-    # An error of G enters the equation as denominator * error: the noise of e, over that of G.
+    # An error of G enters the equation as denominator * error: ratio of the noise of e to that of G.
     spread = np.abs(known + terms @ values) * (abs(solved[stiffness[0]]) if normalised else 1.0)
     scaled = np.where(spread > 0.0, residual / np.maximum(spread, 1e-300), 0.0)
     covariance = errors(measured, scaled, len(solved), 2.0)
@@ -91,6 +91,6 @@ def equation_fit(denominator: Denominator, measured: FrequencyResponse, paramete
 
 
 def _real(values: NDArray[np.complex128]) -> Array:
-    """(m, ...) complex as (2 m, ...) real: real and imaginary parts in turn."""
+    """(m, ...) complex as (2 m, ...) real: real and imaginary parts alternate."""
     parts: Array = np.stack((values.real, values.imag), axis=1)
     return parts.reshape(2 * len(values), *values.shape[1:])

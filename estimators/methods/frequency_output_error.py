@@ -1,20 +1,21 @@
-"""Output error in the frequency domain: the amplitude response that comes nearest to the measured one.
+"""Output error in the frequency domain: fits the amplitude response to the measured one.
 
     P = sum over frequencies of (|G(jw)| - |G measured|)^2,        G = 1 / (inertia (jw)^2 + friction jw - stiffness)
 
-The paper's (9), by Nelder and Mead's simplex from the model's values. G runs from the known force (angular momentum x
-precession rate + trim torque) to the joint's coordinate; its denominator is the joint's balance, as far as that is
-linear in the motion. What is not is neglected, named with the reason, and does not count as failed.
+The paper's (9), by Nelder and Mead's simplex from the model's values. G is the transfer function from the known force
+(angular momentum x precession rate + trim torque) to the joint's coordinate; its denominator is the part of the joint's
+balance that is linear in the motion. Other terms are neglected and reported with the reason; they do not count as
+failed.
 
-A static torque is neglected, too, since no transfer function has it, and the paper takes the deviations of its
-frequency-domain results from that. They come about in the two lowest bins, if nothing is taken out of the windows
-(`detrend` "none", the default; the paper does not say): a constant gyro torque that goes with no angle looks like a
-stiff vehicle. With every bin from 0 Hz on (`coherence` 0) 40 N m make the inertia 27 % too small and the stiffness 42 %
-too large in a simulated sweep, 10 N m still 17 and 20 %. These bins are incoherent, though, so that by default they are
-left out where they do harm, and 1 to 4 % remain. (13) makes `frequency_equation_error` nearly immune.
+A static torque is neglected, too, since no transfer function contains it. The paper attributes the deviations of its
+frequency-domain results to that. They arise in the two lowest bins, if the windows are not detrended (`detrend` "none",
+the default; the paper does not say): a constant gyro torque without an angle looks like a stiff vehicle. With every bin
+from 0 Hz on (`coherence` 0), 40 N m make the inertia 27 % too small and the stiffness 42 % too large in a simulated
+sweep, 10 N m still 17 and 20 %. These bins are incoherent, though, so that by default they are left out where they do
+harm, and 1 to 4 % remain. (13) makes `frequency_equation_error` nearly immune.
 
-Standard deviations follow from those of the response through the Jacobian, neighbouring bins not taken as independent,
-widened where the fit leaves more than noise. Source: Griese et al., section III-C, with the gravity's sign set right.
+Standard deviations follow from those of the response through the Jacobian, with neighbouring bins correlated, and are
+increased if the residual exceeds the noise. Source: Griese et al., section III-C, with the sign of gravity corrected.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from scipy.optimize import minimize
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.data.segments import DataError
-from estimators.fit.result import asked_std, correlation, inverse, refused
+from estimators.fit.result import correlation, inverse, refused, required_std
 from estimators.methods.balance import Balance, split
 from estimators.methods.frequency_response import (
     DETRENDED,
@@ -40,7 +41,7 @@ from estimators.methods.frequency_response import (
     force_spectra,
     response,
 )
-from estimators.methods.least_squares import ASKED_SHARE, assembled, size_of
+from estimators.methods.least_squares import REQUIRED_SHARE, assembled, size_of
 from estimators.stopwatch import stopwatch
 from models.model import Model
 from models.parts import Parameter
@@ -53,18 +54,18 @@ METHOD = "frequency_output_error"
 COHERENT = 0.8
 """Least coherence of a frequency that is used."""
 EXCITED = 1e-3
-"""Least power of the input at a frequency that is used, over that of the strongest."""
+"""Least power of the input at a frequency that is used, relative to that of the strongest."""
 LINEAR_SHARE = 0.1
-"""By which a term may differ from its slope at the joint's typical motion and still count as linear."""
+"""Largest relative deviation of a linear term from its slope, at the joint's typical motion."""
 STEPS = 4000
-"""Of the simplex, at most."""
+"""Largest number of evaluations by the simplex."""
 
 
 @dataclass(frozen=True, slots=True)
 class Denominator:
-    """1 / G = known + sum_j parameter_j * terms_j; each is (stiffness, friction, inertia): times 1, s and s^2.
+    """1 / G = known + sum_j parameter_j * terms_j; each is (stiffness, friction, inertia), multiplied by 1, s and s^2.
 
-    `names` are the parameters of `terms` (p, 3). `neglected` maps others to why they have no part in it.
+    `names` are the parameters of `terms` (p, 3). `neglected` maps the other parameters to the reason.
     """
 
     names: tuple[str, ...]
@@ -80,11 +81,11 @@ class Denominator:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Parameters (p,) of a Denominator, their covariance (p, p), and whether the search settled."""
+    """Parameters (p,) of a Denominator, their covariance (p, p), and whether the search converged."""
 
     values: Array
     covariance: Array
-    settled: bool = True
+    converged: bool = True
 
 
 Solver = Callable[[Denominator, FrequencyResponse, Sequence[Parameter]], Fit]
@@ -106,8 +107,8 @@ def frequency_output_error(
     """The parameters of the linear part of the balance at `joint`, by default the first.
 
     `excitation` names a channel for the joint input-output form, "" for the paper's direct one; `detrend` and `window`
-    (s) as `frequency_response`; `band` Hz narrows what is used of the coherent frequencies. Data that cannot be used
-    give an Estimate without values that says why; raises EstimationError, ModelError as `least_squares`.
+    (s) as for `frequency_response`; `band` (Hz) restricts the coherent frequencies that are used. Data that cannot be
+    used give an Estimate without values that says why. Raises EstimationError and ModelError as `least_squares`.
     """
     spectral = {"excitation": excitation, "support": support, "window": window, "detrend": detrend}
     return frequency_fit(METHOD, amplitude_fit, split(model, joint, estimate), recordings, band, coherence, **spectral)
@@ -122,63 +123,64 @@ def frequency_fit(
     coherence: float,
     **spectral: Any,
 ) -> Estimate:
-    """Measure the response, fit it by `solver`, and say what is known. `spectral` are arguments of force_spectra."""
+    """Estimates the response and fits it by `solver`. `spectral` are arguments of force_spectra."""
     began = stopwatch()
     denominator = denominator_of(balance)
-    sought_for = [balance.model.parameter(name) for name in denominator.names]
+    estimated = [balance.model.parameter(name) for name in denominator.names]
     try:
         spectra = force_spectra(balance, recordings, **spectral)
         reference = 2 if spectral["excitation"] else None
         measured = response(spectra, 0, 1, reference=reference)
-        asked = ASKED_SHARE * balance.joint.force_scale
-        used = usable(measured, band, len(sought_for), asked, coherence)
+        required = REQUIRED_SHARE * balance.joint.force_scale
+        used = usable(measured, band, len(estimated), required, coherence)
     except DataError as error:
         return refused(balance.model, method, error, stopwatch() - began)
-    fit = solver(denominator, narrowed(measured, used), sought_for)
+    fit = solver(denominator, narrowed(measured, used), estimated)
     whole = fit.covariance
     for number in range(len(balance.anchors)):
         changed = response(spectra, 0, 1, reference=reference, change=(2 if reference is None else 3) + number)
-        moved = solver(denominator, narrowed(changed, used), sought_for).values - fit.values
+        moved = solver(denominator, narrowed(changed, used), estimated).values - fit.values
         whole = whole + np.outer(moved, moved)
-    told = {p.name: _told(place, sought_for, fit, whole) for place, p in enumerate(sought_for)}
+    parameters = {p.name: _parameter(place, estimated, fit, whole) for place, p in enumerate(estimated)}
     names, neglected = denominator.names, denominator.neglected
-    return assembled(method, balance, names, told, whole, spectra.samples, spectra.span, began, neglected)
+    return assembled(method, balance, names, parameters, whole, spectra.samples, spectra.span, began, neglected)
 
 
 def usable(
-    measured: FrequencyResponse, band: tuple[float, float] | None, parameters: int, asked: float, coherence: float
+    measured: FrequencyResponse, band: tuple[float, float] | None, parameters: int, required: float, coherence: float
 ) -> NDArray[np.bool_]:
-    """Which frequencies can be used. Raises DataError where they are too few or the force is less than `asked`, RMS."""
+    """Which frequencies can be used. Raises DataError if they are too few or the RMS force is less than `required`."""
     lowest, highest = band or (0.0, np.inf)
     inside = (measured.frequency >= lowest) & (measured.frequency <= highest) & np.isfinite(measured.magnitude_std)
-    # By chance alone some of thousands of frequencies are coherent; and a constant's leakage is no yardstick.
+    # By chance alone some of thousands of frequencies are coherent. Leakage of a constant does not count as strongest.
     inside &= measured.power >= EXCITED * np.max(measured.power[DETRENDED:], initial=0.0)
     used = inside & (measured.coherence >= coherence)
     moved = float(np.sqrt(np.sum(measured.power[used & (measured.frequency > 0.0)])))
-    if used.sum() > parameters and moved < asked:
-        what = f"the force moves by {moved:.3g}, RMS, {asked:.3g} are needed"
-        raise DataError(Status.TOO_LITTLE_EXCITATION, "frequency response", what, remedy="excite stronger.")
+    if used.sum() > parameters and moved < required:
+        what = f"the force moves by {moved:.3g}, RMS, {required:.3g} are needed"
+        raise DataError(Status.TOO_LITTLE_EXCITATION, "frequency response", what, remedy="excite more strongly.")
     if used.sum() < parameters + 1:
         best = f", at best {np.max(measured.coherence[inside]):.2f}" if inside.any() else ""
         what = f"at {used.sum()} frequencies the coherence is {coherence:g} or more{best}; {parameters + 1} are needed"
-        remedy = "excite a wider band, stronger, or record for longer."
+        remedy = "excite a wider band, more strongly, or record for longer."
         raise DataError(Status.TOO_LITTLE_EXCITATION, "frequency response", what, remedy=remedy)
     return np.asarray(used)
 
 
 def narrowed(measured: FrequencyResponse, used: NDArray[np.bool_]) -> FrequencyResponse:
-    """`measured` at some of its frequencies."""
+    """`measured` at the `used` frequencies."""
     names = ("frequency", "response", "coherence", "magnitude_std", "phase_std", "power")
     return replace(measured, **{name: getattr(measured, name)[used] for name in names})
 
 
 def denominator_of(balance: Balance) -> Denominator:
-    """The linear part of a balance. Raises EstimationError where no estimated parameter is in it."""
+    """The linear part of a balance. Raises EstimationError if it contains no estimated parameter."""
     joint = balance.joint
     own = [expression.free_symbols for expression in balance.motion]
     if any(len(symbols) != 1 for symbols in own):
         remedy = "use a time-domain method."
-        raise EstimationError(f"joint {joint.name}", "its sensors are not one channel a motion", remedy=remedy)
+        what = "its coordinate, rate and acceleration do not each come from a single channel"
+        raise EstimationError(f"joint {joint.name}", what, remedy=remedy)
     symbols = [next(iter(each)) for each in own]
     gains = [float(e.diff(symbol)) for e, symbol in zip(balance.motion, symbols, strict=True)]
     at_rest = dict.fromkeys(symbols, sympy.Integer(0))
@@ -187,20 +189,20 @@ def denominator_of(balance: Balance) -> Denominator:
     def linear(term: sympy.Expr) -> Array | str:
         found = np.zeros(3)
         if term.free_symbols - set(symbols):
-            return "it acts on the force, of which the response tells no more than the scale"
+            return "it acts on the force, of which the response determines no more than the scale"
         for place, (symbol, gain, size) in enumerate(zip(symbols, gains, sizes, strict=True)):
             alone = term.xreplace({each: each if each == symbol else sympy.Integer(0) for each in symbols})
             rest = alone.xreplace(at_rest)
             found[place] = float((alone - rest).diff(symbol).xreplace(at_rest).doit()) / gain
             shown = float((alone - rest).xreplace({symbol: sympy.Float(size / gain)}).doit())
             if abs(shown - found[place] * size) > LINEAR_SHARE * abs(found[place] * size):
-                return "it is not linear in the motion and neglected: no transfer function has it"
+                return "it is not linear in the motion and is neglected: no transfer function contains it"
         if not found.any():
-            return "it does not go with the motion and is neglected, as in the paper: no transfer function has it"
+            return "it does not depend on the motion and is neglected as in the paper: no transfer function contains it"
         return found
 
     parts = {name: linear(term) for name, term in zip(balance.free, balance.regressors, strict=True)}
-    parts |= dict.fromkeys(balance.shifts, "a delay is no part of the balance and is neglected")
+    parts |= dict.fromkeys(balance.shifts, "a delay is not part of the balance and is neglected")
     kept = {name: part for name, part in parts.items() if not isinstance(part, str)}
     if not kept:
         remedy = "estimate the inertia, a stiffness or a viscous friction."
@@ -246,37 +248,38 @@ def amplitude_fit(denominator: Denominator, measured: FrequencyResponse, paramet
 
 
 def errors(measured: FrequencyResponse, residual: Array | ComplexArray, parameters: int, weight: float = 1.0) -> Array:
-    """Covariance (m, m) of the measured amplitude, widened by how much more than that the `residual` is.
+    """Covariance (m, m) of the measured amplitude, increased by the factor by which the `residual` exceeds it.
 
-    `weight`: real numbers that a residual holds (2 where it is complex), over one.
+    `weight`: real numbers per residual (2 if it is complex).
     """
     std = measured.magnitude_std
     step = np.min(np.diff(measured.frequency))
     apart = np.abs(np.round((measured.frequency[:, None] - measured.frequency) / step)).astype(int)
-    alike = np.where(apart < len(OF_BINS), np.take(OF_BINS, np.minimum(apart, len(OF_BINS) - 1)), 0.0)
+    correlated = np.where(apart < len(OF_BINS), np.take(OF_BINS, np.minimum(apart, len(OF_BINS) - 1)), 0.0)
     left = float(np.sum(np.abs(residual) ** 2 / std**2)) / max(weight * len(std) - parameters, 1.0)
-    covariance: Array = np.outer(std, std) * alike * max(left, 1.0)
+    covariance: Array = np.outer(std, std) * correlated * max(left, 1.0)
     return covariance
 
 
-def _told(place: int, parameters: Sequence[Parameter], fit: Fit, whole: Array) -> ParameterEstimate:
+def _parameter(place: int, parameters: Sequence[Parameter], fit: Fit, whole: Array) -> ParameterEstimate:
     parameter, value = parameters[place], float(fit.values[place])
-    std, asked = float(np.sqrt(fit.covariance[place, place])), asked_std(parameter)
-    coverage = 100.0 * min(1.0, asked / max(std, 1e-300))
+    std, required = float(np.sqrt(fit.covariance[place, place])), required_std(parameter)
+    coverage = 100.0 * min(1.0, required / max(std, 1e-300))
 
     def unknown(status: Status, reason: str) -> ParameterEstimate:
         return ParameterEstimate(None, None, parameter.unit, status, coverage, reason)
 
-    if not fit.settled:
-        return unknown(Status.NOT_CONVERGED, f"the simplex did not settle in {STEPS} steps")
-    if not std < asked:
-        reason = f"the response tells {parameter.name} to ± {std:.3g} {parameter.unit}, ± {asked:.3g} is asked"
+    if not fit.converged:
+        return unknown(Status.NOT_CONVERGED, f"the simplex did not converge in {STEPS} steps")
+    if not std < required:
+        reached = f"the response determines {parameter.name} to ± {std:.3g} {parameter.unit}"
+        reason = f"{reached}, ± {required:.3g} is required"
         related = np.abs(np.delete(correlation(fit.covariance)[place], place))
         if len(related) and np.max(related) > 0.9:
             partner = [p.name for number, p in enumerate(parameters) if number != place][int(np.argmax(related))]
-            return unknown(Status.UNIDENTIFIABLE, f"{reason}: {partner} does the same to it; hold one of them")
-        return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite a wider band, stronger, or for longer")
+            return unknown(Status.UNIDENTIFIABLE, f"{reason}: {partner} has the same effect on it; hold one of them")
+        return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite a wider band, more strongly, or for longer")
     if not parameter.lower < value < parameter.upper:
-        reason = f"{parameter.name} comes out as {value:.4g} {parameter.unit}, which is impossible"
+        reason = f"the estimate of {parameter.name} is {value:.4g} {parameter.unit}, which is impossible"
         return unknown(Status.AT_BOUND, f"{reason}: check signs and units")
     return ParameterEstimate(value, float(np.sqrt(whole[place, place])), parameter.unit, Status.OK, coverage)

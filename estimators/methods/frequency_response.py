@@ -1,17 +1,18 @@
-"""Frequency response from the known force at a joint to its coordinate, by Welch's method, with how sure it is.
+"""Frequency response from the known force at a joint to its coordinate, by Welch's method, with standard deviations.
 
     direct:  G = S_uy / S_uu          joint:  G = S_ry / S_ru
 
 u is the known force (of the gyroscopes and the trim mass, of a motor), y the coordinate, r the injected excitation, and
-S_xy averages conj(X) Y over Hann windows. The direct form is the paper's (8). It is biased in closed loop: where the
-controller answers a disturbance, u and y go together by -1 / controller, whatever the vehicle is; the less is injected,
-the more of that. The joint form has no such bias, but needs r. Standard deviations are those of Bendat and Piersol,
+S_xy averages conj(X) Y over Hann windows. The direct form is the paper's (8). It is biased in closed loop: by the
+controller's response to disturbances, u and y are related by -1 / controller, whatever the vehicle is. The weaker the
+excitation, the larger is this bias. The joint form has no such bias, but needs r. Standard deviations are those of
+Bendat and Piersol,
 
     std |G| / |G| = std arg G = sqrt((1 - coherence) / (2 averages coherence)),
 
-in the joint form with the part of y - G u that r does not explain. Leakage, which a sweep or a move at the record's
-ends makes and coherence does not tell, is added: it falls as 1 / window, so it is as large as what changes when windows
-of half the length are used. A constant that is not taken out (`detrend`) comes on top.
+in the joint form with the part of y - G u that r does not explain. Leakage, which a sweep or a motion at the ends of
+the record causes and coherence does not show, is added. It falls as 1 / window, so it is as large as the change when
+windows of half the length are used. A constant that is not removed (`detrend`) is additional.
 
 Sources: Welch 1967; Bendat and Piersol, Random Data, 4th ed., sections 9.1 and 9.2; Ljung, System Identification,
 section 13.5 (closed loop); Griese et al., equation (8).
@@ -41,23 +42,23 @@ ComplexArray = NDArray[np.complex128]
 LONGEST_WINDOW = 20.0
 """s."""
 WINDOWS = 4.0
-"""That the record is long, without overlap, where it is not said otherwise."""
+"""Default length of the record in windows, without overlap."""
 STEPS = 4
-"""A window, from one to the next: with half overlap what a sweep does at the windows' edges does not cancel."""
+"""Steps per window length from one window to the next: with half overlap, edge effects of a sweep do not cancel."""
 DETRENDED = 2
-"""Lowest bins that are left out where something was taken out of the windows: it is missing there."""
+"""Lowest bins that are left out after detrending, which removes power there."""
 SHORTEST = 50
-"""Samples of a window."""
+"""Fewest samples of a window."""
 HIGHEST = 0.1
-"""Of the sampling rate: above it, what goes on between two samples counts."""
+"""Highest frequency, relative to the sampling rate: above it, the signal between two samples matters."""
 OF_BINS = (1.0, (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2)
-"""How alike errors are in the same, the next, and the next but one bin of a Hann window."""
-DIRECT = "direct: biased in closed loop by what the controller makes of disturbances"
+"""Correlation of the errors in the same, the next, and the next but one bin of a Hann window."""
+DIRECT = "direct: biased in closed loop by the controller's response to disturbances"
 JOINT = "joint input-output through the excitation: not biased by the closed loop"
 
 
 class Detrend(StrEnum):
-    """What is taken out of each window before it is transformed."""
+    """What is removed from each window before it is transformed."""
 
     NONE = "none"
     MEAN = "mean"
@@ -68,10 +69,10 @@ class Detrend(StrEnum):
 class FrequencyResponse:
     """A measured response at m frequencies, all (m,): `frequency` Hz, `response` output unit / input unit, complex.
 
-    `coherence`: the share of the output's power that goes with the input (joint: the lesser share of output and of
-    input that goes with the excitation). `magnitude_std` in the response's unit and `phase_std` rad, infinite where
-    nothing is known. `power`: mean square of the input at each frequency. `averages`: independent windows. `form` says
-    which estimate it is and what that means.
+    `coherence`: the share of the output's power that is coherent with the input (joint: the smaller of the shares of
+    output and input that are coherent with the excitation). `magnitude_std` in the response's unit and `phase_std` rad,
+    infinite where nothing is known. `power`: mean square of the input at each frequency. `averages`: number of
+    independent windows. `form` says which estimate it is and what that implies.
     """
 
     frequency: Array
@@ -88,7 +89,7 @@ class FrequencyResponse:
 class CrossSpectra:
     """`matrix` (m, k, k): mean of conj(x_a) x_b at `frequency` Hz (m,), over `averages` independent windows.
 
-    Its sum over the frequencies is that of the signals, a constant counted twice.
+    Its sum over the frequencies is the mean product of the signals, with a constant counted twice.
     """
 
     frequency: Array
@@ -97,7 +98,7 @@ class CrossSpectra:
     samples: int
     span: float
     half: CrossSpectra | None = None
-    """The same from windows of half the length."""
+    """The spectra from windows of half the length."""
 
 
 def frequency_response(
@@ -110,10 +111,11 @@ def frequency_response(
     detrend: Detrend | str = Detrend.NONE,
     joint: str = "",
 ) -> FrequencyResponse:
-    """The response at `joint` (by default the first), direct, or joint where a channel `excitation` is named.
+    """The response at `joint` (by default the first), in the joint form if a channel `excitation` is named, otherwise
+    in the direct form.
 
-    `window` s long are the windows, by default a quarter of the record, LONGEST_WINDOW at most. Raises DataError where
-    the data cannot be used, EstimationError where the joint has no known force.
+    `window` is the length of the windows in s, by default a quarter of the record, at most LONGEST_WINDOW. Raises
+    DataError if the data cannot be used, EstimationError if the joint has no known force.
     """
     balance = split(model, joint)
     spectra = force_spectra(balance, recordings, excitation=excitation, support=support, window=window, detrend=detrend)
@@ -139,10 +141,10 @@ def force_spectra(
     window: float | None = None,
     detrend: Detrend | str = Detrend.NONE,
 ) -> CrossSpectra:
-    """Spectra of known force, coordinate, the excitation where it is named, and what the force changes by with each
+    """Spectra of the known force, the coordinate, the excitation if it is named, and the change of the force by each
     anchor's standard deviation, in this order. Raises DataError, EstimationError."""
     if detrend not in tuple(Detrend):
-        raise EstimationError(f"detrend {detrend}", "there is no such way", remedy=f"use one of: {', '.join(Detrend)}.")
+        raise EstimationError(f"detrend {detrend}", "is not an option", remedy=f"use one of: {', '.join(Detrend)}.")
     deviations = [balance.model.parameter(name).std for name in balance.anchors]
     changes = [sympy.Integer(0)] * len(balance.anchors)
     own = set().union(*(each.free_symbols for each in balance.motion))
@@ -164,7 +166,7 @@ def force_spectra(
                 values = np.concatenate((values[:, :2], injected[:, None], values[:, 2:]), axis=1)
             tables.append(values)
     if not tables:
-        raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "there is none", remedy="give at least one.")
+        raise DataError(Status.TOO_FEW_SAMPLES, "recordings", "none is given", remedy="give at least one.")
     window = window if window is not None else min(LONGEST_WINDOW, span / WINDOWS)
     used = known_force(balance).free_symbols
     inputs = [each for each in balance.model.inputs if {each.name, f"{each.name}_slope"} & {s.name for s in used}]
@@ -175,19 +177,20 @@ def force_spectra(
 
 
 def _injection(recording: Recording, segment: Segment, excitation: str) -> Array:
-    remedy = "use the direct form, and mind its bias."
+    remedy = "use the direct form, and note its bias."
     if excitation not in recording.values:
         what = f"channel {excitation} is missing, which the joint form needs"
         raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
     values = recording[excitation][np.searchsorted(recording.time, segment.time)]
     if not np.all(np.isfinite(values)):
-        what = f"channel {excitation} is unknown in {int(np.sum(~np.isfinite(values)))} rows"
+        what = f"channel {excitation} is unknown in {int(np.sum(~np.isfinite(values)))} samples"
         raise DataError(Status.MISSING_CHANNEL, recording.source, what, remedy=remedy)
     return values
 
 
 def evenly(pieces: Pieces, spacing: float) -> tuple[Array, Array]:
-    """Terms at even instants `spacing` s apart: time (n,), values (n, terms). A jump counts half on either side."""
+    """Terms at equidistant instants, `spacing` s apart: time (n,), values (n, terms). A jump has the mean of its
+    sides."""
     values = np.concatenate((pieces.left, pieces.right[-1:]))
     values[1:-1] = 0.5 * (pieces.left[1:] + pieces.right[:-1])
     time = np.arange(pieces.time[0], pieces.time[-1], spacing)
@@ -199,14 +202,14 @@ def cross_spectra(
 ) -> CrossSpectra:
     """Welch's average over all windows of `length` samples in the signals `tables`, each (n, k), `spacing` s apart.
 
-    `held`: all but the second are held from sample to sample, and given as the mean of both sides of their jumps.
-    Raises DataError where less than two independent windows fit in.
+    `held`: all signals but the second are held from sample to sample, and given as the mean of both sides of their
+    jumps. Raises DataError if fewer than two windows fit in.
     """
     step = max(1, length // STEPS)
     frames = [table[first : first + length] for table in tables for first in range(0, len(table) - length + 1, step)]
     if len(frames) < 2 or length < SHORTEST:
         longest = spacing * max((len(table) for table in tables), default=0)
-        what = f"a window of {spacing * length:.3g} s does not fit twice into a longest stretch of {longest:.3g} s"
+        what = f"a window of {spacing * length:.3g} s does not fit twice into the longest segment of {longest:.3g} s"
         raise DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer, or shorten the window.")
     hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
     stacked = np.stack(frames)
@@ -218,9 +221,9 @@ def cross_spectra(
         stacked = stacked - ramp * np.mean(stacked * ramp, axis=1, keepdims=True) / np.mean(ramp**2)
     samples = sum(map(len, tables))
     frequency = np.fft.rfftfreq(length, spacing).astype(np.float64)
-    told = slice(0 if detrend is Detrend.NONE else DETRENDED, int(np.searchsorted(frequency, HIGHEST / spacing)))
-    frequency = frequency[told]
-    transformed = np.fft.rfft(stacked * hann[:, None], axis=1)[:, told]
+    kept = slice(0 if detrend is Detrend.NONE else DETRENDED, int(np.searchsorted(frequency, HIGHEST / spacing)))
+    frequency = frequency[kept]
+    transformed = np.fft.rfft(stacked * hann[:, None], axis=1)[:, kept]
     if held:
         sides = np.sinc(frequency * spacing) / np.cos(np.pi * frequency * spacing)
         transformed[:, :, [place for place in range(stacked.shape[2]) if place != 1]] *= sides[:, None]
@@ -237,9 +240,9 @@ def cross_spectra(
 def response(
     spectra: CrossSpectra, force: int, coordinate: int, *, reference: int | None = None, change: int | None = None
 ) -> FrequencyResponse:
-    """The response between two places of `spectra`, through `reference` where there is one.
+    """The response between two signals of `spectra`, by the joint form through `reference` if it is given.
 
-    `change`: the place of a signal that is added to the force first.
+    `change`: the index of a signal that is added to the force first.
     """
     through = force if reference is None else reference
     matrix, found = _ratio(spectra, force, coordinate, through, change)
@@ -248,7 +251,7 @@ def response(
     shares = [np.abs(with_coordinate) ** 2 / (power[through] * power[coordinate])]
     shares.append(np.abs(with_force) ** 2 / (power[through] * power[force]))
     coherence = np.clip(np.minimum(*shares), 0.0, 1.0)
-    # What of y - G u does not go with the reference, over what of G u does.
+    # The part of y - G u that is incoherent with the reference, over the part of G u that is coherent with it.
     left = (
         matrix[:, coordinate, coordinate].real
         - 2.0 * (found * matrix[:, coordinate, force]).real
@@ -259,8 +262,8 @@ def response(
     relative = np.sqrt(np.maximum(left, 0.0) / (2.0 * independent * explained))
     if spectra.half is not None:
         _, coarse = _ratio(spectra.half, force, coordinate, through, change)
-        # Every second frequency is one of the half windows', too; those between are taken to be like their neighbours.
-        # A constant, which is in the lowest bins of either, is no leakage.
+        # Every second frequency is also one of the half windows; those between are interpolated from their neighbours.
+        # A constant, which is in the lowest bins of either, is not leakage.
         first = DETRENDED if spectra.half.frequency[0] == 0.0 else 0
         grid, coarse = spectra.half.frequency[first:], coarse[first:]
         same = np.searchsorted(spectra.frequency, grid - 0.1 * spectra.frequency[-1] / len(spectra.frequency))
@@ -282,7 +285,7 @@ def response(
 def _ratio(
     spectra: CrossSpectra, force: int, coordinate: int, through: int, change: int | None
 ) -> tuple[ComplexArray, ComplexArray]:
-    """The spectra with `change` added to the force, (m, k, k), and the response, (m,), 0 where there is none."""
+    """The spectra with `change` added to the force, (m, k, k), and the response, (m,), 0 where it is undefined."""
     matrix = spectra.matrix
     if change is not None:
         mix = np.eye(matrix.shape[1])

@@ -2,13 +2,13 @@
 
     known_F = sum_j parameter_j * regressor_j,F         F(s) = w^2 / (s^2 + sqrt(2) w s + w^2)
 
-The filter starts at rest with the stretch, so the balance holds for the filtered terms from the first sample on, and it
-starts anew after every gap. Noise on a regressor biases the result: the differentiated gyro noise makes the inertia too
-small, and all the more the wider the filter (Griese et al., section IV). That belongs to this method and is not mended
-here; `instrumental_variables` and `prediction_error` do not have it. Standard deviations are honest about noise that
-is alike from row to row (estimators.recursive.least_squares), not about the bias.
+The filter starts at rest at the beginning of each segment, so the balance holds for the filtered terms from the first
+sample on. Noise on a regressor biases the result: the differentiated gyro noise makes the inertia too small, and the
+more so the wider the filter (Griese et al., section IV). This bias is inherent to the method and is not corrected here;
+`instrumental_variables` and `prediction_error` do not have it. Standard deviations account for autocorrelated residuals
+(estimators.recursive.least_squares), but not for the bias.
 
-Source: Griese et al., (6) and (7), with signs and solution set right and every signal filtered; Isermann and Muenchhof,
+Source: Griese et al., (6) and (7), with signs and solution corrected and every signal filtered; Isermann and Muenchhof,
 Identification of Dynamic Systems, section 15.1.
 """
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimators.contract import Estimate, EstimationError, ParameterEstimate, Status
 from estimators.data.segments import DataError, segments
-from estimators.fit.result import asked_std, correlation, refused
+from estimators.fit.result import correlation, refused, required_std
 from estimators.methods.balance import Balance, Pieces, Signals, channel, channel_signals, evaluator, split
 from estimators.recursive.least_squares import RecursiveLeastSquares
 from estimators.stopwatch import stopwatch
@@ -35,23 +35,24 @@ Array = NDArray[np.float64]
 
 METHOD = "least_squares"
 BANDWIDTH = 2.0 * np.pi * 5.0
-"""rad/s, at most a twentieth of the sampling rate: above what vehicles are excited with, below most of the noise."""
+"""rad/s, at most a twentieth of the sampling rate: above the excitation of vehicles, below most of the noise."""
 WIDE = 10.0
-"""The bandwidth of the filter that differentiates a position, in those of the regression."""
+"""Bandwidth of the filter that differentiates a position, relative to that of the regression."""
 ROWS_A_PERIOD = 10
 CORRELATION_TIME = 4.0
-"""s over which a residual can stay alike, at most: the roll filter's corrections do."""
-ASKED_SHARE = 0.1
-"""Of the joint's force scale that a parameter's own term has to move, RMS, independently of the other terms."""
+"""Longest correlation of a residual, s: that of the roll filter's corrections."""
+REQUIRED_SHARE = 0.1
+"""RMS by which a parameter's own term has to vary independently of the other terms, relative to the joint's force
+scale."""
 NOISE = 3.0
-"""Standard deviations by which noise can take a parameter beyond a bound that it is at."""
+"""Standard deviations by which noise may take a parameter beyond its bound."""
 FEWEST = 5
-"""Rows a parameter."""
+"""Fewest rows per parameter."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The filtered balance of one stretch, n rows: known (n,), regressors (n, p), anchored terms (n, a)."""
+    """The filtered balance of one segment, n rows: known (n,), regressors (n, p), anchored terms (n, a)."""
 
     known: Array
     regressors: Array
@@ -67,11 +68,11 @@ def least_squares(
     bandwidth: float | None = None,
     joint: str = "",
 ) -> Estimate:
-    """The parameters of the balance at `joint` (by default the first), as `estimate` or the model says which.
+    """The parameters of the balance at `joint` (by default the first) that `estimate`, or by default the model, names.
 
-    `bandwidth` rad/s of the filter (BANDWIDTH); `support` rad: the vehicle is free where its roll is less. Data that
-    cannot be used give an Estimate without values that says why. Raises EstimationError where the balance is not
-    linear in what is sought, ModelError for a name that is not there.
+    `bandwidth`: rad/s of the filter (BANDWIDTH); `support`: rad, the vehicle is free at a smaller roll angle. Data that
+    cannot be used give an Estimate without values that says why. Raises EstimationError if the balance is not linear in
+    the estimated parameters, ModelError for an unknown name.
     """
     began = stopwatch()
     balance = split(model, joint, estimate)
@@ -85,17 +86,18 @@ def least_squares(
 
 
 def checked_bandwidth(bandwidth: float | None, data: Sequence[Segment]) -> float:
-    """rad/s of the filter of the regression, by default after the sampling rate. Raises EstimationError."""
+    """Bandwidth of the filter of the regression, rad/s; the default depends on the sampling rate. Raises
+    EstimationError."""
     if bandwidth is None:
         spacing = float(np.median(np.concatenate([np.diff(segment.time) for segment in data])))
         return min(BANDWIDTH, 2.0 * np.pi / (20.0 * spacing))
     if not 0.0 < bandwidth < np.inf:
-        raise EstimationError("bandwidth", f"{bandwidth:g} rad/s makes no filter", remedy="use one above 0.")
+        raise EstimationError("bandwidth", f"{bandwidth:g} rad/s is invalid", remedy="use one above 0.")
     return bandwidth
 
 
 def balance_rows(balance: Balance, data: Sequence[Segment], bandwidth: float, order: int = 2) -> list[Rows]:
-    """The rows of each segment, filtered as in the paper (7); ROWS_A_PERIOD a period of `bandwidth` rad/s."""
+    """The rows of each segment, filtered as in the paper (7); ROWS_A_PERIOD per period of `bandwidth` rad/s."""
     first, late = 1 + len(balance.free), 1 + len(balance.names)
     evaluate = evaluator((balance.known, *balance.regressors, *balance.shifted, *(e for *_, e in balance.anchored)))
     found = []
@@ -108,7 +110,7 @@ def balance_rows(balance: Balance, data: Sequence[Segment], bandwidth: float, or
             continue
         terms = evaluate(signals)
         start = terms.left[0].copy()
-        start[:first] = start[late:] = 0.0  # a derivative's jump at the start is no motion
+        start[:first] = start[late:] = 0.0  # a jump of a derivative at the start is not motion
         smooth = filtered(Pieces(terms.time, terms.left - start, terms.right - start), bandwidth, order, 2)
         stride = 2.0 * np.pi / (bandwidth * ROWS_A_PERIOD)
         wanted = np.arange(terms.time[0] + stride, terms.time[-1], stride)
@@ -127,11 +129,12 @@ def regression(
     began: float,
     instruments: Sequence[Array] = (),
 ) -> Estimate:
-    """Solve `rows`, with `instruments` (n, m) for each segment by two-stage least squares, and say what is known."""
+    """Solves `rows`, by two-stage least squares if there are `instruments` (n, m) for each segment; returns the
+    Estimate."""
     count, size = sum(len(each.known) for each in rows), len(balance.names)
     span = sum(segment.duration for segment in data)
     if count < FEWEST * size:
-        what = f"{span:.2f} s of free motion are {count} independent rows, {FEWEST * size} are needed"
+        what = f"{span:.2f} s of free motion give {count} independent samples, {FEWEST * size} are needed"
         error = DataError(Status.TOO_FEW_SAMPLES, "recording", what, remedy="record for longer.")
         return refused(balance.model, method, error, stopwatch() - began)
     lags = int(min(CORRELATION_TIME, span / 5.0) * bandwidth * ROWS_A_PERIOD / (2.0 * np.pi))
@@ -149,44 +152,44 @@ def regression(
     moved = solution.movement > 0.0
     covariance = np.where(np.outer(moved, moved), solution.covariance, 0.0)
     whole = covariance + _of_anchors(balance, rows, used, moved, solution.values)
-    told = {}
+    found = {}
     for place, name in enumerate(balance.names):
         start = balance.model.parameter(name).value if name in balance.shifts else 0.0
         value = start + float(solution.values[place])
-        told[name] = _told(balance, place, value, covariance, whole, solution.movement, used)
-    return assembled(method, balance, balance.names, told, whole, sum(map(len, data)), span, began)
+        found[name] = _parameter(balance, place, value, covariance, whole, solution.movement, used)
+    return assembled(method, balance, balance.names, found, whole, sum(map(len, data)), span, began)
 
 
 def assembled(
     method: str,
     balance: Balance,
     names: Sequence[str],
-    told: dict[str, ParameterEstimate],
+    found: dict[str, ParameterEstimate],
     covariance: Array,
     samples: int,
     span: float,
     began: float,
     neglected: Mapping[str, str] | None = None,
 ) -> Estimate:
-    """The Estimate of all that is sought. `covariance` (p, p) is that of `names`; what is `neglected`, by parameter
-    for which reason, is told and does not count as failed."""
+    """The Estimate of all estimated parameters. `covariance` (p, p) is that of `names`. `neglected` parameters are
+    reported with their reason and do not count as failed."""
     neglected = neglected or {}
     for name in (*balance.absent, *neglected):
         reason = neglected.get(name, f"it does not occur in the balance of joint {balance.joint.name}")
         unit = balance.model.parameter(name).unit
-        told[name] = ParameterEstimate(None, None, unit, Status.UNIDENTIFIABLE, 0.0, reason)
-    asked = [p for p in balance.model.parameters if p.estimated]
-    order = [p.name for p in asked]
-    failed = next((told[name] for name in order if not told[name].identifiable and name not in neglected), None)
+        found[name] = ParameterEstimate(None, None, unit, Status.UNIDENTIFIABLE, 0.0, reason)
+    estimated = [p for p in balance.model.parameters if p.estimated]
+    order = [p.name for p in estimated]
+    failed = next((found[name] for name in order if not found[name].identifiable and name not in neglected), None)
     pairs = np.full((len(order), len(order)), np.nan)
-    sure = [place for place, name in enumerate(names) if told[name].identifiable]
-    places = [order.index(names[place]) for place in sure]
-    pairs[np.ix_(places, places)] = correlation(covariance[np.ix_(sure, sure)])
-    hit = {p.name for p in asked if told[p.name].value in (p.lower, p.upper)}
-    hit |= {name for name in order if told[name].status is Status.AT_BOUND}
+    identified = [place for place, name in enumerate(names) if found[name].identifiable]
+    places = [order.index(names[place]) for place in identified]
+    pairs[np.ix_(places, places)] = correlation(covariance[np.ix_(identified, identified)])
+    hit = {p.name for p in estimated if found[p.name].value in (p.lower, p.upper)}
+    hit |= {name for name in order if found[name].status is Status.AT_BOUND}
     return Estimate(
         method=method,
-        parameters={name: told[name] for name in order},
+        parameters={name: found[name] for name in order},
         status=failed.status if failed else Status.OK,
         reason=failed.reason if failed else "",
         samples=samples,
@@ -198,7 +201,7 @@ def assembled(
 
 
 def _of_anchors(balance: Balance, rows: Sequence[Rows], used: Array, moved: NDArray[np.bool_], values: Array) -> Array:
-    """Covariance (p, p) that the parameters have from those that are taken as known and are not exact."""
+    """Contribution (p, p) of the parameters that are held at inexact values to the covariance."""
     change = np.zeros((len(used), len(balance.anchors)))
     stacked = np.concatenate([each.anchored for each in rows])
     for column, (anchor, place, _) in enumerate(balance.anchored):
@@ -210,16 +213,16 @@ def _of_anchors(balance: Balance, rows: Sequence[Rows], used: Array, moved: NDAr
     return shift @ shift.T
 
 
-def _told(
+def _parameter(
     balance: Balance, place: int, value: float, covariance: Array, whole: Array, movement: Array, used: Array
 ) -> ParameterEstimate:
-    """What is known of one parameter; `covariance` is that of the data alone, `whole` with that of the anchors."""
+    """The estimate of one parameter; `covariance` is that of the data alone, `whole` includes that of the anchors."""
     parameter = balance.model.parameter(balance.names[place])
     variance = float(covariance[place, place])
-    asked, std = asked_std(parameter), float(np.sqrt(variance)) if 0.0 <= variance < np.inf else np.inf
-    own = movement[place] * size_of(parameter) / (ASKED_SHARE * balance.joint.force_scale)
-    if parameter.name in balance.shifts and own > 0.0:  # no noise can take its regressor's place
-        own = asked / max(std, 1e-300)
+    required, std = required_std(parameter), float(np.sqrt(variance)) if 0.0 <= variance < np.inf else np.inf
+    own = movement[place] * size_of(parameter) / (REQUIRED_SHARE * balance.joint.force_scale)
+    if parameter.name in balance.shifts and own > 0.0:  # noise cannot imitate its regressor
+        own = required / max(std, 1e-300)
     coverage = 100.0 * min(1.0, own)
 
     def unknown(status: Status, reason: str) -> ParameterEstimate:
@@ -227,31 +230,34 @@ def _told(
 
     reason, partner = "", _partner(used, place)
     if movement[place] == 0.0 or (coverage < 100.0 and parameter.name not in balance.shifts):
-        reason = f"the term of {parameter.name} moves at {coverage:.0f} % of what is needed"
+        reason = f"the term of {parameter.name} varies by {coverage:.0f} % of what is needed"
     elif std == np.inf:
-        reason = f"how sure {parameter.name} is cannot be told from {len(used)} rows: record for longer"
+        reason = f"the error of {parameter.name} cannot be estimated from {len(used)} samples: record for longer"
         return unknown(Status.TOO_FEW_SAMPLES, reason)
-    elif std > asked:
-        reason = f"the record tells {parameter.name} to ± {std:.3g} {parameter.unit}, ± {asked:.3g} is asked"
+    elif std > required:
+        reason = f"the record determines {parameter.name} to ± {std:.3g} {parameter.unit}, ± {required:.3g} is required"
     if reason and partner is not None:
-        together = f"its term goes together with that of {balance.names[partner]}; hold one of them"
+        together = f"its term is correlated with that of {balance.names[partner]}; hold one of them"
         return unknown(Status.UNIDENTIFIABLE, f"{reason}: {together}")
     if reason:
-        return unknown(Status.TOO_LITTLE_EXCITATION, f"{reason}: excite it stronger, wider or for longer")
+        return unknown(
+            Status.TOO_LITTLE_EXCITATION, f"{reason}: excite it more strongly, over a wider band or for longer"
+        )
     bounded = float(np.clip(value, parameter.lower, parameter.upper))
     if abs(bounded - value) > NOISE * std:
-        reason = f"{parameter.name} comes out as {value:.4g} {parameter.unit}, which is impossible"
+        reason = f"the estimate of {parameter.name} is {value:.4g} {parameter.unit}, which is impossible"
         return unknown(Status.AT_BOUND, f"{reason}: check signs and units")
     return ParameterEstimate(bounded, float(np.sqrt(whole[place, place])), parameter.unit, Status.OK, coverage)
 
 
 def size_of(parameter: Parameter) -> float:
-    """A typical size of the parameter itself."""
+    """A typical magnitude of the parameter itself."""
     return max(abs(parameter.value), parameter.scale, parameter.std) or 1.0
 
 
 def _partner(used: Array, place: int) -> int | None:
-    """The other regressor that does most of what this one does, where that is nearly all of it."""
+    """Index of the regressor that contributes most to a combination that nearly equals the one at `place`; None if no
+    combination does."""
     scale = np.sqrt(np.mean(used**2, axis=0))
     if scale[place] == 0.0 or used.shape[1] == 1:
         return None
@@ -264,11 +270,11 @@ def _partner(used: Array, place: int) -> int | None:
 
 
 def widely_filtered(signals: Signals, position: str, bandwidth: float) -> Signals:
-    """Every channel through one wide low-pass, which gives the derivatives of the measured `position` on the way."""
+    """Every channel through one wide low-pass, which also gives the derivatives of the measured `position`."""
     names = list(signals.left)
     ends = [np.stack([end[name] for name in names], axis=1) for end in (signals.left, signals.right)]
     smooth = filtered(Pieces(signals.time, *ends), bandwidth, 4, 3)
-    ready = int(np.searchsorted(signals.time, signals.time[0] + 10.0 / bandwidth))  # it has forgotten its start
+    ready = int(np.searchsorted(signals.time, signals.time[0] + 10.0 / bandwidth))  # the transient has decayed
     drawn = {name: smooth[0][ready:, place] for place, name in enumerate(names)}
     for derivative in (1, 2):
         drawn[channel(position, derivative).name] = smooth[derivative][ready:, names.index(channel(position).name)]
@@ -279,7 +285,8 @@ def widely_filtered(signals: Signals, position: str, bandwidth: float) -> Signal
 def filtered(pieces: Pieces, bandwidth: float, order: int, derivatives: int) -> Array:
     """`pieces` through a Butterworth low-pass from rest, and derivatives up to order - 1: (derivatives, m + 1, terms).
 
-    As estimators.data.state_variable_filter, for a whole stretch at once: exact for straight lines, at any spacing.
+    As estimators.data.state_variable_filter, for a whole segment at once: exact for piecewise linear signals, at any
+    spacing.
     """
     angles = np.pi * (2 * np.arange(order) + order + 1) / (2 * order)
     poles = bandwidth * np.exp(1j * angles)

@@ -1,13 +1,13 @@
-"""Output error: the parameters whose simulation, from a fitted initial state on, comes nearest to what was measured.
+"""Output error: the parameters with the smallest simulation error, with fitted initial states.
 
-    minimise  sum over rows of (measured - simulated)^2 / variance of the channel              (4), (5) of the paper
+    minimise  sum over samples of (measured - simulated)^2 / variance of the channel           (4), (5) of the paper
 
-An unstable plant can be simulated for a short while only: an error at the start grows as exp(pole * time). There the
-record is cut into windows, each with an initial state of its own. Two optimisers on the same problem: a trust region
+An unstable plant can be simulated for a short time only: an initial error grows as exp(pole * time). Its record is cut
+into windows, each with its own initial state. There are two optimisers for the same problem: a trust region
 (Levenberg-Marquardt with bounds) with exact sensitivities, and the simplex search of the paper, which needs none.
 
-The errors of a simulation are alike from row to row, so standard deviations are taken from how the gradient really
-varies between windows (or, in one long window, over time), not from assuming independent rows.
+Simulation errors are correlated between samples. So standard deviations follow from the actual variation of the
+gradient between windows (or, in one long window, over time), without assuming independent samples.
 Source: Griese et al., section III-A; Nelder and Mead as in Lagarias et al. (1998); sandwich covariance: White (1982),
 Newey and West (1987).
 """
@@ -38,11 +38,11 @@ Array = NDArray[np.float64]
 METHOD = "output_error"
 SIMPLEX = "output_error_simplex"
 GROWTH = 4.5
-"""Natural logarithm by which an error of the start may grow within a window."""
+"""Natural logarithm of the growth of an initial error within a window, at most."""
 ROUNDS = 3
-"""Times that parameters and the channels' variances are estimated in turn."""
+"""Number of alternating estimates of the parameters and the channels' variances."""
 CLUSTERS = 8
-"""Windows from which on the gradient's variance is taken from window to window."""
+"""Fewest windows with which the gradient's variance is computed between windows."""
 
 
 def output_error(
@@ -56,9 +56,9 @@ def output_error(
 ) -> Estimate:
     """Fit by the trust region. `window` s is the length of a simulation; by default it follows from the unstable pole.
 
-    `estimate` names the parameters sought, by default those the model says; `support` rad: the vehicle is free where
-    its roll is less. Data that cannot be used give an Estimate without values that says why. Raises ModelError and
-    EstimationError for a model, names or a window that cannot be.
+    `estimate` names the estimated parameters, by default those that the model marks; `support`: rad, the vehicle is
+    free at a smaller roll angle. Data that cannot be used give an Estimate without values that says why. Raises
+    ModelError and EstimationError for an invalid model, name or window.
     """
     return _output_error(METHOD, model, recordings, estimate, support, window, progress)
 
@@ -88,7 +88,7 @@ def _output_error(
     began = stopwatch()
     model = library.get(model) if isinstance(model, str) else model
     if window is not None and not window > 0.0:
-        raise EstimationError("window", f"{window:g} s is no length", remedy="give a positive one, or none.")
+        raise EstimationError("window", f"{window:g} s is invalid", remedy="give a positive length, or none.")
     try:
         task = problem(model, recordings, estimate=estimate, support=support, longest=window, progress=progress)
         if window is None and (length := longest_window(task)) is not None:
@@ -100,16 +100,16 @@ def _output_error(
 
 
 def longest_window(task: Problem) -> float | None:
-    """s that a simulation can be trusted for with the model's values; None for a stable plant."""
+    """Longest useful simulation with the model's values, s; None for a stable plant."""
     kernel = compile_model(task.model)
     pole = float(np.max(np.linalg.eigvals(jacobian(kernel, kernel.vector(), task.segments)).real))
     return GROWTH / pole if pole > 0.01 / task.span else None
 
 
 def fit(task: Problem, *, simplex: bool = False) -> tuple[Problem, Minimum, Array]:
-    """`task` in steps as short as it turned out to need, the minimum, the outputs' weights (ny, ny) there.
+    """`task` with sufficiently short steps, the minimum, and the outputs' weights (ny, ny) there.
 
-    Raises ArithmeticError where the start runs away.
+    Raises ArithmeticError if the simulation diverges at the start values.
     """
     lower, upper = task.bounds
     common, own = task.start, task.own_start
@@ -130,7 +130,7 @@ def fit(task: Problem, *, simplex: bool = False) -> tuple[Problem, Minimum, Arra
             tolerance=1e-4 if last else 1e-3,
         )
         if minimum is None:
-            raise ArithmeticError("the simulation runs away from the start values: use prediction_error")
+            raise ArithmeticError("the simulation diverges at the start values: use prediction_error")
         common, own = minimum.common, list(minimum.own)
         if not last:
             weights = weights @ np.diag(1.0 / _spread(minimum.blocks, task))
@@ -150,7 +150,7 @@ def _spread(blocks: Sequence[Block], task: Problem) -> Array:
 
 
 def _simplex(task: Problem, weights: Array, common: Array, own: list[Array]) -> tuple[Array, list[Array]]:
-    """Nelder-Mead over the parameters; at each point the initial states are the best ones, by one linear step."""
+    """Nelder-Mead over the parameters; at each point the initial states are optimised by one linear step."""
     lower, upper = task.bounds
     starts = own
 
@@ -181,7 +181,7 @@ def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began:
     spread = inverse(information)
     varied = _score_covariance([columns[:, :size] * residual[:, None] for residual, columns in reduced])
     data = spread @ np.where(np.isfinite(varied), varied, information) @ spread
-    # Never surer than independent rows would be.
+    # Never smaller than for independent samples.
     data *= max(1.0, float(np.max(np.diag(spread) / np.maximum(np.diag(data), 1e-300))))
     deviations = np.array([task.model.parameters[place].std for place in held])
     covariance = with_known(data, information, total[:size, size:], deviations)
@@ -202,7 +202,7 @@ def _result(task: Problem, method: str, minimum: Minimum, weights: Array, began:
 
 
 def _score_covariance(scores: Sequence[Array]) -> Array:
-    """Covariance (p, p) of the sum of all score rows, (n, p) each, which are alike within a window."""
+    """Covariance (p, p) of the sum of all scores, (n, p) each, which are correlated within a window."""
     if len(scores) >= CLUSTERS:
         sums = np.array([np.sum(rows, axis=0) for rows in scores])
         return np.asarray(sums.T @ sums * len(sums) / (len(sums) - 1))
@@ -217,7 +217,7 @@ def _score_covariance(scores: Sequence[Array]) -> Array:
 
 
 def simulated_percent(task: Problem, minimum: Minimum) -> dict[str, float]:
-    """Percent of each output's movement that the simulation explains."""
+    """Percent of each output's variation that the simulation explains."""
     errors, shown = [], []
     values = task.values(minimum.common)
     for segment, initial, part in zip(task.segments, task.initials, minimum.own, strict=True):

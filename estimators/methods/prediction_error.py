@@ -1,6 +1,6 @@
-"""Prediction error: the parameters under which each sample is best predicted from all samples before it.
+"""Prediction error: the parameters that best predict each sample from all previous ones.
 
-The fit is that of estimators.fit.maximum_likelihood, which holds on stable and on unstable plants, in open and in
+The fit is that of estimators.fit.maximum_likelihood, which is valid for stable and unstable plants, in open and in
 closed loop. Source: Ljung, "System identification", 2nd ed., chapters 7 and 9.
 """
 
@@ -42,11 +42,11 @@ def prediction_error(
     prior: bool = True,
     progress: Progress | None = None,
 ) -> Estimate:
-    """Fit `model` to `recordings`. `estimate` names the parameters sought, by default those the model says.
+    """Fit `model` to `recordings`. `estimate` names the estimated parameters, by default those that the model marks.
 
-    `support` rad: the vehicle is free where its roll is less; `prior`: use the standard deviations of the model's
+    `support`: rad, the vehicle is free at a smaller roll angle; `prior`: use the standard deviations of the model's
     parameters. Data that cannot be used give an Estimate without values that says why. Raises ModelError and
-    EstimationError for a model or names that cannot be.
+    EstimationError for an invalid model or name.
     """
     began = stopwatch()
     model = as_recorded(library.get(model) if isinstance(model, str) else model, recordings)
@@ -63,28 +63,28 @@ def prediction_error(
         return found
     try:
         if (more := released(model, fitted)) is not model:
-            # What is held farther off than the record shows passes for a disturbance.
+            # A held parameter whose error exceeds the resolution of the data is confounded with a disturbance.
             shaken = fit(problem(more, recordings, support=support, progress=progress))
             found = replace(found, disturbance=disturbances(shaken), seconds=stopwatch() - began)
     except (ArithmeticError, EstimationError, np.linalg.LinAlgError):
-        pass  # the estimate beside what is held stays
+        pass  # the estimate with the held parameters is kept
     return found
 
 
 def result(fitted: Fit, began: float) -> Estimate:
-    """The Estimate of a fit; the uncertainty of what was held is in its standard deviations."""
+    """The Estimate of a fit; its standard deviations include the uncertainty of held parameters."""
     task, minimum = fitted.problem, fitted.minimum
     size, held, unknown = len(task.free), task.uncertain, len(minimum.common)
-    # The information is that of the beginning of the last step, which all counts of coverage were made with, and not
-    # that of its end, as `across` is. They differ by no more than that step moves, unless numbers are known in
-    # combinations alone: in the bent valley of the robot by 7 % of one of them. No linear ± is to be trusted there.
+    # The information is that at the beginning of the last step, with which all coverage figures were obtained, while
+    # `across` is that at its end. They differ by no more than the effect of that step, unless parameters are known only
+    # in combinations: in the curved valley of the robot by 7 % of one of them. No linear ± is reliable there.
     information = minimum.information
     covariance = inverse(information)
     if held:
         across = fitted.information(held)[:unknown, unknown:]
         deviations = np.array([task.model.parameters[place].std for place in held])
         covariance = with_known(covariance, information, across, deviations)
-    # What is known before of a disturbance is no knowledge of the machine.
+    # The prior of a disturbance is not knowledge about the machine.
     shaken = [parameter.name in is_of_disturbance(task.model) for parameter in task.parameters]
     known_before = np.concatenate((np.where(shaken, 0.0, fitted.prior[:size]), np.zeros(unknown - size)))
     return assemble(
@@ -100,7 +100,7 @@ def result(fitted: Fit, began: float) -> Estimate:
 
 
 def predicted_percent(fitted: Fit, horizon: float) -> dict[str, float]:
-    """Percent of each output's movement that is predicted `horizon` s ahead, from the filtered state."""
+    """Percent of each output's variation that is predicted `horizon` s ahead, from the filtered state."""
     task, values = fitted.problem, fitted.values
     kernel = task.kernel
     errors: list[Array] = []

@@ -1,2 +1,2 @@
-"""Estimates while the vehicle runs: frame_chunks are control cycles as data, least_squares and torque_balance linear,
-predictor and gauss_newton what prediction_error is made of."""
+"""Recursive estimators, for use while the vehicle runs: frame_chunks turns control cycles into data, least_squares is
+linear, prediction_error consists of predictor and gauss_newton."""

@@ -1,10 +1,10 @@
-"""Control cycles to the stretches a compiled model runs through, a chunk at a time.
+"""From control cycles to gapless segments for a compiled model, a chunk at a time.
 
-A cycle is used where every channel of the model is known and the vehicle is free of its supports, by the rules of
-estimators.data.segments. Chunks are cut by cycles alone, so live, replayed and simulated runs cut them alike. A
-measured input is read between its samples and may act earlier than its time stamp says, so a chunk is complete when the
-input is known that far beyond its last row; rows before it, on a support or where an output is not known too, go along
-for one that acts later.
+A cycle is used if every channel of the model is known and the vehicle is free of its supports, by the rules of
+estimators.data.segments. The cuts between chunks depend on cycles alone, so they are the same in live, replayed and
+simulated runs. A measured input is interpolated and may act earlier than its time stamp, so a chunk is complete when
+the input is known that far beyond its last sample. For an input that acts later, earlier samples are included, even
+those on a support or with an unknown output.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ from telemetry.samples import Frame
 Array = NDArray[np.float64]
 
 LISTENING = 25
-"""Cycles from which the sampling period is told, before the first one is used."""
+"""Cycles from which the sampling period is estimated, before the first cycle is used."""
 OLDEST = 0.1
-"""s up to which an older sample of another device tells of now."""
+"""Largest usable age of a sample of another device, s."""
 EARLIER_NS = 1_000_000_000
-"""ns by which a cycle that is no late one but another recording's is earlier than the one before."""
+"""ns: a cycle that is earlier than its predecessor by at least this is not late, but belongs to another recording."""
 HISTORY = 0.1
-"""s before a stretch of which it keeps the inputs: no lag of a command is estimated while the vehicle runs."""
+"""s before a segment for which its inputs are kept: no lag of a command is estimated while the vehicle runs."""
 FARTHEST = 0.1
-"""s by which a delay without bounds can move an input."""
+"""Largest shift of an input by a delay without bounds, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows `first` to `last` of `segment`. Where it does not begin a stretch, row `first` was another chunk's last.
+    """Samples `first` to `last` of `segment`. Unless the chunk begins a gapless segment, sample `first` was the last of
+    the previous chunk.
 
     `settled`: the model's settling time is over."""
 
@@ -53,16 +54,16 @@ class Chunk:
 
     @property
     def rows(self) -> slice:
-        """Rows that were in no chunk before."""
+        """Samples that were in no previous chunk."""
         return slice(self.first if self.begins else self.first + 1, self.last + 1)
 
     def as_first(self) -> Chunk:
-        """The same as the beginning of a stretch."""
+        """The chunk as the beginning of a gapless segment."""
         return replace(self, begins=True)
 
 
 def join(chunks: Sequence[Chunk], most: int) -> Iterator[Chunk]:
-    """The same rows in fewer chunks, of up to `most` that follow each other."""
+    """The same samples in fewer chunks, each joined from up to `most` consecutive ones."""
     begin = 0
     for place in range(1, len(chunks) + 1):
         if place == len(chunks) or chunks[place].begins or place - begin == most:
@@ -87,10 +88,10 @@ def _joined(chunks: Sequence[Chunk]) -> Chunk:
 
 
 class FrameChunks:
-    """Takes control cycles, gives a chunk of `rows` rows whenever one is complete.
+    """Takes control cycles and returns a chunk of `rows` samples whenever one is complete.
 
-    With `window` > 0 s a chunk is that long, and each is a stretch of its own. `support` rad is the size of the first
-    joint's coordinate at which the vehicle is carried. Raises DataError where a channel is not in the table.
+    With `window` > 0 s a chunk is that long, and each is a segment of its own. `support` (rad) is the magnitude of the
+    first joint's coordinate at which supports carry the vehicle. Raises DataError if a channel is not in the table.
     """
 
     def __init__(
@@ -102,10 +103,10 @@ class FrameChunks:
         names = list(dict.fromkeys((*channels_used, *filter(None, (coordinate, *ages)))))
         for name in names:
             if name not in channels.names:
-                what = f"model {model.name} needs it, and there are {', '.join(channels.names)}"
+                what = f"model {model.name} needs it; the channels are {', '.join(channels.names)}"
                 remedy = "record it, or use a model that does without."
                 raise DataError(Status.MISSING_CHANNEL, f"channel {name}", what, remedy=remedy)
-        # A constant zero stands for the age of what is sampled with the row.
+        # The age of channels that are sampled with the cycle is a constant zero.
         self._pick = itemgetter(*(channels.index_of(name) for name in names))
         zero = len(names)
         self._coordinate = names.index(coordinate) if coordinate else zero
@@ -127,27 +128,27 @@ class FrameChunks:
         self.reset()
 
     def reset(self) -> None:
-        """Back to before the first cycle."""
+        """Return to the state before the first cycle."""
         self.cycles = 0
         """Cycles seen so far."""
         self.period = 0.0
-        """s between two cycles; 0 until that is known."""
+        """Sampling period, s; 0 until it is known."""
         self._early: list[int] = []
         self._start = self._last = 0
         self._ran = False  # an experiment
         self.settled = not self._settling
         """Whether the model's settling time is over."""
-        self._settled_at = math.nan  # s; not known before the first free row
+        self._settled_at = math.nan  # s; not known before the first free sample
         self._known = -math.inf  # s until which the inputs are known, a sample beyond included
-        self._end_stretch()
+        self._end_segment()
 
     def update(self, frame: Frame) -> Chunk | None:
-        """The chunk that this cycle completes, if any. Raises nothing: what cannot be used is passed over."""
+        """The chunk that this cycle completes, if any. Raises nothing: unusable cycles are skipped."""
         stamp = frame.timestamp_ns
         if self.cycles and stamp <= self._last:
             if self._last - stamp < EARLIER_NS:
                 return None
-            self._end_stretch()
+            self._end_segment()
             self._start, self._last = stamp, stamp - 1
         self.cycles += 1
         before, self._last = self._last, stamp
@@ -155,7 +156,7 @@ class FrameChunks:
             self._listen(stamp)
             return None
         if stamp - before > self._longest_gap:
-            self._end_stretch()
+            self._end_segment()
         row = (*self._pick(frame.values), 0.0)
         total = sum(row)
         if total != total and self._usual:
@@ -165,7 +166,7 @@ class FrameChunks:
         for place in self._ages:
             age = row[place]
             if not -OLDEST <= age <= OLDEST:
-                self._end_stretch()
+                self._end_segment()
                 return None
             oldest = max(oldest, age)
         time = (stamp - self._start) * 1e-9
@@ -174,7 +175,7 @@ class FrameChunks:
             phase = frame.values[self._phase]
             self._ran |= phase > NOTHING_RUNS
             let_go = self._ran and phase == NOTHING_RUNS
-        # NaN, infinite, on a support, or on the way there
+        # NaN, infinite, on a support, or falling
         if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle or let_go:
             self._wait(time, row)
             return None
@@ -189,28 +190,29 @@ class FrameChunks:
         return self._cut()
 
     def _wait(self, time: float, row: tuple[float, ...]) -> None:
-        """A row outside of any stretch: its inputs may still act on the first rows of the next one."""
+        """Take a sample outside of any segment: its inputs may still act on the first samples of the next one."""
         if not self._late or not all(math.isfinite(row[place]) for place in self._inputs):
-            self._end_stretch()
+            self._end_segment()
             return
         times, rows = self._latest(time + self.period)
-        self._end_stretch([*times, time], [*rows, row])
+        self._end_segment([*times, time], [*rows, row])
 
     def _settle(self, time: float) -> None:
-        """A free row while the model's settling time is not over: with the first one after it a stretch begins."""
+        """Take a free sample before the model's settling time is over; the first one after that time begins a
+        segment."""
         if math.isnan(self._settled_at):
             self._settled_at = time + self._settling
         elif time >= self._settled_at:
             self.settled = True
-            self._end_stretch(*self._latest(time))
+            self._end_segment(*self._latest(time))
 
     def _latest(self, time: float) -> tuple[list[float], list[tuple[float, ...]]]:
-        """The rows whose inputs may still act at `time`, s, and when they were."""
+        """Times and values of the samples whose inputs may still act at `time`, s."""
         begin = bisect_right(self._times, time - HISTORY) if self._late else len(self._times)
         return self._times[begin:], self._rows[begin:]
 
     def _with_usual(self, row: tuple[float, ...]) -> tuple[float, ...]:
-        """The row with the usual value of what no device told."""
+        """The sample with the usual value of channels that no device reported."""
         whole = list(row)
         for place, usual in self._usual:
             if math.isnan(whole[place]):
@@ -227,14 +229,14 @@ class FrameChunks:
             self._longest_gap = LONGEST_GAP * spacing[len(spacing) // 2]
             if self._window:
                 self._chunk = max(SHORTEST, round(self._window / self.period))
-            self._end_stretch()
+            self._end_segment()
 
-    def _end_stretch(self, times: list[float] | None = None, rows: list[tuple[float, ...]] | None = None) -> None:
-        """The next stretch comes after rows that are only known for their inputs."""
+    def _end_segment(self, times: list[float] | None = None, rows: list[tuple[float, ...]] | None = None) -> None:
+        """End the segment. The next one may begin with samples (`times`, `rows`) of which only the inputs are used."""
         self._times: list[float] = times or []
         self._rows: list[tuple[float, ...]] = rows or []
         self._known = -math.inf
-        # What an input that acts late was before the first row of all is not known: that row tells it, and no more.
+        # The value of a delayed input before the first sample of all is unknown, so that sample only provides it.
         self._first = max(len(self._times), int(self._late))
         self._begins = True
         self._length: int = self._chunk - 1 if self._window else self._chunk
@@ -253,7 +255,7 @@ class FrameChunks:
         segment = Segment(time, knots, inputs, measured, "live")
         chunk = Chunk(segment, first, last, self._begins, self.settled)
         begin = last + 1 if self._window else last
-        # What is still needed before the next chunk begins: a curve between two samples needs their neighbours.
+        # Keep what is needed before the next chunk begins: a curve between two samples needs their neighbours.
         newest = max(0.0, -float(np.min(table[:, self._ages], initial=0.0)))
         kept = max(0, int(np.searchsorted(time, time[last] - self._reach - newest)) - 2)
         del self._times[:kept], self._rows[:kept]
@@ -264,7 +266,7 @@ class FrameChunks:
 
 
 def _reach(model: Model) -> float:
-    """s by which delays can move an input."""
+    """Largest shift of an input by delays, s."""
     bounds = [0.0]
     names = {delay for each in model.inputs for delay in each.delays}
     names |= {attached.qualified(attached.effect.delay) for attached in model.effects if attached.effect.delay}

@@ -1,16 +1,18 @@
-"""Least squares, recursive, on a model that is linear near by only: the engine of a recursive prediction error method.
+"""Recursive least squares for a locally linear model: the core of a recursive prediction error method.
 
-Residuals r (m,) of unit variance, with derivatives J of the prediction at the unknowns z, say  r + J z = J z* + noise
-for the true z*. These equations are gathered in information form and solved with the prior after every chunk,
+Residuals r (m,) of unit variance, with derivatives J of the prediction with respect to the unknowns z, satisfy
+r + J z = J z* + noise  for the true z*. These equations are accumulated in information form and solved with the prior
+after every chunk,
 
     information = sum of w J'J,   right = sum of w J'(r + J z),   z = (information + prior)^-1 right,
 
 the Gauss-Newton recursion of Ljung, "System identification", 2nd ed., section 11.5, for chunks instead of samples. The
-prior is never forgotten, so that the covariance stays bounded where nothing is excited; z counts from its centre. Each
-stretch of data has unknowns of its own, its initial state, which are eliminated when it ends.
+prior is never forgotten, so that the covariance stays bounded without excitation; z is relative to its centre. Each
+gapless segment has unknowns of its own, its initial state, which are eliminated when it ends.
 
-With weights w that fall with age, or residuals that are alike within a chunk, the covariance of z is  information^-1
-meat information^-1,  where meat is that of `right`: the sum of w^2 J'J, or of w^2 J'r r'J of whole chunks.
+With weights w that fall with age, or residuals that are correlated within a chunk, the covariance of z is
+information^-1 meat information^-1,  where meat is that of `right`: the sum of w^2 J'J, or of w^2 J'r r'J of whole
+chunks.
 """
 
 from __future__ import annotations
@@ -26,18 +28,18 @@ from estimators.fit.result import inverse, with_known
 Array = NDArray[np.float64]
 
 SLIGHT = 0.5
-"""Standard deviations that are no move to speak of."""
+"""A move of fewer standard deviations is negligible."""
 STEPS = 4
-"""Times the number of unknowns: how often one of them may come to a bound or leave it."""
+"""Iterations of the active set per unknown: how often one of them may reach a bound or leave it."""
 ROUNDING = 1e-9
-"""What rounding may do to an unknown that is held: standard deviations by which it may want to leave its bound, and the
-share by which it may miss its reach."""
+"""Tolerance for rounding of an unknown that is held: in standard deviations for leaving its bound, and relative to its
+reach."""
 
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Covariances (p, p) of the unknowns asked for: `total`, and `alone`, by the data without any prior; `every` (n, n)
-    is the former of all unknowns."""
+    """Covariances (p, p) of the estimated parameters: `total`, and `alone`, from the data without any prior. `every`
+    (n, n) is the total covariance of all unknowns."""
 
     total: Array
     alone: Array
@@ -45,12 +47,12 @@ class Uncertainty:
 
 
 class RecursiveGaussNewton:
-    """The first `asked` of the unknowns z (n,) are asked for. All others, and those at the places `nuisance`, are not:
-    their prior is as good as data.
+    """The first `estimated` of the unknowns z (n,) are estimated parameters. All others, and those at the indices
+    `nuisance`, are nuisance parameters, whose prior counts as data.
 
-    `prior` (n,) is one over the variances of z. Beside z there are `own` unknowns of the running stretch and `held`
-    parameters that are neither sought nor known exactly, both in units of their standard deviation. z stays within
-    `lower` and `upper` (n,). `clustered`: residuals are alike within a chunk.
+    `prior` (n,) is one over the variances of z. Besides z there are `own` unknowns of the current segment and `held`
+    parameters that are neither estimated nor known exactly, both in units of their standard deviation. z stays within
+    `lower` and `upper` (n,). `clustered`: residuals are correlated within a chunk.
     """
 
     def __init__(
@@ -59,14 +61,14 @@ class RecursiveGaussNewton:
         lower: Array,
         upper: Array,
         *,
-        asked: int,
+        estimated: int,
         own: int = 0,
         held: int = 0,
         nuisance: Sequence[int] = (),
         clustered: bool = False,
     ) -> None:
         self._lower, self._upper = lower, upper
-        self._asked = asked
+        self._estimated = estimated
         self._clustered = clustered
         self._size = size = len(prior)
         self._end = end = size + own
@@ -74,9 +76,9 @@ class RecursiveGaussNewton:
         self._others = np.r_[0:size, end : end + held]
         self._prior = np.diag(np.concatenate((prior, np.ones(own), np.zeros(held))))
         self._data = self._prior.copy()
-        sought = [place for place in range(asked) if place not in nuisance]
-        self._data[sought, sought] = 0.0
-        self._nuisance = [*nuisance, *range(asked, size)]
+        machine = [place for place in range(estimated) if place not in nuisance]
+        self._data[machine, machine] = 0.0
+        self._nuisance = [*nuisance, *range(estimated, size)]
         self._side = np.isin(np.arange(size), self._nuisance)
 
         self.z: Array = np.zeros(size)
@@ -84,15 +86,15 @@ class RecursiveGaussNewton:
         self.forget()
 
     def forget(self) -> None:
-        """Forget all data, but not where z is."""
+        """Forget all data, but keep z."""
         total = len(self._prior)
         self._information: Array = np.zeros((total, total))
         self._meat: Array = np.zeros((total, total))
         self._right: Array = np.zeros(total)
 
     def begin(self, prior: Array) -> None:
-        """The next chunk begins a stretch: what the last one's own unknowns explain is taken out. `prior` (k,) is one
-        over the variances of the next one's."""
+        """Begin a segment with the next chunk: the own unknowns of the last one are eliminated. `prior` (k,) is one
+        over the variances of those of the next one."""
         own, others = self._own, self._others
         turn = np.zeros((len(others), len(self._right)))
         turn[:, others] = np.eye(len(others))
@@ -111,7 +113,7 @@ class RecursiveGaussNewton:
     def add(self, residual: Array, columns: Array, kept: float) -> None:
         """Take a chunk: `residual` (m,), `columns` (m, n + own + held) derivatives of the prediction.
 
-        `kept` is the share of their weight that all former chunks keep.
+        `kept` is the factor on the weight of all previous chunks.
         """
         self._information *= kept
         self._right *= kept
@@ -125,11 +127,11 @@ class RecursiveGaussNewton:
         self._meat += added
 
     def move(self, about: Array, reach: Array) -> bool:
-        """Go to the solution, but not farther from `about` (n,) than `reach` (n,), nor beyond the bounds; whether
-        `reach` held it back.
+        """Move z to the solution, but not farther from `about` (n,) than `reach` (n,), nor beyond the bounds. Returns
+        whether `reach` limited the move.
 
-        Those that are asked for go in one direction, as far as all of them may. The nuisances are held one by one: how
-        far a noise that hardly matters would go must not shorten their way.
+        The estimated parameters move along one direction, as far as all of them may. Nuisance parameters are limited
+        one by one: the move of a noise with little effect must not shorten that of the parameters.
         """
         side = self._side
         lower = np.where(side, np.maximum(self._lower, about - reach), self._lower)
@@ -137,22 +139,22 @@ class RecursiveGaussNewton:
         away = self._solution(about, lower, upper) - about
         share = float(np.min(reach[~side] / np.maximum(np.abs(away[~side]), 1e-300), initial=1.0))
         self.z = np.clip(about + np.where(side, 1.0, share) * away, self._lower, self._upper)
-        # What is held at its reach is there but for rounding, which must not decide.
+        # An unknown that is held at its reach may differ from it by rounding, which must not decide.
         stopped = bool((np.abs(away[side]) >= (1.0 - ROUNDING) * reach[side]).any())
         return share < 1.0 or (stopped and self.side_deviations(about) > SLIGHT)
 
     def side_deviations(self, about: Array) -> float:
-        """How far the nuisances are from `about` (n,), in standard deviations of where all others are known."""
+        """Distance of the nuisance parameters from `about` (n,), in standard deviations given all other unknowns."""
         moved = (self.z - about)[self._nuisance]
         places = np.ix_(self._nuisance, self._nuisance)
         information = self._information[places] + self._prior[places]
         return float(np.sqrt(moved @ information @ moved))
 
     def _solution(self, about: Array, lower: Array, upper: Array) -> Array:
-        """Where z solves the equations best (n,) between `lower` and `upper` (n,), from `about` (n,) there on.
+        """The best solution z (n,) between `lower` and `upper` (n,), starting from `about` (n,).
 
-        What comes to its bound is held there while the others go on, and let go where it would come back: the primal
-        active set method (Nocedal and Wright, "Numerical optimization", 2nd ed., algorithm 16.3).
+        An unknown that reaches its bound is held there while the others move on, and is released if it would move back
+        inside: the primal active set method (Nocedal and Wright, "Numerical optimization", 2nd ed., algorithm 16.3).
         """
         size, end = self._size, self._end
         information = self._information[:end, :end] + self._prior[:end, :end]
@@ -184,8 +186,8 @@ class RecursiveGaussNewton:
         return at[:size]
 
     def uncertainty(self) -> Uncertainty:
-        """How well the unknowns asked for are known now."""
-        end, asked = self._end, self._asked
+        """The present covariances."""
+        end, size = self._end, self._estimated
         meat = self._meat if self._clustered else self._meat + self._own_prior()
         information = self._information + self._data
         spread = inverse(information[:end, :end])
@@ -199,10 +201,10 @@ class RecursiveGaussNewton:
         meat[places, places] += np.diag(self._prior)[: self._size]
         across = self._information[:end, self._held]
         total = with_known(spread @ meat @ spread, information, across, np.ones(across.shape[1]))
-        return Uncertainty(total[:asked, :asked], alone[:asked, :asked], total[: self._size, : self._size])
+        return Uncertainty(total[:size, :size], alone[:size, :size], total[: self._size, : self._size])
 
     def _own_prior(self) -> Array:
-        """The prior of the stretch's own unknowns alone: a measurement like any other, of the stretch's first row."""
+        """The prior of the segment's own unknowns alone, which is a measurement like any other, of its first sample."""
         prior = np.zeros_like(self._prior)
         prior[self._own, self._own] = self._prior[self._own, self._own]
         return prior

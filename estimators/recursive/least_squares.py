@@ -1,28 +1,28 @@
 """Recursive least squares, plain and with instrumental variables, with standard deviations for coloured residuals.
 
-The equation  output = regressors . parameters + residual  is gathered in information form: with x = [output,
+The equation  output = regressors . parameters + residual  is accumulated in information form: with x = [output,
 regressors, instruments], each update adds to the lagged moments
 
     C_l(t) = forgetting * C_l(t - 1) + x(t) x(t - l)^T,    l = 0 ... lags,
 
-which is all that is ever kept. The estimate solves the normal equations of C_0; with instruments z it is two-stage
+which are all that is stored. The estimate solves the normal equations of C_0; with instruments z it is two-stage
 least squares: the regressors are first projected on z, W = P^T z, and W^T output = W^T regressors parameters is solved.
 Without instruments W is the regressors themselves. Nothing grows or drifts with time, and the lag-l autocovariance of
 the residual follows exactly from C_l for the newest parameters, r_l = [1, -parameters] C_l [1, -parameters]^T.
 
-Filtered noise makes residuals that are alike from one sample to the next, so the textbook covariance, which takes them
-for independent, is wrong by an order of magnitude either way. Used instead is
+Filtered noise makes the residuals autocorrelated, so the textbook covariance, which assumes independence, is wrong by
+an order of magnitude either way. Instead
 
     cov(parameters) = B^-1 (sum_l r_l R_l) B^-1,    B = W^T W,    R_l = sum of W(t) W(t - l)^T over both signs of l,
 
-for residuals independent of W. Slow residuals need r_l at lags at which a record says little about it: beyond the first
-`order` lags r_l is that of the autoregressive process which has these, the maximum-entropy continuation.
-Over a record of few times `lags` nobody can tell how large the slow disturbance is: the standard deviation is widened
-as Student's t is, with a degree of freedom for every half of `lags`, so that 1.96 of it cover 95 % there too.
-A prior bounds the covariance where forgetting would let it grow.
+is used, for residuals independent of W. Slow residuals need r_l at lags at which a record says little about it: beyond
+the first `order` lags, r_l is that of the autoregressive process with the same first lags, the maximum-entropy
+continuation. In a record of only a few times `lags`, the magnitude of a slow disturbance is not identifiable: the
+standard deviation is increased as for Student's t, with one degree of freedom for every half of `lags`, so that 1.96 of
+it cover 95 % there too. A prior bounds the covariance that forgetting would otherwise let grow.
 
-Bias: noise on a regressor, or a disturbance that feedback leads back into the regressors, biases the plain form.
-Instruments that neither noise nor disturbance reaches (the injected excitation, and what filters make of it) remove it.
+Bias: noise on a regressor, or a disturbance that enters the regressors by feedback, biases the plain form. Instruments
+that are independent of noise and disturbance (the injected excitation, directly and filtered) remove the bias.
 
 Sources: Soederstroem and Stoica, System Identification, chapters 4, 8 and 9; Andrews and Monahan, Econometrica 60
 (1992), for covariances by prewhitening; Kulhavy and Zarrop, On a general concept of forgetting, Int. J. Control 58
@@ -43,18 +43,18 @@ from estimators.contract import EstimationError
 Array = NDArray[np.float64]
 
 SINGULAR = 1e-9
-"""Directions of the scaled regressor moments smaller than this share of the largest count as not excited."""
+"""Directions whose eigenvalue of the scaled regressor moments, per sample, is below this count as not excited."""
 ROUNDING = 1e-12
-"""Residual energy, as a share of the output's, that an exact fit leaves."""
+"""Residual energy of an exact fit, as a share of the output's."""
 WHITE_SHARES = (1e-6, 1e-4, 1e-2)
 """White noise, as a share of the residual's power, that keeps the autoregressive process stable."""
 ROUNDS = 3
-"""Of putting back what the fit took from the residual."""
+"""Iterations that restore the part of the disturbance that the fit removed from the residual."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known beforehand: `values` with standard deviations `std`, in terms of samples of size `residual_std`."""
+    """Prior `values` with standard deviations `std`; `residual_std` is that of a sample's residual."""
 
     values: Array
     std: Array
@@ -63,11 +63,11 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """The estimate at one moment.
+    """The estimate at one instant.
 
-    `values` (n,), `covariance` (n, n), `residual_std` in units of the output, `movement` (n,): RMS of what each
-    regressor (its projection on the instruments) does that the others do not. Where it is 0 the data do not determine
-    the value, and it must not be shown.
+    `values` (n,), `covariance` (n, n), `residual_std` in units of the output, `movement` (n,): RMS of the part of each
+    regressor (of its projection on the instruments) that is independent of the others. If it is 0, the data do not
+    determine the value, and it must not be shown.
     """
 
     values: Array
@@ -80,10 +80,10 @@ class Solution:
 class RecursiveLeastSquares:
     """Least squares of one output on `regressors` regressors, sample by sample; with `instruments` > 0 two-stage.
 
-    `lags` is how many samples the residual can stay correlated with itself, `order` for how many of them its
-    autocovariance is taken from the data; 0 lags takes residuals for independent. `memory` is the time constant of
-    forgetting in samples, infinite for none; a finite one needs a `prior`, which bounds the covariance.
-    Raises EstimationError where there are fewer instruments than regressors, or forgetting without a prior.
+    `lags` is the longest autocorrelation of the residual in samples (0: independent residuals), `order` the number of
+    lags at which its autocovariance is estimated from the data. `memory` is the time constant of forgetting in samples,
+    infinite for none; a finite one needs a `prior`, which bounds the covariance.
+    Raises EstimationError if there are fewer instruments than regressors, or forgetting without a prior.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class RecursiveLeastSquares:
         if 0 < instruments < regressors:
             raise EstimationError(
                 "instruments",
-                f"{instruments} cannot tell {regressors} regressors apart",
+                f"{instruments} are too few for {regressors} regressors",
                 remedy="give at least as many.",
             )
         if memory < np.inf and prior is None:
@@ -141,11 +141,11 @@ class RecursiveLeastSquares:
 
     @property
     def samples(self) -> float:
-        """Samples that count, after forgetting."""
+        """Effective number of samples after forgetting."""
         return self._samples
 
     def solve(self) -> Solution:
-        """The estimate from all samples so far. Costs far more than an update: ask when it is to be shown."""
+        """The estimate from all samples so far. It costs far more than an update: call it only to show the result."""
         count = self.regressors
         # Columns are scaled to unit RMS: torques, angles and constants differ by orders of magnitude.
         rms = np.sqrt(np.diagonal(self._moments[0]) / max(self._samples, 1.0))
@@ -193,14 +193,15 @@ class RecursiveLeastSquares:
         )
 
     def _widening(self) -> float:
-        """By how much 95 % intervals are wider because the record shows its slow disturbance only a few times over."""
+        """Factor on 95 % intervals if the record is only a few correlation times of the slow disturbance long."""
         slowest = 0.5 * (len(self._moments) - 1)
         if slowest == 0.0:
             return 1.0
         return float(stdtrit(max(1.0, self._samples / slowest), 0.975) / ndtri(0.975))
 
     def _scaled_prior(self, scale: Array) -> tuple[Array, Array, Array] | None:
-        """Information, right-hand side and the part of the covariance's middle that the prior adds, in scaled units."""
+        """Contributions of the prior to the information, the right-hand side and the middle of the covariance, in
+        scaled units."""
         if self._prior is None:
             return None
         units = scale[1 : 1 + self.regressors] / scale[0]
@@ -221,14 +222,15 @@ class RecursiveLeastSquares:
     def _disturbance_autocovariance(self, residual: Array, weights: Array, inverse: Array) -> tuple[Array, Array]:
         """Autocovariance of the disturbance (lags + 1,) and the middle of the covariance, sum over l of r_l R_l.
 
-        The fit takes from the residual what it can explain of the disturbance, most of all where that is slow and the
-        record is short. How much follows from the moments; it is put back in a few rounds.
+        The fit removes from the residual the part of the disturbance that it can explain, most of all if the
+        disturbance is slow and the record short. This part follows from the moments and is restored in a few
+        iterations.
         """
         order = min(self._order, len(residual) - 1)
         symmetric = weights + np.swapaxes(weights, 1, 2)
         symmetric[0] *= 0.5
-        likeness = np.einsum("ij,lji->l", inverse, weights)
-        both = np.concatenate((likeness[:0:-1], likeness))
+        share = np.einsum("ij,lji->l", inverse, weights)
+        both = np.concatenate((share[:0:-1], share))
         disturbance = continue_autocovariance(residual, order)
         meat = positive_meat(disturbance, symmetric)
         for _ in range(ROUNDS if order else 0):
@@ -237,16 +239,16 @@ class RecursiveLeastSquares:
             explained = explained[len(residual) - 1 :] - np.einsum("ij,lji->l", covariance, weights)
             corrected = residual + explained / max(self._samples, 1.0)
             if np.linalg.eigvalsh(toeplitz(corrected[: order + 1]))[0] <= 0.0:
-                break  # too short a record to tell
+                break  # the record is too short
             disturbance = continue_autocovariance(corrected, order)
             meat = positive_meat(disturbance, symmetric)
         return disturbance, meat
 
 
 def positive_meat(autocovariance: Array, symmetric: Array) -> Array:
-    """Sum of autocovariance times regressor moments over the lags, which must not be negative in any direction.
+    """Sum of autocovariance times regressor moments over the lags, which must be positive definite.
 
-    Cut off where it has not died down, an autocovariance can make it so; then a Parzen window fades it out.
+    If an autocovariance is truncated before it has decayed, it may not be; then a Parzen window is applied.
     """
     meat: Array = np.tensordot(autocovariance, symmetric, axes=1)
     if np.linalg.eigvalsh(meat)[0] > 0.0:
@@ -258,10 +260,11 @@ def positive_meat(autocovariance: Array, symmetric: Array) -> Array:
 
 
 def continue_autocovariance(autocovariance: Array, order: int) -> Array:
-    """The first `order` lags as they are, the others those of the autoregressive process of that order.
+    """The first `order` lags unchanged, the others from the autoregressive process of that order.
 
-    Where samples are finely spaced or the residual is hardly more than rounding, the process can come out unstable; it
-    is then taken of the residual with white noise added, the least of WHITE_SHARES with which no lag exceeds lag 0.
+    If samples are finely spaced or the residual is hardly more than rounding, the process can be unstable. It is
+    therefore computed with white noise added to the residual, the least of WHITE_SHARES with which no lag exceeds
+    lag 0.
     """
     continued = autocovariance.copy()
     if order == 0 or continued[0] <= ROUNDING:

@@ -1,10 +1,10 @@
-"""Prediction error and output error while the vehicle runs: the recursion beside the batch methods of these names.
+"""Recursive prediction error and output error, for use while the vehicle runs: counterparts of the batch methods.
 
-The compiled model's predictor runs over the control cycles, a tenth of a second at a time, and after each chunk its
-parameters move by the Gauss-Newton recursion on the exact sensitivities (estimators.recursive.predictor). CAD values
-with their standard deviations are the prior; whether a parameter is identified is decided by the rules of
-estimators.fit.result. The recursive output error simulates for a second at a time, each from a fitted initial state on,
-since errors in the simulation of an unstable plant grow without bound.
+The compiled model's predictor runs over the control cycles, a tenth of a second at a time. After each chunk its
+parameters are updated by the Gauss-Newton recursion with exact sensitivities (estimators.recursive.predictor). CAD
+values with their standard deviations are the prior. Whether a parameter is identified is decided by the rules of
+estimators.fit.result. The recursive output error simulates for a second at a time, each time from a fitted initial
+state, since errors in the simulation of an unstable plant grow without bound.
 
 Chunks depend on cycles alone, so live, replayed and simulated cycles give the same numbers bit for bit.
 Source: Ljung, "System identification", 2nd ed., section 11.5.
@@ -36,19 +36,19 @@ from telemetry.channels import ChannelTable
 from telemetry.samples import Frame
 
 CHUNK = 25
-"""Rows that are processed together."""
+"""Samples that are processed together."""
 WINDOW = 1.0
-"""s after which a simulation begins anew."""
+"""Length of a simulation, s."""
 SHORTEST_SPAN = 0.4
 """s of free motion before a result is given."""
 SMALLEST = 0.1
-"""Share of its start value down to which a parameter that must not vanish is followed."""
+"""Lower bound of a parameter that must not vanish, as a share of its start value."""
 LATEST = 0.05
-"""s by which inputs may be late on the way to what they are late by."""
+"""Bound of input delays during the estimation, s, if the model's own bound is tighter."""
 
 
 class Method(StrEnum):
-    """The two forms, by the names the results go under."""
+    """The two forms, by the names under which results are reported."""
 
     PREDICTION_ERROR = "recursive_prediction_error"
     OUTPUT_ERROR = "recursive_output_error"
@@ -57,12 +57,11 @@ class Method(StrEnum):
 class RecursivePredictionError:
     """Estimator of a model's parameters from control cycles.
 
-    `parameters` and `deviations` are the vehicle file's CAD values and their standard deviations, of which the model
-    takes those that it has. `support` rad: the vehicle is free where its first joint's coordinate is less. `memory` s
-    is the time constant of forgetting. To make one compiles the model, which takes seconds where it is not in the cache
-    (`progress` is told), and nothing later does. `watch` is shown every chunk of cycles.
-    Raises EstimationError where nothing is to be estimated or a channel is missing, ModelError for a model that cannot
-    be.
+    `parameters` and `deviations` are the vehicle file's CAD values and their standard deviations; the model uses those
+    of its own parameters. `support`: rad, the vehicle is free at a smaller coordinate of its first joint. `memory` (s)
+    is the time constant of forgetting. The constructor compiles the model, which takes seconds if it is not in the
+    cache (`progress` is called); no later call does. `watch` is called with every chunk of cycles.
+    Raises EstimationError if nothing is to be estimated or a channel is missing, ModelError for an invalid model.
     """
 
     def __init__(
@@ -83,14 +82,14 @@ class RecursivePredictionError:
         shaken = parameters_of(model.base_states)
         if not any(parameter.estimated and parameter.name not in shaken for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
-        # A simulation that begins anew every second knows nothing of what pushed before.
+        # A simulation that restarts every second has no memory of a disturbance.
         self._model = model = as_it_runs(model) if method is Method.PREDICTION_ERROR else model
         if not memory > 0.0:
-            raise EstimationError("memory", f"{memory:g} s is no time constant", remedy="give a positive one.")
+            raise EstimationError("memory", f"{memory:g} s is invalid", remedy="give a positive time constant.")
         self._method = method
         self._memory = memory
         self.watch = watch
-        """Is shown every chunk of cycles."""
+        """Is called with every chunk of cycles."""
         window = WINDOW if method is Method.OUTPUT_ERROR else 0.0
         self._chunks = FrameChunks(model, channels, support=support, rows=CHUNK, window=window)
         self._problem = at_rest(model, 0.01, progress)
@@ -106,7 +105,7 @@ class RecursivePredictionError:
         self._predictor: RecursivePredictor | None = None
 
     def update(self, frame: Frame) -> None:
-        """Take one control cycle; those on the support, out of order or with unknown values are passed over."""
+        """Take one control cycle; those on the support, out of order or with unknown values are skipped."""
         chunk = self._chunks.update(frame)
         if chunk is None:
             return
@@ -118,7 +117,7 @@ class RecursivePredictionError:
         self._predictor.take(chunk)
 
     def result(self) -> Estimate:
-        """The model's parameters with standard deviations, the uncertainty of those that are held included."""
+        """The model's parameters with standard deviations, which include the uncertainty of held parameters."""
         predictor = self._predictor
         if predictor is None or predictor.span < SHORTEST_SPAN:
             return self._no_result(0.0 if predictor is None else predictor.span)
@@ -127,7 +126,7 @@ class RecursivePredictionError:
         estimate = replace(estimate, samples=predictor.rows, span=predictor.span, window=window)
         if not predictor.lost:
             return estimate
-        lost = f"the predictor lost the vehicle {predictor.lost} times and began anew at the measurement"
+        lost = f"the predictor lost the vehicle {predictor.lost} times and restarted from the measurement"
         return replace(estimate, reason="; ".join(filter(None, (estimate.reason, lost))))
 
     def disturbance(self) -> tuple[DisturbanceEstimate, ...]:
@@ -136,7 +135,7 @@ class RecursivePredictionError:
 
     def _no_result(self, span: float) -> Estimate:
         came = "the vehicle has hardly left its supports" if self._chunks.cycles else "no control cycle has come in yet"
-        reason = f"{span:.1f} s of free motion, {SHORTEST_SPAN:g} s needed: {came}"
+        reason = f"{span:.1f} s of free motion, {SHORTEST_SPAN:g} s are needed: {came}"
         lacking = Status.TOO_FEW_SAMPLES
         others = is_of_disturbance(self._problem.model)
         unknown = {
@@ -148,14 +147,14 @@ class RecursivePredictionError:
 
 
 def at_rest(model: Model, period: float, progress: Progress | None = None) -> Problem:
-    """What is sought, without data: the compiled model, and a moment at rest, sampled every `period` s, to take its
-    poles and its noise from."""
+    """The estimation problem without data: the compiled model, and samples at rest every `period` s, for its poles and
+    its noise."""
     kernel = compile_model(model, progress=progress)
     time = period * np.arange(3.0)
     inputs, outputs = len(kernel.inputs), len(kernel.outputs)
     knots = np.ascontiguousarray(np.repeat(time[:, None], inputs, axis=1))
     measured = np.zeros((3, outputs))
-    # What is not known is not alike either: outputs that are, would be given one noise (estimators.fit.innovations).
+    # Identical outputs would share one noise (estimators.fit.innovations); unknown ones are not identical.
     measured[-1] = np.nan
     rest = Segment(time, knots, np.zeros((3, inputs)), measured, "at rest")
     free = tuple(place for place, parameter in enumerate(model.parameters) if parameter.estimated)
@@ -168,7 +167,7 @@ def at_rest(model: Model, period: float, progress: Progress | None = None) -> Pr
 def known_as(
     model: Model, values: Mapping[str, float] | None = None, deviations: Mapping[str, float] | None = None
 ) -> Model:
-    """`model` with those of `values` and their `deviations` that are its own."""
+    """`model` with those of `values` and `deviations` that belong to its own parameters."""
     names = {parameter.name for parameter in model.parameters}
     own = {name: value for name, value in (values or {}).items() if name in names}
     spread = {name: std for name, std in (deviations or {}).items() if name in names}
@@ -176,11 +175,11 @@ def known_as(
 
 
 def as_it_runs(model: Model) -> Model:
-    """`model` with the disturbances that it has while cycles come in.
+    """`model` with the disturbances of recursive estimation.
 
-    Where parameters are known by their order of magnitude alone (estimators.fit.logarithms), each is held at where its
-    estimation would start: in the first seconds one that is estimated takes the place of what the parameters do, and
-    from there on they move to where no filter works (docs/decisions.md).
+    If only the order of magnitude of parameters is known (estimators.fit.logarithms), each disturbance is held at its
+    start value: in the first seconds an estimated one would imitate the effect of the parameters, which would then move
+    to values for which no filter works (docs/decisions.md).
     """
     its = parameters_of(model.base_states)
     if any(p.estimated and p.name not in its and is_known_roughly(p) for p in model.parameters):
@@ -191,8 +190,9 @@ def as_it_runs(model: Model) -> Model:
 
 
 def _computable(model: Model) -> Model:
-    """The model with bounds at which it can still be computed: an inertia of zero cannot. How late its inputs are may
-    be on the way what it cannot be in the end: held at what a bus may be, the robot's estimates lost their way."""
+    """The model with bounds within which it can be computed, unlike with an inertia of zero. During the estimation,
+    input delays may exceed their physical bounds: when they were held to those of a bus, the robot's estimates went
+    astray."""
     delays = {name for each in model.inputs for name in each.delays}
 
     def bounded(parameter: Parameter) -> Parameter:

@@ -1,22 +1,25 @@
-"""A compiled model's predictor that runs over control cycles, a chunk at a time, and learns from how far off it is.
+"""A compiled model's predictor that runs over control cycles, a chunk at a time, and is adapted by its innovations.
 
-Its unknowns are the estimated parameters and the logarithms of the noise (estimators.fit.innovations), hence the Kalman
-gain; with them each stretch's initial state. Innovations are weighed by their covariance, which is learned along.
+Its unknowns are the estimated parameters and the logarithms of the noise (estimators.fit.innovations), which determine
+the Kalman gain, and the initial state of each segment. Innovations are weighted by their covariance, which is estimated
+along.
 
-What the first chunks say is said at a start value that may be far off: derivatives, gain and weights there are as
-wrong. So chunks are kept for a minute, and when the unknowns have moved far from where these were seen, all are gone
-through again with the unknowns held: a Gauss-Newton step of the batch fit. Farther than a reach from there they do not
-go before that, since equations that were linear somewhere else lead astray, and a feedback loop at rest leads them on.
-Each time is at least a twentieth of free motion later than the one before, so the cost a cycle stays bounded.
+The first chunks are evaluated at start values that may be far off, and derivatives, gain and weights are wrong there,
+too. So chunks are kept for a minute. When the unknowns have moved far from the point of linearisation, all chunks are
+evaluated again with the unknowns held: a Gauss-Newton step of the batch fit. Until then the unknowns stay within a
+reach of that point, since equations that were linearised elsewhere would lead them astray, and a feedback loop at rest
+would let this continue. Each re-evaluation is at least a twentieth of free motion later than the last one, so the cost
+per cycle stays bounded.
 
-Of parameters that are known by their order of magnitude alone (estimators.fit.logarithms) a record often tells products
-only. The unknowns are then their logarithms, in which a product is a sum wherever one is, and chunks in between are
-seen from where all was seen last. Seen each from another place, they would claim to know every factor: equations of
-which each leaves a slightly different direction open leave none open together.
+If only the order of magnitude of parameters is known (estimators.fit.logarithms), often only their products are
+identifiable. The unknowns are then their logarithms, in which a product is a sum at any point, and chunks between two
+re-evaluations are linearised at the point of the last one. If each chunk were linearised at another point, every factor
+would seem identifiable: equations that each leave a slightly different direction undetermined leave none undetermined
+together.
 
-Without a gain it is a simulation, begun anew every second since an unstable plant's errors grow without bound. They are
-alike from row to row, so what is known is told from how the gradient varies between chunks. Where hardly anything is
-excited, feedback biases it as any output error: the predictor with a gain is the sound one.
+Without a gain it is a simulation, which restarts every second since the errors of an unstable plant grow without bound.
+These errors are autocorrelated, so the covariance follows from the variation of the gradient between chunks. With
+little excitation, feedback biases it as any output error: the predictor with a gain is the sound method.
 """
 
 from __future__ import annotations
@@ -30,14 +33,14 @@ from numpy.typing import NDArray
 
 from estimators.contract import Estimate
 from estimators.disturbance_estimate import DisturbanceEstimate
-from estimators.fit.disturbance import Found, is_of_disturbance, told
+from estimators.fit.disturbance import Found, is_of_disturbance, of_joints
 from estimators.fit.gauss_newton import Minimum
 from estimators.fit.innovations import NoiseModel
 from estimators.fit.likelihood import FLOOR
 from estimators.fit.logarithms import is_known_roughly
-from estimators.fit.long_run import long_run
 from estimators.fit.problem import Problem
 from estimators.fit.result import assemble
+from estimators.fit.stationary_start import stationary_start
 from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.compiler.kernel import Memory
@@ -48,41 +51,41 @@ from models.segment import Segment
 Array = NDArray[np.float64]
 
 GAIN_MOVES = (0.5, 0.5)
-"""Typical sizes of a parameter, and natural logarithms of a noise or of how long it lasts, after which the gain is
-computed anew."""
+"""The gain is computed again after a move of a parameter in typical magnitudes, or of the natural logarithm of a noise
+or of its correlation time, by this."""
 FAR, REACH = (0.05, 0.3), (0.5, 0.5)
-"""The same after which what is kept is gone through again, and how far from there the unknowns may go before it is."""
+"""In the same units: the move after which the kept chunks are evaluated again, and the farthest move before that."""
 SOONEST, USUAL, ROUGH, URGENT = 0.5, 1.2, 1.1, 1.05
-"""s of free motion after which this is done at the soonest, and factors to the next time: `ROUGH` where parameters are
-known roughly (for all, a live diagnosis named something in 3 of 40 clean records, in place of 1), `URGENT` where the
-reach holds the unknowns back."""
+"""s of free motion before the first re-evaluation, and factors of free motion to the next one: `ROUGH` if parameters
+are known roughly (for all models, a live diagnosis named something in 3 of 40 clean records instead of 1), `URGENT` if
+the reach limits the unknowns."""
 KEPT = 64.0
-"""s of free motion from which on no chunks are kept any more."""
+"""s of free motion after which no chunks are kept any more."""
 JOINED = 40
-"""Chunks that are gone through in one."""
+"""Chunks that are joined into one for a re-evaluation."""
 STALE = 1e-3
-"""Share of its weight that the innovations' covariance keeps when all innovations are found anew."""
+"""Factor on the weight of the innovations' covariance when all innovations are computed again."""
 ABSURD = 30.0
-"""Standard deviations that no innovation of a predictor that works has."""
-ALIKE = 0.01
-"""Share of its noise by which a count may differ from another one that reads exactly like it, as both wheels of a
-vehicle that is symmetric to the last bit do: together they say no more than one of them."""
+"""Standard deviations that no innovation of a working predictor exceeds."""
+IDENTICAL = 0.01
+"""Noise added to a counted output, relative to its own, in case it is identical to another, as with both wheels of a
+vehicle that is symmetric to the last bit: together they have no more information than one of them."""
 LOGARITHM, OF_NOISE = 0.5, 1.0
-"""Typical size of the logarithm of a parameter that is known roughly, and of one that says how long a noise lasts: as
-of the logarithm of its size."""
+"""Typical magnitude of the logarithm of a roughly known parameter, and of that of a correlation time of a noise, as of
+the noise itself."""
 WIDE = 10.0
-"""Typical sizes within which a parameter lies of which nothing is known."""
+"""Prior standard deviation of a parameter without a prior, in typical magnitudes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a chunk of n rows was predicted with, and what came of it, for whoever looks further than this model.
+    """With what a chunk of n samples was predicted, and the result, for use beyond this model.
 
     `values` (np,), `gain` (nx, ny); `whitening` (ny, ny) turns an innovation into independent ones of unit variance.
-    `residual` (n * ny,) are these; `columns` (n * ny, m) what the unknowns z (nz,), the stretch's initial state and the
-    parameters that are held but not exactly known do to the prediction, whitened, per typical size or standard
-    deviation. `prior` (m,) is one over their variances. A `count` says that all so far was seen from too far away: this
-    is chunk number `place` of as many that all of it comes in again.
+    `residual` (n * ny,) are the whitened innovations. `columns` (n * ny, m) are the whitened derivatives of the
+    prediction with respect to the unknowns z (nz,), the segment's initial state and the held parameters that are not
+    exactly known, per typical magnitude or standard deviation. `prior` (m,) is one over their variances. If `count` is
+    not 0, all chunks so far are evaluated again: this is number `place` of `count`.
     """
 
     chunk: Chunk
@@ -98,10 +101,10 @@ class Seen:
 
 
 class RecursivePredictor:
-    """`problem` without data says what is sought; cycles follow each other in `period` s.
+    """`problem` without data states what is estimated; the sampling period is `period` s.
 
-    `memory` s is the time constant of forgetting. Without `corrected` it is a simulation. `watch` is shown every chunk
-    that was learned from, as it comes and whenever all is gone through again.
+    `memory` (s) is the time constant of forgetting. Without `corrected` it is a simulation. `watch` is called with
+    every chunk that is used, when it arrives and at every re-evaluation.
     """
 
     def __init__(
@@ -119,7 +122,8 @@ class RecursivePredictor:
         model, kernel = problem.model, problem.kernel
         free, logarithms = len(problem.free), self._noise.size if self._noise else 0
         self._roughly = np.array([is_known_roughly(parameter) for parameter in problem.parameters], dtype=bool)
-        # How long a disturbance lasts is known roughly, too, and is no factor of a product that is better known.
+        # The correlation time of a disturbance is known roughly, too, but is not a factor of a product that is better
+        # known.
         shaken = of_noise(problem)
         self._shaken = tuple(np.flatnonzero(shaken).tolist())
         self._shaken_states = any(state.correlation_time for state in model.base_states)
@@ -146,12 +150,12 @@ class RecursivePredictor:
         widest, vague = (self._noise.widest, self._noise.spread) if self._noise else (np.zeros(0), np.zeros(0))
         prior = np.concatenate(((self._scale / known) ** 2, vague**-2))
         self._prior = np.concatenate((prior, np.ones(len(spread) + len(held))))
-        self._stretch = slice(len(prior), len(prior) + len(spread))
+        self._initial = slice(len(prior), len(prior) + len(spread))
         self._regression = RecursiveGaussNewton(
             prior,
             np.concatenate((self._inside(self._lower), -widest)),
             np.concatenate((self._inside(self._upper), widest)),
-            asked=free,
+            estimated=free,
             own=len(spread),
             held=len(held),
             nuisance=self._shaken,
@@ -178,18 +182,18 @@ class RecursivePredictor:
         )
         self._gain_unknowns = np.array([*self._shaken, *range(free, free + logarithms)], dtype=np.int64)
         self.rows = 0
-        """Rows that were learned from."""
+        """Samples that were used."""
         self.span = 0.0
         """s of free motion."""
         self.lost = 0
-        """Times that the innovations were absurd."""
+        """How often the innovations were absurd."""
 
     def take(self, chunk: Chunk) -> None:
-        """The next chunk. One with absurd innovations is left out; the predictor then begins anew."""
+        """Take the next chunk. One with absurd innovations is left out; the predictor then restarts."""
         if self._state is None:
             chunk = chunk.as_first()
         latest = self._regression.z
-        if self._one_place:  # the solution starts from there again
+        if self._one_place:  # the chunk is linearised there
             self._regression.z = self._seen_from
         error, slopes = self._predict(chunk)
         if not self._is_possible(error, slopes):
@@ -212,7 +216,7 @@ class RecursivePredictor:
         moved = np.abs(self._regression.z - self._seen_from)
         again_at = max(SOONEST, self._seen_at * (URGENT if held_back or self._noise is None else self._usual))
         far = moved > self._far
-        # Of a noise that hardly matters anything is as likely: where it is seen from matters as little.
+        # If a noise has little effect, all its values are equally likely, and its linearisation point does not matter.
         if not far[self._machine].any() and self._regression.side_deviations(self._seen_from) <= SLIGHT:
             far[:] = False
         if self.span >= again_at and far.any():
@@ -220,7 +224,7 @@ class RecursivePredictor:
         self._settled = bool(np.all(moved[self._machine] < 0.99 * self._reach[self._machine]))
 
     def estimate(self, method: str) -> Estimate:
-        """What is known now, under the name `method`."""
+        """The present estimate, under the name `method`."""
         uncertainty = self._regression.uncertainty()
         sizes = self._sizes
         units = np.outer(sizes, sizes)
@@ -247,21 +251,21 @@ class RecursivePredictor:
         )
 
     def disturbance(self) -> tuple[DisturbanceEstimate, ...]:
-        """What shakes the vehicle, as of `estimate`."""
+        """The disturbances, as in `estimate`."""
         return self._disturbance(self._regression.uncertainty().every) if self._shaken_states else ()
 
     def _disturbance(self, covariance: Array) -> tuple[DisturbanceEstimate, ...]:
-        """What shakes the vehicle; `covariance` (n, n) of the unknowns."""
+        """The disturbances; `covariance` (n, n) is that of the unknowns."""
         if self._noise is None or not self._shaken_states:
             return ()
         sizes = np.concatenate((self._sizes, np.ones(self._noise.size)))
         values, logarithms = self._values, self._regression.z[self._free :]
         found = covariance * np.outer(sizes, sizes)
-        return told(Found(self._noise, values, logarithms, found, self._covariance(), self.rows))
+        return of_joints(Found(self._noise, values, logarithms, found, self._covariance(), self.rows))
 
     @property
     def _values(self) -> Array:
-        """Of all parameters, (np,)."""
+        """Values of all parameters, (np,)."""
         moved = self._regression.z[: self._free]
         rough = self._start * np.exp(np.where(self._roughly, self._logarithm * moved, 0.0))
         common = np.where(self._roughly, rough, self._start + self._scale * moved)
@@ -269,7 +273,7 @@ class RecursivePredictor:
 
     @property
     def _sizes(self) -> Array:
-        """What one of each unknown parameter changes its value by, here, (p,)."""
+        """Change of each estimated parameter's value per unit of its unknown, at the present values, (p,)."""
         values = self._values[list(self._problem.free)]
         return np.where(self._roughly, self._logarithm * values, self._scale)
 
@@ -279,7 +283,7 @@ class RecursivePredictor:
         return np.where(self._roughly, np.log(ratio) / self._logarithm, (values - self._start) / self._scale)
 
     def _predict(self, chunk: Chunk) -> tuple[Array, Array]:
-        """Errors of the predictor through `chunk`, (n, ny), and the slopes of what it predicts, (n, ny, active)."""
+        """Innovations of `chunk`, (n, ny), and the derivatives of its predictions, (n, ny, active)."""
         segment, rows = chunk.segment, chunk.rows
         values = self._values
         if self._state is None or chunk.begins:
@@ -306,11 +310,11 @@ class RecursivePredictor:
         return segment.measured[rows] - predicted[rows], slopes[rows]
 
     def _gather(self, chunk: Chunk, error: Array, slopes: Array, *, again: tuple[int, int] = (0, 0)) -> None:
-        """What the errors say, weighed by the covariance that is known now. `again` (place, count): it is one
-        of all that are kept."""
+        """Add the errors to the regression, weighted by their present covariance. `again`: (place, count) in a
+        re-evaluation."""
         if chunk.begins:
-            self._prior[self._stretch] = self._start_precision()
-            self._regression.begin(self._prior[self._stretch])
+            self._prior[self._initial] = self._start_precision()
+            self._regression.begin(self._prior[self._initial])
         whitening = self._whitening()
         white = (whitening @ slopes).reshape(error.size, -1)
         free = self._free
@@ -327,15 +331,15 @@ class RecursivePredictor:
             self._watch(Seen(chunk, *used, residual, columns, z, self._prior, *again))
 
     def _start_precision(self) -> Array:
-        """One over the variances (k,) of the next stretch's initial state, in the units of its columns: a disturbance
-        begins as it is in the long run."""
+        """One over the variances (k,) of the next segment's initial state, in the units of its columns: a disturbance
+        begins stationary."""
         if self._noise is None:
             return np.ones(len(self._problem.spread))
-        spread = long_run(self._noise, self._values, self._regression.z[self._free :]).spread
+        spread = stationary_start(self._noise, self._values, self._regression.z[self._free :]).spread
         return np.asarray((self._problem.spread / spread) ** 2)
 
     def _learn_again(self) -> Array:
-        """All that is kept, seen from where the unknowns are now; how far they move then, (n,)."""
+        """Evaluate all kept chunks again at the present unknowns; returns how far the unknowns then move, (n,)."""
         self._seen_at = self.span
         chunks = list(join(self._kept, JOINED))
         seen = [self._predict(chunk) for chunk in chunks]
@@ -358,13 +362,13 @@ class RecursivePredictor:
         return math.exp(-len(error) * self._period / self._memory)
 
     def _steady(self, values: Array) -> Array | None:
-        """The gain at the present unknowns: exact where it was computed last, from there on by its slopes."""
+        """The gain at the present unknowns: linearised at the unknowns for which it was last computed."""
         if self._noise is None:
             return None
         z, free = self._regression.z, self._free
         if self._gain_at is not None:
             moved = z - self._gain_at
-            # What has gone as far as its reach has moved just as far, and rounding must not decide.
+            # An unknown that has moved to its reach has moved just as far as this limit, and rounding must not decide.
             if (np.abs(moved) < (1.0 - ROUNDING) * self._gain_moves).all():
                 return self._gain + (self._gain_slopes @ moved[self._gain_unknowns]).reshape(self._gain.shape)
         times = tuple(self._problem.free[place] for place in self._shaken)
@@ -376,8 +380,9 @@ class RecursivePredictor:
         return self._gain
 
     def _is_possible(self, error: Array, slopes: Array) -> bool:
-        """Whether the predictor still follows the vehicle. If not, the noise may just be more than was thought: it is
-        learned, within bounds. From parameters known by their order of magnitude alone nobody expects that at first."""
+        """Whether the predictor still follows the vehicle. If not, the noise may only be larger than assumed, so its
+        estimate is updated within bounds. If only the order of magnitude of parameters is known, the first innovations
+        are not tested."""
         if not (np.isfinite(error).all() and np.isfinite(slopes).all()):
             return False
         if self._noise is None or (self._one_place and self.span < SOONEST):
@@ -389,7 +394,7 @@ class RecursivePredictor:
         return False
 
     def _learn_noise(self, error: Array, slopes: Array) -> None:
-        # What is known roughly may set out far from where it was measured, which is no noise.
+        # With roughly known parameters, initial states may be far from their measured values, which is not noise.
         as_it_is = self._noise is not None and not self._one_place
         self._add_squares(error if as_it_is else self._without_start(error, slopes))
 
@@ -399,16 +404,16 @@ class RecursivePredictor:
         self._weight = kept * self._weight + len(error)
 
     def _covariance(self) -> Array:
-        """Of an innovation, (ny, ny)."""
+        """Covariance of an innovation, (ny, ny)."""
         covariance = self._squares / self._weight + self._floor
         return covariance if self._noise else np.diag(np.diagonal(covariance))
 
     def _whitening(self) -> Array:
-        """Turns an innovation into independent ones of unit variance, (ny, ny)."""
+        """Matrix (ny, ny) that turns an innovation into independent ones of unit variance."""
         return np.linalg.inv(np.linalg.cholesky(self._covariance()))
 
     def _without_start(self, error: Array, slopes: Array) -> Array:
-        """`error` (n, ny) less what an initial state that is not quite as measured explains."""
+        """`error` (n, ny) minus the part that an error of the measured initial state explains."""
         whitening = self._whitening()
         spread = self._others[: self._own.stop - self._own.start]
         own = (whitening @ slopes[:, :, self._own]).reshape(error.size, -1) * spread
@@ -418,27 +423,27 @@ class RecursivePredictor:
 
 
 def of_noise(problem: Problem) -> NDArray[np.bool_]:
-    """Which of the estimated parameters (p,) say how long a noise lasts, and nothing of the machine."""
+    """Mask (p,) of the estimated parameters that belong to a disturbance, and not to the machine."""
     times = is_of_disturbance(problem.model)
     return np.array([parameter.name in times for parameter in problem.parameters], dtype=bool)
 
 
 def _share(output: Output, *, corrected: bool) -> float:
-    """Of an output's noise: the standard deviation that is added to its innovations."""
+    """Standard deviation that is added to an output's innovations, as a share of its noise."""
     if corrected and output.noise_known:
         return FLOOR
-    return ALIKE if output.counted else 1e-9
+    return IDENTICAL if output.counted else 1e-9
 
 
 def inputs_at(problem: Problem, segment: Segment, row: int, values: Array) -> NDArray[np.int64]:
-    """Which sample of each input (nu,) acts at `row`, at parameter `values` (np,)."""
+    """Index (nu,) of the sample of each input that acts at `row`, at parameter `values` (np,)."""
     late = [sum(values[problem.kernel.index(name)] for name in each.delays) for each in problem.model.inputs]
     passed = np.count_nonzero(segment.knots + late < segment.time[row], axis=0)
     return np.asarray(np.maximum(passed - 1, 0))
 
 
 def measured_state(problem: Problem, measured: Array) -> Array:
-    """The state (nx,) as the outputs `measured` (ny,) show it."""
+    """The state (nx,) from the outputs `measured` (ny,)."""
     shown = zip(problem.kernel.outputs, map(float, measured), strict=True)
     known = {**problem.model.values, **dict(shown)}
     states = problem.model.states

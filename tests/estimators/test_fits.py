@@ -122,7 +122,7 @@ BAD = {
         {"roll": lambda r: r["roll_rate"], "roll_rate": lambda r: r["roll"]},
         "not the derivative of roll",
     ),
-    "roll rate cut off": ({"roll_rate": lambda r: np.clip(r["roll_rate"], -0.06, 0.06)}, "cut off at 0.06"),
+    "roll rate cut off": ({"roll_rate": lambda r: np.clip(r["roll_rate"], -0.06, 0.06)}, "clipped at 0.06"),
     "roll rate stuck": ({"roll_rate": lambda r: 0.0 * r["roll_rate"]}, "never moves"),
 }
 

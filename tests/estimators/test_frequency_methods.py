@@ -172,7 +172,7 @@ def exact(denominator: Denominator, values: list[float], relative: float = 0.01)
 @pytest.mark.parametrize("solver", [amplitude_fit, equation_fit])
 def test_an_exact_response_is_fitted_exactly(solver: Callable[..., object]) -> None:
     fit = solver(ROLLING, exact(ROLLING, [1650.0, 14500.0]), PARAMETERS)
-    assert fit.settled
+    assert fit.converged
     np.testing.assert_allclose(fit.values, (1650.0, 14500.0), rtol=1e-4)
 
 
@@ -233,7 +233,7 @@ def test_the_static_torque_is_neglected_and_said_to_be(sweep: Recording) -> None
     estimate = frequency_output_error(ROLL.add("coulomb_friction"), [sweep], support=SUPPORT)
     assert estimate.status is Status.OK  # it was never asked of this method
     reasons = {name: p.reason for name, p in estimate.parameters.items() if p.value is None}
-    assert "no transfer function has it" in reasons["static_torque.torque"]
+    assert "no transfer function contains it" in reasons["static_torque.torque"]
     assert "not linear in the motion" in reasons["coulomb_friction.torque"]
     assert "delay" in reasons["drive_offset"]
 
@@ -342,7 +342,7 @@ def test_standing_still_leaves_nothing_to_use(method: Method) -> None:
             lambda r: with_channels(r, excitation=np.full(len(r), np.nan)),
             {"excitation": "excitation"},
             Status.MISSING_CHANNEL,
-            "unknown in 15249 rows",
+            "unknown in 15249 samples",
         ),
         (lambda r: r, {"window": 50.0}, Status.TOO_FEW_SAMPLES, "does not fit twice"),
         (lambda r: r, {"window": 0.0}, Status.TOO_FEW_SAMPLES, "does not fit twice"),
@@ -367,7 +367,7 @@ def test_data_that_cannot_be_used_give_no_value_but_a_reason(
 
 
 def test_no_recording_and_no_such_detrending() -> None:
-    assert_unknown(frequency_output_error(ROLL, []), Status.TOO_FEW_SAMPLES, "there is none")
+    assert_unknown(frequency_output_error(ROLL, []), Status.TOO_FEW_SAMPLES, "none is given")
     with pytest.raises(EstimationError, match="none, mean, linear"):
         frequency_response(ROLL, [], detrend="cubic")
 
@@ -388,4 +388,4 @@ def test_one_frequency_does_not_tell_two_parameters() -> None:
 def test_a_simplex_that_does_not_settle_gives_no_value(sweep: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("estimators.methods.frequency_output_error.STEPS", 20)
     estimate = frequency_output_error(SHARP, [sweep], support=SUPPORT)
-    assert_unknown(estimate, Status.NOT_CONVERGED, "did not settle in 20 steps")
+    assert_unknown(estimate, Status.NOT_CONVERGED, "did not converge in 20 steps")

@@ -38,7 +38,7 @@ class TestTheRule:
         found = chosen(output_error=entry(90.0), prediction_error=entry(80.0), instrumental_variables=entry(90.4))
         assert found.best == "output_error"
         assert "90.0 %" in found.reason
-        assert found.not_chosen["prediction_error"] == "it predicts 80.0 %, output_error 90.0 %"
+        assert found.not_chosen["prediction_error"] == "its fit is 80.0 %, that of output_error 90.0 %"
         assert "more precise" in found.not_chosen["instrumental_variables"]
         assert found.not_chosen["output_error"] == ""
 
@@ -51,7 +51,7 @@ class TestTheRule:
         found = choose({bad: entry(-744.0, fit_measured=measured), good: entry(76.0, fit_measured=measured)})
         assert found.best == good
         assert "76.0 %" in found.reason
-        assert found.not_chosen[bad] == "it predicts worse than the mean of what is measured (-744.0 %)"
+        assert found.not_chosen[bad] == "it predicts worse than the mean of the measurements (-744.0 %)"
 
     def test_a_biased_one_is_chosen_with_a_reservation_where_the_sound_one_misses_the_record(self) -> None:
         found = chosen(prediction_error=entry(-744.0), least_squares=entry(76.0))
@@ -101,7 +101,7 @@ class TestTheRule:
             instrumental_variables=entry(None, fit_measured=OWN),
         )
         assert found.best == "prediction_error"
-        assert "not measured alike" in found.reason
+        assert "not measured in the same way" in found.reason
 
     def test_without_values_there_is_none(self) -> None:
         failed = entry(None, "failed") | {"reason": "it diverged"}

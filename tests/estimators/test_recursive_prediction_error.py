@@ -239,7 +239,7 @@ def test_without_excitation_there_is_no_value_but_a_reason() -> None:
         found = estimate.parameters[name]
         assert found.value is None
         assert found.status in (Status.TOO_LITTLE_EXCITATION, Status.UNIDENTIFIABLE)
-        assert "the record tells" in found.reason
+        assert "the record determines" in found.reason
         assert 0.0 < found.coverage_percent < 100.0
 
 
@@ -360,9 +360,9 @@ def test_what_no_device_tells_has_its_usual_value() -> None:
 
 
 def _regression(own: int, held: int, **settings: bool) -> tuple[RecursiveGaussNewton, Callable[[Array, Array], None]]:
-    """Three unknowns, two of them asked for; prior precisions 1, 4, 9."""
+    """Three unknowns, two of them estimated; prior precisions 1, 4, 9."""
     wide = np.full(3, np.inf)
-    made = RecursiveGaussNewton(np.array([1.0, 4.0, 9.0]), -wide, wide, asked=2, own=own, held=held, **settings)
+    made = RecursiveGaussNewton(np.array([1.0, 4.0, 9.0]), -wide, wide, estimated=2, own=own, held=held, **settings)
 
     def learn(residual: Array, columns: Array) -> None:
         made.add(residual - columns[:, :3] @ made.z, columns, 1.0)
@@ -422,7 +422,7 @@ def test_residuals_that_are_alike_within_a_chunk_tell_less() -> None:
 
 
 def test_it_goes_no_farther_than_it_may() -> None:
-    regression = RecursiveGaussNewton(np.ones(2), np.array([-9.0, -0.1]), np.array([9.0, 9.0]), asked=2)
+    regression = RecursiveGaussNewton(np.ones(2), np.array([-9.0, -0.1]), np.array([9.0, 9.0]), estimated=2)
     regression.add(np.array([100.0, -100.0]), 10.0 * np.eye(2), 1.0)
     wanted = 1000.0 / 101.0
     assert regression.move(np.zeros(2), np.array([0.5, 20.0]))
@@ -439,7 +439,7 @@ def _quadratic(
 ) -> RecursiveGaussNewton:
     """Equations of which `solution` is the unbounded one, with hardly any prior."""
     size = len(solution)
-    made = RecursiveGaussNewton(np.full(size, 1e-12), lower, upper, asked=size, nuisance=nuisance)
+    made = RecursiveGaussNewton(np.full(size, 1e-12), lower, upper, estimated=size, nuisance=nuisance)
     columns = np.linalg.cholesky(information).T
     made.add(columns @ solution, columns, 1.0)
     return made
@@ -459,7 +459,7 @@ def test_what_is_held_at_a_bound_is_not_made_up_for_by_the_others(seed: int) -> 
 
 
 def test_a_nuisance_that_hardly_matters_holds_nobody_up() -> None:
-    """It goes as far as it may by itself; what is asked for goes all the way."""
+    """It moves as far as its own reach; the estimated parameter moves all the way."""
     wide = np.full(2, 99.0)
     made = _quadratic(np.diag([100.0, 1e-4]), np.array([0.3, 9.0]), -wide, wide, nuisance=(1,))
     assert not made.move(np.zeros(2), np.full(2, 0.5)), "a two-hundredth of its deviation"

@@ -74,20 +74,20 @@ def test_the_proposal_makes_everything_else_known() -> None:
 
 def test_a_combination_is_told_where_no_free_direction_moves_it() -> None:
     found = structure(TOY)
-    assert found.tells("(left + right) / mass")
-    assert found.tells("sqrt(gain * drive / mass)")
-    assert not found.tells("left / mass")
-    assert not found.tells("mass")
+    assert found.identifies("(left + right) / mass")
+    assert found.identifies("sqrt(gain * drive / mass)")
+    assert not found.identifies("left / mass")
+    assert not found.identifies("mass")
     with pytest.raises(ModelError, match="there is no 'spring'"):
-        found.tells("spring / mass")
-    with pytest.raises(EstimationError, match="does not depend on a parameter that was looked at"):
-        structure(TOY, parameters=["mass", "left"]).tells("gain")
+        found.identifies("spring / mass")
+    with pytest.raises(EstimationError, match="depends on none of the examined parameters"):
+        structure(TOY, parameters=["mass", "left"]).identifies("gain")
 
 
 def test_a_scale_that_is_measured_otherwise_breaks_the_tie() -> None:
     weighed = replace(TOY, outputs=(*TOY.outputs, Output("force", "N", "(left + right) * x", noise=1.0)))
     assert structure(weighed).rank == 4
-    assert structure(weighed).tells("mass")
+    assert structure(weighed).identifies("mass")
 
 
 def test_an_experiment_that_excites_nothing_tells_less_than_the_model_could() -> None:
@@ -95,8 +95,8 @@ def test_an_experiment_that_excites_nothing_tells_less_than_the_model_could() ->
     still = Segment(time, time[:, None].copy(), np.zeros((100, 1)), np.full((100, 1), np.nan))
     found = structure(TOY, [Motion(still, np.array([0.3, 0.0]))])
     assert found.rank == 2
-    assert not found.tells("gain * drive / mass")
-    assert found.tells("(left + right) / mass")
+    assert not found.identifies("gain * drive / mass")
+    assert found.identifies("(left + right) / mass")
 
 
 def test_values_at_which_less_shows_than_nearby_are_noticed() -> None:
@@ -109,7 +109,7 @@ def test_values_at_which_less_shows_than_nearby_are_noticed() -> None:
 
 
 def test_nothing_to_look_at_is_said() -> None:
-    with pytest.raises(EstimationError, match="there are none to look at"):
+    with pytest.raises(EstimationError, match="there are none to examine"):
         structure(TOY, parameters=[])
     with pytest.raises(ModelError, match="model structural-toy has none"):
         structure(TOY, parameters=["weight"])
@@ -124,9 +124,9 @@ def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers()
     assert len(numbers) == 13
     assert found.rank == found.generic_rank == 1 + len(TOLD_NEAR_UPRIGHT) == 7
     assert found.gap > 1e6
-    assert all(map(found.tells, TOLD_NEAR_UPRIGHT.values()))
+    assert all(map(found.identifies, TOLD_NEAR_UPRIGHT.values()))
     others = (*TOLD_AT_LARGE_TILT.values(), *TOLD_IN_TURNS.values(), "body_mass", "motor_constant", "rotor_inertia")
-    assert not any(map(found.tells, others))
+    assert not any(map(found.identifies, others))
     alone = {tie.parameter for tie in found.ties if len(tie.changes) == 1}
     assert alone == {"wheel_distance", "yaw_inertia", "armature_inductance"}
     # Torques are known as multiples of volts only: all masses and the conductance go together.
@@ -147,8 +147,8 @@ def test_larger_motion_tells_more(motions: tuple[Motion, ...], told: dict[str, s
     found = structure(TWSBR, motions)
     assert found.rank == found.generic_rank == 1 + len(told)
     assert found.gap > 1e6
-    assert all(map(found.tells, told.values()))
-    assert not found.tells("body_mass")
+    assert all(map(found.identifies, told.values()))
+    assert not found.identifies("body_mass")
 
 
 def test_the_shipped_model_estimates_what_is_proposed() -> None:

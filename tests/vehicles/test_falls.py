@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimators.data.segments import FORETOLD, falls_at, segments
+from estimators.data.segments import BEFORE_A_FALL, falls_at, segments
 from estimators.recursive.frame_chunks import FrameChunks
 from models import library
 from models.natural_time import USUAL, natural_time
@@ -50,7 +50,7 @@ def test_a_fall_and_what_led_to_it_are_left_out(name: str) -> None:
     assert ended - 1.0 < begin < ended
     coordinate = np.abs(recording[model.joints[0].coordinate])
     used = segments(model, [recording], support=vehicle.support)
-    usable = begin - FORETOLD * (natural_time(model) or USUAL)
+    usable = begin - BEFORE_A_FALL * (natural_time(model) or USUAL)
     assert [each.time[-1] < usable + 0.5 * vehicle.period for each in used] == [True] * len(used)
     assert np.max(coordinate[(recording.time > 0.5 * begin) & (recording.time < begin)]) < 0.2 * vehicle.support
     assert used[-1].time[-1] == pytest.approx(usable, abs=2.0 * vehicle.period)

@@ -207,7 +207,7 @@ def test_instruments_remove_the_bias_of_noisy_regressors() -> None:
 
 
 def test_settings_that_cannot_work_are_refused_with_a_remedy() -> None:
-    with pytest.raises(EstimationError, match="2 cannot tell 3 regressors apart"):
+    with pytest.raises(EstimationError, match="2 are too few for 3 regressors"):
         RecursiveLeastSquares(3, instruments=2)
     with pytest.raises(EstimationError, match="grow without bound"):
         RecursiveLeastSquares(3, memory=100.0)

@@ -1,10 +1,10 @@
-"""Where a stretch of a record begins: a disturbance as it is in the long run, integrated out of the likelihood.
+"""Initial state of a segment: a disturbance begins stationary, and is integrated out of the likelihood.
 
     p(y) = integral of p(y | x0) p(x0) dx0,    -ln p(y) = -ln p(y | x0*) p(x0*) + 1/2 ln det(D + P^-1) + a constant
 
-with x0* the likeliest initial state, P its covariance before the record and D what the record tells of it. P has the
-RMS of a disturbance, which is estimated: maximised together with x0, the likelihood would grow without end as that RMS
-goes to zero. Laplace's method, exact where the model is linear; D is that of a long record
+with x0* the likeliest initial state, P its prior covariance and D the information of the record on it. P depends on the
+RMS of the disturbance, which is estimated. If the likelihood were maximised over x0 as well, it would grow without
+bound as that RMS goes to zero. Laplace's method, exact for a linear model; D is that of a long record
 (estimators.fit.innovations).
 """
 
@@ -21,17 +21,17 @@ from models.random.disturbance import parameters_of, power_share
 Array = NDArray[np.float64]
 
 STEP = 1e-3
-"""Share of a correlation time, or logarithm of a noise, by which it is moved for a derivative."""
+"""Relative step of a correlation time, and step of the logarithm of a noise, for a numerical derivative."""
 
 
 @dataclass(frozen=True, slots=True)
-class LongRun:
-    """How far off initial states may be, `spread` (k,), where that is what a disturbance is in the long run.
+class StationaryStart:
+    """Prior standard deviations `spread` (k,) of the initial states; that of a disturbance is its stationary one.
 
-    `cost`: minus the logarithm of the likelihood that is left once all initial states are integrated over, beside that
-    of the likeliest ones, and `slopes` (p + q,) its derivatives. Without it, that a disturbance begins at zero would
-    grow ever likelier with its RMS at zero. `entries`: (which of the k, which unknown, derivative of the logarithm of
-    its spread by that).
+    `cost`: contribution, for each segment, of integrating over the initial states to the negative log-likelihood at the
+    likeliest ones, and `slopes` (p + q,) its derivatives. Without it, the likelihood of a disturbance that begins at
+    zero would grow without bound as its RMS goes to zero. `entries`: (index of the k, index of the unknown, derivative
+    of the logarithm of the spread with respect to it).
     """
 
     spread: Array
@@ -40,17 +40,17 @@ class LongRun:
     entries: tuple[tuple[int, int, float], ...]
 
 
-def long_run(noise: NoiseModel, values: Array, logarithms: Array) -> LongRun:
-    """What the initial states may be off by at parameter values (np,) and logarithms (q,) of the noise."""
+def stationary_start(noise: NoiseModel, values: Array, logarithms: Array) -> StationaryStart:
+    """Spread of the initial states at parameter values (np,) and logarithms (q,) of the noise."""
     spread, entries = _spreads(noise, values, logarithms)
     if not entries:
-        return LongRun(spread, 0.0, np.zeros(len(noise.problem.free) + noise.size), ())
+        return StationaryStart(spread, 0.0, np.zeros(len(noise.problem.free) + noise.size), ())
     cost, slopes = _integrated(noise, values, logarithms)
-    return LongRun(spread, cost, slopes, entries)
+    return StationaryStart(spread, cost, slopes, entries)
 
 
 def _spreads(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[Array, tuple[tuple[int, int, float], ...]]:
-    """`spread` and `entries` of LongRun."""
+    """`spread` and `entries` of StationaryStart."""
     task = noise.problem
     spread, entries = task.spread.copy(), []
     for number, place in enumerate(task.own):
@@ -70,8 +70,8 @@ def _spreads(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[Array
 
 
 def _integrated(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[float, Array]:
-    """`cost` and `slopes` of LongRun: half the logarithm of det(1 + D P), with P the covariance of the initial states
-    before the record and D what it tells of them (Laplace's method, exact where the model is linear)."""
+    """`cost` and `slopes` of StationaryStart: half the logarithm of det(1 + D P), with P the prior covariance of the
+    initial states and D the information of the record on them (Laplace's method, exact for a linear model)."""
     task = noise.problem
     its = parameters_of(task.model.base_states)
     times = [place for place, number in enumerate(task.free) if task.kernel.parameters[number] in its]
@@ -84,9 +84,9 @@ def _integrated(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[fl
         column = task.free[unknown] if place < len(times) else unknown - len(task.free)
         target[1 + 2 * place, column] += sizes[place]
         target[2 + 2 * place, column] -= sizes[place]
-    told = noise.of_start(many_values, many_logarithms)[:, list(task.own)][:, :, list(task.own)]
+    information = noise.start_information(many_values, many_logarithms)[:, list(task.own)][:, :, list(task.own)]
     spreads = np.stack([_spreads(noise, *each)[0] for each in zip(many_values, many_logarithms, strict=True)])
-    inside = np.eye(len(task.own)) + spreads[:, :, None] * told * spreads[:, None, :]
+    inside = np.eye(len(task.own)) + spreads[:, :, None] * information * spreads[:, None, :]
     costs = 0.5 * np.linalg.slogdet(inside)[1]
     slopes = np.zeros(len(task.free) + noise.size)
     slopes[unknowns] = (costs[1::2] - costs[2::2]) / (2.0 * sizes)
