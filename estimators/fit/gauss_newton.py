@@ -3,9 +3,11 @@
 Every segment of data has its own initial state, so the normal equations have arrowhead structure: the own unknowns of
 each segment are eliminated before the common ones are solved for, and a fit over forty windows costs hardly more than
 over one. Levenberg-Marquardt steps in a box that grows with success; bounds by an active set. If residuals remain
-large, the curvature that Gauss-Newton neglects is estimated from step to step (symmetric rank one).
-Sources: Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems" (2004); Nocedal and Wright,
-"Numerical optimization", 2nd ed., sections 6.2 and 10.3; Schur complement as in bundle adjustment.
+large, the curvature that Gauss-Newton neglects is estimated from step to step (symmetric rank one), and used as long as
+it predicts the cost better than Gauss-Newton alone.
+Sources: Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems" (2004); Dennis, Gay and Welsch,
+"An adaptive nonlinear least-squares algorithm", ACM Transactions on Mathematical Software 7 (1981) 348-368; Nocedal and
+Wright, "Numerical optimization", 2nd ed., sections 3.4, 6.2 and 10.3; Schur complement as in bundle adjustment.
 """
 
 from __future__ import annotations
@@ -33,6 +35,9 @@ ROUNDING = 1e-10
 is rounding error."""
 SILENT = 1e-7
 """An unknown has no effect on the data if its effect, per typical magnitude, is below this share of the largest."""
+SWITCH = 1.5
+"""Factor by which the model of the cost with the estimated curvature has to predict a step better than that without, or
+worse, for the other to be used next."""
 LAST_DAMPING = 1e-4
 """Least damping of the last step, whose cost is not checked: in directions without information it must not go far."""
 
@@ -143,16 +148,16 @@ def descend(
 
     The descent has converged if no step moves one of the first `watched` parameters (all by default) by more than
     `tolerance` of its scale, or if the cost is not expected to fall by more than `enough`: with residuals of unit
-    variance a fall of x moves no parameter by more than sqrt(2 x) standard deviations. The curvature with respect to
-    the other parameters is more than J'J; the missing part is estimated. The last step is still made, unless its end
-    has no finite cost; the expansion is that at its beginning. None if the start itself has no finite cost.
+    variance a fall of x moves no parameter by more than sqrt(2 x) standard deviations. The last step is still made,
+    unless its end has no finite cost; the expansion is that at its beginning. None if the start itself has no finite
+    cost.
     """
     common = np.clip(common, lower, upper)
     own = [part.copy() for part in own]
     here = expand(common, own)
     if here is None:
         return None
-    missing = np.zeros((len(common), len(common)))
+    missing, augmented = np.zeros((len(common), len(common))), False
     costs = [here.cost]
     damping, reach = LEAST_DAMPING, LONGEST_STEP
     done = False
@@ -169,7 +174,7 @@ def descend(
             break
         reduced, slope, reserve, parts = _reduce(here, scale, damping)
         some = np.ix_(free, free)
-        curvature = reduced + missing if _is_definite((information + missing)[some]) else reduced
+        curvature = reduced + _positive(information, missing, free) if augmented else reduced
         fall = reserve + 0.5 * float(slope[free] @ _solved(curvature[some], slope[free]))
         done = fall <= enough
         stiffer = (max(damping, LAST_DAMPING) if done else damping) * np.diag(np.diag(information) + 1e-12)
@@ -182,8 +187,13 @@ def descend(
             if expand(trial, trial_own) is not None:
                 common, own = trial, trial_own
             break
-        predicted = -float(slope @ step) - 0.5 * float(step @ curvature @ step) + reserve
+        linear, plain, more = (float(each) for each in (slope @ step, step @ reduced @ step, step @ missing @ step))
+        predicted = reserve - linear - 0.5 * float(step @ curvature @ step)
         there = expand(trial, trial_own)
+        if there is not None:
+            off = here.cost - there.cost - (reserve - linear - 0.5 * plain)
+            without, with_it = abs(off), abs(off + 0.5 * more)
+            augmented = with_it <= SWITCH * without if augmented else SWITCH * with_it < without
         # If no common parameter is free, only the predicted fall shows whether the own ones have converged.
         done = bool(free.any()) and float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
         if there is None or there.cost > here.cost:
@@ -205,10 +215,7 @@ def descend(
         costs.append(here.cost)
         before = gradient
         information, gradient, _, _ = _reduce(here, scale, 0.0)
-        if watched is not None:
-            missing[watched:, watched:] = _updated(
-                missing[watched:, watched:], step[watched:], (gradient - before - information @ step)[watched:]
-            )
+        missing = _updated(missing, step, gradient - before - information @ step)
     minimum = Minimum(
         common=common,
         own=tuple(own),
@@ -271,19 +278,31 @@ def _step(curvature: Array, slope: Array, free: NDArray[np.bool_], lower: Array,
     return step
 
 
-def _is_definite(matrix: Array) -> bool:
-    """Whether `matrix` is positive definite by a margin, with each unknown in its own unit."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-150))
-    scaled = matrix / np.outer(size, size)
-    return bool(np.all(np.isfinite(scaled)) and np.min(np.linalg.eigvalsh(scaled), initial=1.0) > 1e-6)
+def _positive(information: Array, missing: Array, free: NDArray[np.bool_]) -> Array:
+    """`missing` curvature, corrected so that the sum with `information` is positive definite in the `free` unknowns.
+
+    Each unknown is in the unit in which its information is 1. An eigenvalue below zero counts by its magnitude (Nocedal
+    and Wright, section 3.4): along its direction a step is as short as the curvature is strong.
+    """
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    size = np.where(free, np.maximum(size, max(SILENT * float(np.max(size)), 1e-150)), 1.0)
+    some = np.ix_(free, free)
+    scaled = ((information + missing) / np.outer(size, size))[some]
+    if not np.all(np.isfinite(scaled)):
+        return np.zeros_like(missing)
+    values, directions = np.linalg.eigh(scaled)
+    floor = ROUNDING * max(1.0, float(np.max(np.abs(values), initial=0.0)))
+    more = np.where(values > 0.0, 0.0, np.maximum(np.abs(values), floor) - values)
+    corrected = missing.copy()
+    corrected[some] += (directions * more) @ directions.T * np.outer(size, size)[some]
+    return corrected
 
 
 def _updated(missing: Array, step: Array, unexplained: Array) -> Array:
     """`missing` curvature, updated to explain the change of the gradient over the last `step` that J'J leaves
     `unexplained` (symmetric rank one).
 
-    It is scaled down first if it was too large (Dennis, Gay and Welsch: an adaptive nonlinear least-squares algorithm,
-    1981).
+    It is scaled down first if it was too large (Dennis, Gay and Welsch).
     """
     known = float(step @ missing @ step)
     if known != 0.0:
