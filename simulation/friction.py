@@ -30,7 +30,7 @@ class Rolling(Protocol):
 
 
 class LuGreFriction:
-    """Bristle friction that slides at `level` N m; `deflection` rad is where it begins to, `damping` (s) as above."""
+    """Bristle friction that begins to slide at `deflection` rad, at `level` N m; `damping` (s) as above."""
 
     def __init__(self, size: float, deflection: float = BRISTLE_DEFLECTION, damping: float = BRISTLE_DAMPING) -> None:
         self._size = size

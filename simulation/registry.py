@@ -97,7 +97,7 @@ def _parsed(
 
 
 def _random(argument: str, name: str, usual: Random) -> Random | None:
-    """`name`, `name=LEVEL` or `name=NUMBER,...` with the numbers of `usual`, the RMS first; None where that is 0."""
+    """`name`, `name=LEVEL` or `name=NUMBER,...` with the numbers of `usual`, the RMS first; None if that is 0."""
     text, late, second = argument.partition("@")
     _, separator, value = text.partition("=")
     numbered = [each.name for each in fields(usual)][:-1]

@@ -73,8 +73,8 @@ DEGREES_PER_SECOND = Unit("deg/s", degrees(1.0))
 class Bound:
     """A quantity of an `Observation` (a dotted name, as in "axes.precession") that must stay within +-`limit` (SI).
 
-    If a bound with `advice` is exceeded, the experiment ends in an orderly way; if any other bound is exceeded, the
-    vehicle is stopped.
+    If a bound with `advice` is exceeded, the experiment ends in an orderly way, which leaves time to follow it; if any
+    other bound is exceeded, the vehicle is stopped.
     """
 
     code: StrEnum

@@ -54,7 +54,7 @@ class ControlSection(Section):
     heartbeat_timeout: Positive = 0.12
     """s without the heartbeat after which a drive stops by itself (written to 1016h)."""
     lease: Annotated[float, Field(ge=0.2, le=2.0)] = 0.3
-    """s without a message from the client that started an experiment, after which it ends in an orderly way."""
+    """s without a renewal by the client that started an experiment, after which it ends in an orderly way."""
 
     @field_validator("rate")
     @classmethod

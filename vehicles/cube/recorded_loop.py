@@ -86,7 +86,7 @@ def _loop(vehicle: CubeFile, gains: LqiGains, record: Recorded) -> Controller:
         else:
             wheel.append(seen["wheel_rate"])
         age = record.values["drive_age"][row] / record.period
-        # A drive that is sampled after the IMU has moved on from this sample as before.
+        # If the drive is sampled after the IMU, its value is extrapolated linearly from this sample.
         whole = max(0, int(age))
         back, part = row - whole, age - whole
         rate = wheel[back] + part * (wheel[back - 1] - wheel[back])

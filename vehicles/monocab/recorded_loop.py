@@ -148,7 +148,7 @@ def _loop(
         rates[row] = seen.get("precession_rate", rates[row])
         angles[row] = seen.get("precession", angles[row])
         age = record.values["drive_age"][row] / record.period
-        # Drives that are sampled after the IMU have moved on from this sample as before.
+        # If the drives are sampled after the IMU, their values are extrapolated linearly from this sample.
         whole = max(0, int(age))
         back, part = row - whole, age - whole
         setpoint = _step(
@@ -163,7 +163,7 @@ def _loop(
         )
         under_way.append(setpoint)
         following = drive.step(under_way.popleft(), seen["roll_rate"])
-        # A model with drives of its own gives their rate; until the next sample it continues as before.
+        # A model with drives of its own gives their rate; up to the next sample it is extrapolated linearly.
         rates.append(2.0 * rates[row] - rates[row - 1] if "precession_rate" in seen else following)
         angles.append(angles[row] + 0.5 * record.period * (rates[row] + rates[row + 1]))
         return {

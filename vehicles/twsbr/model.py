@@ -85,7 +85,7 @@ _DEFINITIONS = {
     "filter_proportional": f"tilt_std ** 2 / {_ACCELEROMETER}",
     "filter_integral": f"max(0, 0.5 * (filter_proportional ** 2 - {_GYRO / _ACCELEROMETER})"
     f" + tilt_std * tilt_std_slope / {_ACCELEROMETER})",
-    # The accelerometer shows forward acceleration as a backward lean: its low pass, with the change of speed for it.
+    # The accelerometer shows forward acceleration as a backward lean: low-passed, as the change of speed.
     "level": f"level_error - wheel_radius / {GRAVITY * _SMOOTHING} * travel_rate",
     "turn_rate": "right_wheel_rate - left_wheel_rate",
     # Inertias against the mean rolling angle, the tilt, both together, and the wheels' difference.
@@ -95,7 +95,7 @@ _DEFINITIONS = {
     "turn_mass": "1.5 * wheel_mass * wheel_radius ** 2 + reflected_inertia"
     " + 2 * heading_gain ** 2 * (yaw_inertia + lean * com_height * sin(tilt))",
     "determinant": "travel_mass * tilt_mass - shared_mass ** 2",
-    # Torques of the motors minus the gears' friction, then all that act.
+    # Torques of the motors minus the gears' friction, then the total torques.
     "left_torque": "motor_gain * (left_voltage - back_emf * left_wheel_rate) - motor_friction * left_wheel_rate",
     "right_torque": "motor_gain * (right_voltage - back_emf * right_wheel_rate) - motor_friction * right_wheel_rate",
     "travel_torque": "left_torque + right_torque - 2 * wheel_friction * travel_rate"

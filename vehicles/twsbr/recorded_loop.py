@@ -3,7 +3,7 @@
 The controller is first replayed on the recorded measurements (vehicles.recorded), from the sample on in which the robot
 began to get up, once with the excitation on the voltage and once on the tilt reference.
 
-A model gives its wheels at the sampling instant, but the controller saw values older by `drive_age`: the model's values
+A model gives the wheels at the sampling instant, but the controller saw values older by `drive_age`: the model's values
 are taken from that much earlier. The additional lag of the rate of an encoder of few counts, by the time between its
 last two edges, is not included: for that the tilt of a right model is off by up to 1.7 times the floor. The wheels come
 back to where they were, so that a run may be as long as the record; with that switched off (`wheel_return_time` 0)
@@ -108,7 +108,7 @@ def _loop(vehicle: TwsbrFile, record: Recorded, at: str) -> Controller:
         nonlocal row
         row += 1
         age = record.values["drive_age"][row] / record.period
-        # Drives that are sampled after the IMU have moved on from this sample as before.
+        # If the drives are sampled after the IMU, their values are extrapolated linearly from this sample.
         whole = max(0, int(age))
         back, part = row - whole, age - whole
         shown = []

@@ -76,8 +76,8 @@ class MonocabParameters:
 def reduced_model(parameters: MonocabParameters) -> StateSpace:
     """The model the roll controller is designed on: trim mass at rest, precession angle left out. Equation (2).
 
-    The precession angle is not controllable beside the roll angle: with roll at rest the gyroscopes can only give the
-    torque that balances a static disturbance.
+    The precession angle is not controllable independently of the roll angle: with roll at rest the gyroscopes can only
+    give the torque that balances a static disturbance.
     """
     inertia, lag = parameters.inertia, parameters.speed_loop_lag
     return StateSpace(

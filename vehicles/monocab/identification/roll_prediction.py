@@ -62,7 +62,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Measured and predicted roll and roll rate at the end of windows `horizon` s long, shape (m,), and their floor."""
+    """Measured and predicted roll and roll rate after windows of `horizon` s, shape (m,), and their noise floor."""
 
     horizon: float
     time: Array
