@@ -1,10 +1,10 @@
-"""The CAN bus as the event loop sees it: frames in lists, sends that never wait, and one clear end when it is lost.
+"""The CAN bus as the event loop sees it: frames arrive in lists, sends never block, and a lost bus is reported once.
 
-python-can opens the interface; the reading is our own. A wake-up takes everything that waits, up to a bound, so that a
-flooded bus cannot stop the rest of the process: what is left comes with the next turn of the loop. A frame that the
-transmit queue does not take is kept and tried again, in order, for `TRANSMIT_TIME` at most: an old setpoint is no good.
-An interface that goes down, a bus-off and a transmit queue that stays full end in `BusDown`, once, and nothing is read
-after it.
+python-can opens the interface; the reading is our own. Each wake-up reads all waiting frames, up to a bound, so that a
+flooded bus cannot stop the rest of the process; the others are read in the next iteration of the loop. A frame that the
+transmit queue does not accept is kept and retried, in order, for at most `TRANSMIT_TIME`: an old setpoint is useless.
+An interface that goes down, a bus-off and a transmit queue that stays full are reported as `BusDown`, once, and nothing
+is read afterwards.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TRANSMIT_TIME = 0.05
 """s that a frame may wait for a place in the transmit queue."""
 
 RETRY_PERIOD = 0.001
-"""s between two tries to send what waits."""
+"""s between two attempts to send the waiting frames."""
 
 PENDING_LIMIT = 256
 """Frames that may wait for the transmit queue."""
@@ -40,10 +40,10 @@ OnDown = Callable[[BusDown], None]
 
 
 class Port(Protocol):
-    """The way to a bus: a SocketCAN socket or a python-can bus with threads.
+    """Access to a bus: a SocketCAN socket or a python-can bus with threads.
 
-    `start` makes `on_readable` be called in the loop as long as frames wait or the bus has failed, `stop` ends that at
-    once. `receive` and `send` never wait and raise OSError when the bus is gone; `send` is False when it takes no more.
+    After `start` the loop calls `on_readable` as long as frames wait or the bus has failed; `stop` ends that at once.
+    `receive` and `send` never block and raise OSError when the bus is gone; `send` is False when the queue is full.
     """
 
     receive_dropped: int
@@ -70,10 +70,10 @@ class BusStatistics:
 
 
 class Bus:
-    """One CAN bus. `index` is its place among the buses of a vehicle, and is in every frame it delivers.
+    """One CAN bus. `index` is its place among the buses of a vehicle, and is part of every frame it delivers.
 
-    `tap` is called with every frame received or sent. A frame that is sent without a time carries that of the latest
-    one received.
+    `tap` is called with every frame received or sent. A frame that is sent without a time stamp carries that of the
+    latest received frame.
     """
 
     def __init__(self, port: Port, address: str, index: int = 0) -> None:
@@ -125,7 +125,7 @@ class Bus:
         return frames
 
     def send(self, can_id: int, data: bytes, timestamp_ns: int = 0) -> None:
-        """Send a data frame, after those that still wait. Never blocks, never raises: a loss ends in `on_down`.
+        """Send a data frame, after those that still wait. Never blocks, never raises: `on_down` reports a loss.
 
         `timestamp_ns` is the time of the data it was computed from.
         """
@@ -145,7 +145,7 @@ class Bus:
         self._loop.call_soon_threadsafe(self.send, can_id, data)
 
     def close(self) -> None:
-        """Give the interface back. Nothing is delivered any more, not even `on_down`."""
+        """Release the interface. Nothing is delivered any more, not even `on_down`."""
         self._end()
         self._on_down = lambda down: None
         self.down = self.down or BusDown(self.address, "it was closed")
@@ -236,7 +236,7 @@ class Bus:
     # Ending
 
     def _fail(self, reason: str) -> None:
-        """Stop everything at once; tell so after the frames that are still on their way to their consumer."""
+        """Stop everything at once; call `on_down` after the frames that are still on their way to their consumer."""
         if self.down is None:
             self.down = BusDown(self.address, reason)
             self._end()
@@ -269,7 +269,7 @@ class BusGroup:
             bus.start(on_frames if len(self._buses) == 1 else self._merger(bus), on_down)
 
     def send(self, index: int, can_id: int, data: bytes, timestamp_ns: int = 0) -> None:
-        """Send on the bus at place `index`; see `Bus.send`."""
+        """Send on the bus number `index`; see `Bus.send`."""
         self._buses[index].send(can_id, data, timestamp_ns)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """Opens a CAN interface by its address IFACE:CHANNEL with python-can, or says what to do about it.
 
 `socketcan:can0`, `virtual:NAME` (within this process), `udp_multicast:239.74.163.2` (between processes, without CAN in
-the kernel), `slcan:/dev/ttyACM0@115200` (a serial adapter), and whatever else python-can knows.
+the kernel), `slcan:/dev/ttyACM0@115200` (a serial adapter), and every other interface of python-can.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ def split(address: str) -> tuple[str, str]:
     interface, colon, channel = address.partition(":")
     if not (interface and colon and channel):
         raise BusError(
-            f"{address!r} is no bus address.",
+            f"{address!r} is not a bus address.",
             bus=address,
             remedy="write IFACE:CHANNEL, for example socketcan:can0, virtual:demo, udp_multicast:239.74.163.2 "
             "or slcan:/dev/ttyACM0.",
         )
     if interface not in can.VALID_INTERFACES:
         raise BusError(
-            f"python-can knows no interface {interface!r} (in {address!r}).",
+            f"python-can has no interface {interface!r} (in {address!r}).",
             bus=address,
             remedy=f"use one of {', '.join(sorted(can.VALID_INTERFACES))}.",
         )
@@ -86,7 +86,7 @@ def _check_socketcan(address: str, channel: str, bitrate: int | None) -> None:
         if channel.startswith("vcan"):
             remedy = f"create it: sudo ip link add dev {channel} type vcan && sudo ip link set {channel} up"
         else:
-            remedy = f"connect the CAN adapter (`ip -br link` lists what there is), then {_link_up(channel, bitrate)}"
+            remedy = f"connect the CAN adapter (`ip -br link` lists all interfaces), then {_link_up(channel, bitrate)}"
         raise BusError(
             f"{address} cannot be opened: there is no interface {channel}.", bus=address, remedy=remedy
         ) from error
@@ -115,7 +115,7 @@ def _is_down(bus: can.BusABC) -> bool:
 
 
 def _hear_own_group_only(descriptor: int) -> None:
-    """Otherwise Linux gives a socket the groups that any other socket of the machine has joined on the same port."""
+    """Otherwise Linux also delivers the groups that any other socket of the machine has joined on the same port."""
     with socket.socket(fileno=socket.dup(descriptor)) as udp:  # closing the duplicate leaves python-can's open
         if udp.family == socket.AF_INET:
             udp.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)

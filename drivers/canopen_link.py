@@ -1,8 +1,8 @@
 """canopen on a `Bus`: no socket and no thread of its own.
 
-The owner of the bus hands over the frames that concern canopen (SDO answers, EMCY, heartbeat and boot-up messages,
-whatever a node has subscribed to); everything else, the fast PDO traffic, costs one comparison. SDO calls wait for
-their answer and so belong in a thread (`asyncio.to_thread`), while the event loop goes on delivering frames.
+The owner of the bus passes on the frames that concern canopen (SDO responses, EMCY, heartbeat and boot-up messages, and
+subscribed ids); everything else, the fast PDO traffic, costs one comparison. SDO calls wait for their response, so they
+must run in a thread (`asyncio.to_thread`), while the event loop goes on delivering frames.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from drivers.bus import Bus, BusError
 from telemetry.samples import CanFrame
 
 SERVICES = frozenset((0x080, 0x580, 0x700))
-"""Function codes (CiA 301) of EMCY, SDO answer and heartbeat: the nodes that send them become known by that."""
+"""Function codes (CiA 301) of EMCY, SDO response and heartbeat: a node that sends one of them becomes known."""
 
 
 class _Network(canopen.Network):
@@ -34,7 +34,7 @@ class _Network(canopen.Network):
 
 
 class CanopenLink:
-    """A canopen network on `bus`. `network` is for SDO and NMT calls, `nodes` says who has been heard.
+    """A canopen network on `bus`. `network` is for SDO and NMT calls, `nodes` lists the nodes heard so far.
 
     `malformed` counts frames that canopen could not read, such as an EMCY that is too short.
     """
@@ -45,11 +45,11 @@ class CanopenLink:
 
     @property
     def nodes(self) -> list[int]:
-        """Ids of the nodes that were heard (EMCY, SDO answer, heartbeat), in the order of their appearance."""
+        """Ids of the nodes that were heard (EMCY, SDO response, heartbeat), in the order of their appearance."""
         return list(self.network.scanner.nodes)
 
     def handle(self, frame: CanFrame) -> None:
-        """Give a received frame to canopen, if it is of concern there."""
+        """Pass a received frame to canopen, if it concerns canopen."""
         can_id = frame.can_id
         if (can_id & 0x780 not in SERVICES and can_id not in self.network.subscribers) or frame.error or frame.remote:
             return

@@ -30,7 +30,7 @@ class ErrorClass(IntFlag):
 
 
 class ControllerState(Enum):
-    """Fault confinement state of ISO 11898-1, as far as an error frame tells it."""
+    """Fault confinement state of ISO 11898-1, as far as an error frame reports it."""
 
     ERROR_ACTIVE = "error-active"
     WARNING = "error warning"
@@ -41,7 +41,7 @@ class ControllerState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ErrorReport:
-    """One error frame in words: `text` for a person, the rest for a program. Counters are None where not reported."""
+    """One error frame in words: `text` for a person, the rest for a program. Counters are None if not reported."""
 
     classes: ErrorClass
     state: ControllerState

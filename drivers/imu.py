@@ -1,6 +1,6 @@
-"""The LPMS-IG1 on the bus: frame sets assembled whole, and how far its readings can be trusted.
+"""The LPMS-IG1 on the bus: complete frame sets, and whether its readings can be trusted.
 
-The device sends no counter, no timestamp and no checksum, so the host's receive times are all there is: the first id
+The device sends no counter, no timestamp and no checksum, so only the host's receive times are available: the first id
 opens a set, and the last publishes it if every frame came once, in order and within three quarters of a period (frames
 of two sets, joined by a loss, lie a whole period apart). Everything else is dropped and counted. Nothing here reads a
 clock. Output is in vehicle axes and SI units (`telemetry.samples.ImuSample`).
@@ -21,11 +21,11 @@ LONGEST_INTERVAL = 1.5
 """Periods between two sets; a longer interval is a gap."""
 
 STUCK_SETS = {"float32": 5, "int16": 25}
-"""Identical sets in a row that mean a stuck sensor. The 24-bit gyro's noise shows in every float; in 16 bits
+"""Consecutive identical sets that indicate a stuck sensor. The 24-bit gyro's noise shows in every float; in 16 bits
 (0.1 deg/s, 1 mg) a vehicle at rest may well repeat itself for a few sets."""
 
 _WAITING = -1
-"""Instead of the next frame's place: nothing counts until a first frame opens a set."""
+"""In place of the next frame's index: frames are ignored until a first frame opens a set."""
 
 
 class ImuHealth(Enum):
@@ -40,11 +40,11 @@ class ImuHealth(Enum):
 
 @dataclass(slots=True)
 class ImuStatistics:
-    """Counts since the driver was made.
+    """Counts since the driver was created.
 
-    `sets` were published. Dropped were: `incomplete` (a frame missing or out of order), `duplicates` (a frame twice),
+    `sets`: published. Dropped: `incomplete` (a frame missing or out of order), `duplicates` (a frame twice),
     `late` (frames too far apart to be of one set), `wrong_length`, `out_of_range` (or not a finite number). `gaps` are
-    intervals above 1.5 periods or backwards in time, `stuck` the sets that repeated the one before beyond belief.
+    intervals above 1.5 periods or backwards in time, `stuck` the sets that repeated the one before implausibly often.
     """
 
     sets: int = 0
@@ -58,7 +58,7 @@ class ImuStatistics:
 
 
 class Imu:
-    """Turns the IMU's frames into samples and watches over them.
+    """Turns the IMU's frames into samples and monitors them.
 
     `fault_text` says what was wrong with the last set that was dropped for its content, with the remedy.
     """
@@ -85,7 +85,7 @@ class Imu:
         self._content = ImuHealth.OK
 
     def handle(self, frame: CanFrame) -> ImuSample | None:
-        """Take one data frame; the sample, if it completed a set. Frames with other ids are ignored."""
+        """Take one data frame; returns the sample if it completed a set. Frames with other ids are ignored."""
         place = self._places.get(frame.can_id)
         if place is None or frame.timestamp_ns < self._start_ns:
             return None
@@ -118,7 +118,7 @@ class Imu:
         ax, ay, az = acceleration
         wx, wy, wz = angular_rate
         a, w = self.config.acceleration_range, self.config.angular_rate_range
-        # Written so that a NaN fails it.
+        # Written so that NaN fails the check.
         if not (
             -a <= ax <= a and -a <= ay <= a and -a <= az <= a and -w <= wx <= w and -w <= wy <= w and -w <= wz <= w
         ):
@@ -126,8 +126,8 @@ class Imu:
             self._content = ImuHealth.OUT_OF_RANGE
             self.fault_text = (
                 f"IMU reading beyond its range: acceleration ({ax:.4g}, {ay:.4g}, {az:.4g}) m/s^2, "
-                f"angular rate ({wx:.4g}, {wy:.4g}, {wz:.4g}) rad/s. Remedy: if the vehicle did not move so, check "
-                "imu.precision, imu.slots and imu.angular_rate_unit against the device."
+                f"angular rate ({wx:.4g}, {wy:.4g}, {wz:.4g}) rad/s. Remedy: if the vehicle did not move like this, "
+                "check imu.precision, imu.slots and imu.angular_rate_unit against the device."
             )
             return None
         sample = ImuSample(received_ns - self._latency_ns, acceleration, angular_rate)
@@ -169,7 +169,7 @@ class Imu:
 
     def health(self, now_ns: int) -> ImuHealth:
         """Whether the latest reading may be used at `now_ns`. More than 1.5 periods without one is SILENT, unless
-        frames come and were refused for what they hold."""
+        frames arrive but are rejected for their content."""
         if self._content is not ImuHealth.OK:
             return self._content
         if self._sample is None or now_ns - self._sample.timestamp_ns > self._longest_interval_ns + self._latency_ns:
@@ -177,7 +177,7 @@ class Imu:
         return ImuHealth.OK
 
     def reset(self, start_ns: int = 0) -> None:
-        """Begin anew: sets whose first frame came before `start_ns` do not count. Statistics go on.
+        """Start again: sets whose first frame came before `start_ns` do not count. Statistics go on.
 
         The set being received survives if it began at `start_ns` or later, so that a replay from there is the same.
         """

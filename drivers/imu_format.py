@@ -1,8 +1,8 @@
-"""What an IMU streams, told from its frames: for set-up, before a single reading is believed.
+"""What an IMU streams, recognised from its frames: for set-up, before any reading is trusted.
 
-Ids alone tell protocol and number of frames; the precision follows from the content, since an acceleration read at
-rest must be close to 1 g, and in the wrong precision it is not. Of the runs of ids that hold such an acceleration the
-longest is the IMU's, so TPDOs of drives with neighbouring ids are not taken for one.
+The ids alone determine protocol and number of frames. The precision follows from the content: the acceleration at rest
+must be close to 1 g, and decoded in the wrong precision it is not. Of the sequences of ids that hold such an
+acceleration the longest is the IMU's, so TPDOs of drives with neighbouring ids are not mistaken for one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from telemetry.errors import UprightError
 from telemetry.samples import CanFrame
 
 LEAST_SETS = 10
-"""Sets that must have been seen before anything is said about a format."""
+"""Sets that are needed to recognise a format."""
 
 RATE_TOLERANCE = 0.2
 """How far the rate seen on the bus may be from the configured one; the device's own rates are a factor 2 apart."""
@@ -36,7 +36,7 @@ Streams = dict[int, list[CanFrame]]
 
 
 class ImuFormatError(UprightError):
-    """The IMU is silent or streams something else than the vehicle file says. `expected` and `found` say what."""
+    """The IMU is silent or streams something other than the vehicle file states: `found` instead of `expected`."""
 
     def __init__(self, expected: str, found: str, *, remedy: str) -> None:
         super().__init__(f"IMU: expected {expected}; found {found}.", remedy=remedy)
@@ -59,7 +59,7 @@ class ImuFormat:
 
 
 def recognise_format(frames: Sequence[CanFrame]) -> ImuFormat | None:
-    """The IMU stream in a stretch of bus traffic (a second or so at rest); None where there is none.
+    """The IMU stream in a piece of bus traffic (a second or so at rest); None if there is none.
 
     The first three slots must carry the acceleration, as they do in the device's default mapping.
     """
@@ -74,7 +74,7 @@ def recognise_format(frames: Sequence[CanFrame]) -> ImuFormat | None:
 
 
 def check_format(config: ImuConfig, frames: Sequence[CanFrame]) -> None:
-    """Compare a stretch of bus traffic (a second or so at rest) with what `config` says the IMU streams.
+    """Compare a piece of bus traffic (a second or so at rest) with what `config` says the IMU streams.
 
     Raises:
         ImuFormatError: silent, other ids, another precision or another rate; the remedy names the keys to change.
@@ -120,12 +120,12 @@ def _streams(frames: Sequence[CanFrame]) -> Streams:
 
 
 def _as_often(streams: Streams, can_id: int, other: int) -> bool:
-    """Whether `other` came as often as `can_id`, give or take a set at either end of the stretch."""
+    """Whether `other` came as often as `can_id`, give or take a set at either end."""
     return other in streams and abs(len(streams[other]) - len(streams[can_id])) <= 2
 
 
 def _run(streams: Streams, first: int) -> tuple[str, tuple[int, ...]]:
-    """The ids from `first` on that came equally often, and the protocol that spaces them so."""
+    """The ids from `first` on that came equally often, and the protocol that has this spacing."""
     canopen = 0x181 <= first <= 0x1FF
     spacing, longest = (CANOPEN_SPACING, CANOPEN_FRAMES) if canopen else (1, LONGEST_SEQUENTIAL)
     run = [first]
@@ -143,7 +143,7 @@ def _neighbours(config: ImuConfig, streams: Streams) -> bool:
 
 
 def _reads_gravity(config: ImuConfig, frames: Sequence[CanFrame]) -> bool:
-    """Whether the configured driver makes samples of these frames, with the acceleration of a vehicle at rest."""
+    """Whether the configured driver decodes these frames to samples with the acceleration of a vehicle at rest."""
     imu = Imu(config)
     samples = [sample for frame in frames if (sample := imu.handle(frame)) is not None]
     norms = [math.hypot(*sample.acceleration) / STANDARD_GRAVITY for sample in samples]

@@ -1,4 +1,4 @@
-"""How an LPMS-IG1 lays its readings out in CAN frames, and the way back.
+"""How an LPMS-IG1 packs its readings into CAN frames, and the inverse.
 
 The device streams up to 16 channel slots. 16-bit precision puts four int16 into a frame (acceleration in g/1000,
 angular rate in deg/s/10), 32-bit precision two float32 (acceleration in g, angular rate in deg/s or rad/s as set in
@@ -21,7 +21,7 @@ from telemetry.errors import UprightError
 from telemetry.samples import CanFrame, ImuSample, Vector3
 
 STANDARD_GRAVITY = 9.80665
-"""m/s^2 a g, the device's unit of acceleration."""
+"""m/s^2 per g, the device's unit of acceleration."""
 
 ACCELERATION = ("acceleration_x", "acceleration_y", "acceleration_z")
 ANGULAR_RATE = ("angular_rate_x", "angular_rate_y", "angular_rate_z")
@@ -43,7 +43,7 @@ OTHER_SLOTS = (
     "pressure",
     "temperature",
 )
-"""Slots that may be mapped and are passed over."""
+"""Slots that may be mapped and are ignored."""
 
 MAXIMUM_SLOTS = 16
 CANOPEN_SPACING = 0x100
@@ -62,12 +62,12 @@ class ImuConfigError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class ImuConfig:
-    """What the device is set to, and how it is mounted.
+    """The settings of the device, and how it is mounted.
 
     `base_id` is the CAN id of the first frame of a set, `slots` what the mapped channels carry in order, `rate` the
     stream rate (Hz), `axes` the sensor axis along the vehicle's x, y and z. `acceleration_range` (m/s^2) and
-    `angular_rate_range` (rad/s) bound what is believed; `latency` (s) is the time from the measurement to the last
-    frame of its set. `angular_rate_unit` counts for float32 alone: 16-bit frames are always in deg/s/10.
+    `angular_rate_range` (rad/s) bound plausible values; `latency` (s) is the time from the measurement to the last
+    frame of its set. `angular_rate_unit` applies to float32 only: 16-bit frames are always in deg/s/10.
 
     Raises:
         ImuConfigError: on construction, naming the key.
@@ -106,7 +106,7 @@ class ImuConfig:
 class FrameLayout:
     """Decoder of one frame set: which value of the set is which vehicle axis, and its factor to SI.
 
-    `lengths` gives, per frame, the data lengths that are right: a last frame with free places may come cut or padded.
+    `lengths` gives, per frame, the valid data lengths: a last frame with free places may be truncated or padded.
     """
 
     values: struct.Struct
@@ -148,9 +148,9 @@ def layout_of(config: ImuConfig) -> FrameLayout:
 
 
 def encode_frames(config: ImuConfig, sample: ImuSample) -> list[CanFrame]:
-    """The frame set that a device set up as `config` sends for `sample`: the inverse of decoding.
+    """The frame set that a device with the settings `config` sends for `sample`: the inverse of decoding.
 
-    All frames carry the receive time that leads back to the sample's. 16-bit values saturate as the device's do;
+    All frames carry the receive time from which the sample's time follows. 16-bit values saturate as the device's do;
     slots other than acceleration and angular rate are zero.
     """
     layout = layout_of(config)
@@ -192,13 +192,13 @@ def rotation_of(axes: tuple[str, str, str]) -> tuple[tuple[int, int], ...]:
         raise ImuConfigError(
             "axes",
             f"{', '.join(axes)} is left-handed: no way of mounting the sensor gives it",
-            remedy="Turn the sign of one of them, or swap two; check with the vehicle level and tilted by hand.",
+            remedy="Flip the sign of one of them, or swap two; check with the vehicle level and tilted by hand.",
         )
     return tuple(mounting)
 
 
 def _units(config: ImuConfig) -> tuple[float, float]:
-    """m/s^2 and rad/s a unit of the payload."""
+    """m/s^2 and rad/s per unit of the payload."""
     if config.precision == "int16":
         return STANDARD_GRAVITY / 1000.0, math.radians(0.1)
     return STANDARD_GRAVITY, math.radians(1.0) if config.angular_rate_unit == "deg/s" else 1.0

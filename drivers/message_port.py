@@ -1,8 +1,8 @@
 """Buses without a SocketCAN socket (virtual, udp_multicast, slcan and the other interfaces of python-can).
 
-python-can's `recv` waits, so a thread of its own does the waiting and wakes the event loop once for all the frames that
-have gathered. Where `send` may wait too (a serial line), a second thread does that. Timestamps are python-can's; on a
-virtual bus they are the sender's, so that simulated time travels with the frames.
+python-can's `recv` blocks, so a separate thread waits and wakes the event loop once for all the frames that have
+arrived. If `send` may block, too (a serial line), a second thread sends. Timestamps are python-can's; on a virtual bus
+they are the sender's, so that simulated time travels with the frames.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from drivers.socketcan import STANDARD_ID
 from telemetry.samples import CanFrame
 
 POLL_PERIOD = 0.05
-"""s after which a waiting reader looks whether it has been told to end."""
+"""s after which a waiting reader checks whether it has to end."""
 
 MOST_FRAMES = 128
-"""Handed over at most in one go; what is left waits for the next turn of the event loop."""
+"""Frames handed over at most at once; the others wait for the next iteration of the event loop."""
 
 CLOSE_TIME = 1.0
-"""s that a thread gets to end; one that a broken device holds up is left behind."""
+"""s that a thread has to end; one that a broken device blocks is abandoned."""
 
 INBOX_LIMIT = 8192
 OUTBOX_LIMIT = 64
 MALFORMED_LIMIT = 16
-"""Pieces of rubbish in a row after which what is on the line is not CAN."""
+"""Consecutive malformed messages after which the line is taken not to carry CAN."""
 
 NEVER_WAITS = ("virtual", "udp_multicast")
 """Interfaces whose `send` returns at once."""
@@ -50,7 +50,7 @@ class MessagePort:
         self._outbox: queue.SimpleQueue[can.Message | None] | None = (
             None if interface in NEVER_WAITS else queue.SimpleQueue()
         )
-        # Multicast brings a sender its own frames back; they are known by this mark.
+        # Multicast returns a sender's own frames; this mark identifies them.
         self._mark = uuid4().hex[:8] if interface == "udp_multicast" else None
         self._threads: list[threading.Thread] = []
         self._failure: OSError | None = None
@@ -71,7 +71,7 @@ class MessagePort:
 
     def receive(self) -> list[CanFrame]:
         """The frames that wait, the oldest first. Raises OSError when the bus has failed and nothing is left."""
-        self._woken = False  # before the look into the inbox: what comes in after it wakes the loop again
+        self._woken = False  # before the inbox is read: frames that arrive later wake the loop again
         inbox = self._inbox
         if not inbox and self._failure is not None:
             raise self._failure
@@ -108,7 +108,7 @@ class MessagePort:
             thread.join(CLOSE_TIME)
         try:
             self._bus.shutdown()
-        except (OSError, can.CanError) as error:  # a serial device that was pulled out cannot be told to close
+        except (OSError, can.CanError) as error:  # a serial device that was unplugged cannot be closed
             self._failure = OSError(errno.EIO, str(error))
 
     # In the threads
@@ -123,7 +123,7 @@ class MessagePort:
                 malformed += 1
                 lost = isinstance(error, OSError) or isinstance(error.__cause__, OSError)
                 if lost or malformed >= MALFORMED_LIMIT:
-                    self._fail(str(error) if lost else f"what arrives is not CAN ({error})")
+                    self._fail(str(error) if lost else f"the received data is not CAN ({error})")
                     return
                 continue
             if message is None or message.is_fd or (self._mark is not None and message.channel == self._mark):

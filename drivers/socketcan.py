@@ -1,8 +1,8 @@
-"""SocketCAN, read and written without python-can's per-frame cost: one system call for all frames that wait.
+"""SocketCAN, read and written without python-can's per-frame cost: one system call for all waiting frames.
 
 python-can opens and configures the socket (CAN_RAW, error frames on, SO_TIMESTAMPNS); from then on `recvmmsg` reads up
 to `SLOTS` frames at once, each with the kernel's receive time in ns and the count of frames that the kernel had to drop
-(SO_RXQ_OVFL). It tells by its return value that the queue is empty, where `recvmsg` in a loop takes three calls for one
+(SO_RXQ_OVFL). Its return value shows when the queue is empty, whereas `recvmsg` in a loop takes three calls for one
 frame: the read, a look-up of the interface's name (CPython does that for AF_CAN), and the read that finds nothing.
 
 A slot is struct can_frame followed by the frame's control messages (64-bit offsets in brackets):
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     import asyncio
 
 SLOTS = 128
-"""Frames read at most in one go; what is left waits for the next turn of the event loop."""
+"""Frames read at most at once; the others wait for the next iteration of the event loop."""
 
 RECEIVE_BUFFER = 1 << 20
-"""Bytes asked of the kernel for frames that wait to be read; it grants what net.core.rmem_max allows."""
+"""Bytes requested from the kernel for frames that wait to be read; it grants what net.core.rmem_max allows."""
 
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 """Flag bits of can_id (linux/can.h)."""
@@ -71,7 +71,7 @@ class _ReceivedMessage(ctypes.Structure):
     _fields_ = (("header", _MessageHeader), ("length", ctypes.c_uint))
 
 
-# PyDLL keeps the interpreter lock: the call never waits (MSG_DONTWAIT), and giving the lock away could cost a switch.
+# PyDLL keeps the interpreter lock: the call never waits (MSG_DONTWAIT), and releasing it could cost a thread switch.
 _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
 _recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
 _recvmmsg.restype = ctypes.c_int

@@ -1,7 +1,7 @@
 """The vehicle as the control loop sees it: CAN frames in, IMU samples and drive values out; setpoints in, frames out.
 
-Live control and replay of a raw log run this same code, so what a recording holds can be rebuilt from its frames. What
-the drives' values mean for one kind of vehicle (a precession rate, a wheel angle) is said by `vehicles.registry`.
+Live control and replay of a raw log run this same code, so a recording can be rebuilt from its frames. What the drives'
+values mean for one kind of vehicle (a precession rate, a wheel angle) is defined by `vehicles.registry`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class VehicleIo:
         return tuple(drive for drive in self.drives if drive.config.role == name)
 
     def handle(self, frame: CanFrame) -> ImuSample | None:
-        """Take one frame; the IMU sample that it completed, if it did. Frames of others are ignored."""
+        """Take one frame; returns the IMU sample that it completed, if any. Other frames are ignored."""
         handler = self._handlers.get(frame.can_id)
         if handler is None or frame.error or frame.remote or frame.extended:
             return None
@@ -73,6 +73,6 @@ class VehicleIo:
 
     @property
     def state(self) -> State | None:
-        """The state that all drives are in; None where they differ."""
+        """The state that all drives are in; None if they differ."""
         state = self.drives[0].state
         return state if all(drive.state is state for drive in self.drives) else None

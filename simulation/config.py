@@ -1,7 +1,7 @@
-"""What a virtual vehicle is made of: its true physics, its drives, its IMU, and what is hidden in it.
+"""The configuration of a virtual vehicle: its true physics, its drives, its IMU, and its hidden effects.
 
 SI units. Axes are those of ISO 8855 (x forward, y left, z up); roll is positive right side down, precession positive
-where its rate gives a positive roll torque, the trim mass positive to the right; tilt positive forward.
+when its rate gives a positive roll torque, the trim mass positive to the right; tilt positive forward.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from simulation.registry import Registry, sizes_of
 from telemetry.samples import Vector3
 
 EVENT_TIME = 10.0
-"""s after the first SYNC at which a person sits down, unless something else is asked for."""
+"""s after the first SYNC at which a person sits down, unless stated otherwise."""
 
 
 class Truth(Protocol):
-    """The physics of one kind of vehicle as it really is; simulation.kinds makes something of it that moves."""
+    """The true physics of one kind of vehicle; simulation.kinds makes its mechanics from it."""
 
     @property
     def gravity(self) -> float:
@@ -30,12 +30,12 @@ class Truth(Protocol):
 
     @property
     def falling_inertia(self) -> float:
-        """kg m^2 that a torque about the axis it falls about accelerates, near upright."""
+        """kg m^2: effective inertia for a torque about the axis it falls about, near upright."""
         ...
 
     @property
     def registry(self) -> Registry:
-        """What this kind of vehicle can hide."""
+        """The effects that can be hidden in this kind of vehicle."""
         ...
 
 
@@ -45,16 +45,16 @@ class DriveNode:
 
     name: str
     role: str
-    """Of several with the same role the first one is the left."""
+    """Of several drives with the same role the first one is the left."""
     node: int
     direction: int
-    """+1 where a positive motor speed gives a positive roll torque, or drives forward."""
+    """+1 if a positive motor speed gives a positive roll torque, or drives forward."""
     axis_per_turn: float
-    """rad or m of the axis a motor turn."""
+    """rad or m of the axis per motor turn."""
     increments_per_turn: int
-    """Of 6064h."""
+    """Of 6064h, per motor turn."""
     velocity_unit_rpm: float
-    """rpm a unit of 606Ch and 60FFh."""
+    """rpm per unit of 606Ch and 60FFh."""
     rated_torque: float
     """N m at the motor."""
     eds: Path | str
@@ -100,16 +100,16 @@ class ImuNode:
     bias_random_walk: float = 2.0e-6
     """rad/s/sqrt(s)."""
     acceleration_std: float = 0.015
-    """m/s^2 a sample."""
+    """m/s^2 per sample."""
     latency: float = 0.0
-    """s, from what is measured to the frame that tells it."""
+    """s, from the measurement to the frame that carries it."""
     send_jitter: float = 50e-6
     """s, standard deviation of how late a set leaves the device; in real time only."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationConfig:
-    """One virtual vehicle. `hidden` maps a hidden effect to its level in multiples of its default size (None: 1)."""
+    """One virtual vehicle. `hidden` maps a hidden effect to its level, a multiple of its usual amplitude (None: 1)."""
 
     plant: Truth
     drives: Sequence[DriveNode] = ()
@@ -119,20 +119,20 @@ class SimulationConfig:
     seed: int = 1
     hidden: Mapping[str, float | None] = field(default_factory=dict)
     onsets: Mapping[str, float] = field(default_factory=dict)
-    """s after the first SYNC at which a hidden effect sets in; those that are not named are there from the start."""
+    """s after the first SYNC at which a hidden effect sets in; the others act from the start."""
     disturbance: Disturbance | None = None
-    """The random torque on the axis that the vehicle falls about; None: there is none."""
+    """Random torque about the axis that the vehicle falls about; None: none."""
     narrow_band: NarrowBand | None = None
-    """A second one, of a narrow band, likewise."""
+    """A second random torque, of a narrow band, likewise."""
 
     @property
     def sizes(self) -> dict[str, float]:
-        """The size of each hidden effect in its own unit. Raises UnknownEffectError."""
+        """The amplitude of each hidden effect in its own unit. Raises UnknownEffectError."""
         return sizes_of(self.hidden, self.plant.registry)
 
     @property
     def random_torques(self) -> tuple[RandomTorque | NarrowBandTorque, ...]:
-        """What acts at random on the axis that the vehicle falls about, each from its beginning."""
+        """The random torques about the axis that the vehicle falls about, each at its beginning."""
         found: list[RandomTorque | NarrowBandTorque] = []
         if self.disturbance is not None:
             found.append(RandomTorque(self.disturbance, self.step, self.seed))
@@ -147,7 +147,7 @@ class SimulationConfig:
 
     @property
     def steps_per_ms(self) -> int:
-        """Integration steps a millisecond: at least ten a control period, none longer than half a millisecond."""
+        """Integration steps per millisecond: at least ten per control period, none longer than half a millisecond."""
         return max(2, -(-self.rate // 100))
 
     @property

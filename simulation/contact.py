@@ -1,6 +1,6 @@
-"""The supports: beams on both sides that carry the vehicle at +-4 deg. Each presses, none pulls.
+"""The supports: beams on both sides that carry the vehicle at +-4 deg. They push but never pull.
 
-torque = -max(0, stiffness * depth + damping * depth'), depth being how far the roll is beyond the support; rad, N m.
+torque = -max(0, stiffness * depth + damping * depth'), depth being the roll beyond the support; rad, N m.
 """
 
 from __future__ import annotations

@@ -17,15 +17,15 @@ import numpy as np
 NOISE_BLOCK = 2048
 STREAM = 24
 """Spawn key of the torque's random numbers. It makes them independent of those that the seed alone gives (the IMU's,
-the jitter's), and leaves those as they are."""
+the jitter's), without changing those."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """A random torque, positive as the angle that it acts on.
+    """A random torque, with the sign of the angle that it acts on.
 
     Raises:
-        ValueError: a number that cannot be.
+        ValueError: a number is out of its range.
     """
 
     rms: float
@@ -49,7 +49,7 @@ class Disturbance:
 
 
 class RandomTorque:
-    """A realisation of `disturbance`: `torque` gives the next value, once an integration step of `step` s."""
+    """A realisation of `disturbance`: `torque` gives the next value, once per integration step of `step` s."""
 
     def __init__(self, disturbance: Disturbance, step: float, seed: int) -> None:
         ratio = step / disturbance.correlation_time
@@ -61,7 +61,7 @@ class RandomTorque:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again, as after the start: what follows depends on the seed alone."""
+        """Restart, as at the start: what follows depends on the seed alone."""
         self._random = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(STREAM,)))
         self._noise: list[float] = []
         self._value = self._rms * float(self._random.standard_normal())

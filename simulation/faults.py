@@ -18,11 +18,11 @@ OVERCURRENT, CURRENT_ERROR = 0x2310, 0x02
 GAP = 0.04
 """s that an IMU gap lasts."""
 RESTART = 0.5
-"""s that a drive takes to come back after its supply failed."""
+"""s that a drive takes to boot again after its supply failed."""
 
 
 class UnknownFaultError(UprightError):
-    """A fault that does not exist, or is not written NAME@SECONDS. `fault` is what was asked for."""
+    """A fault that does not exist, or is not written NAME@SECONDS. `fault` is the argument given."""
 
     def __init__(self, fault: str, message: str, *, remedy: str) -> None:
         super().__init__(message, remedy=remedy)
@@ -31,7 +31,7 @@ class UnknownFaultError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault and when it comes (s after the first SYNC)."""
+    """One fault and when it occurs (s after the first SYNC)."""
 
     name: str
     seconds: float
@@ -49,7 +49,7 @@ class Stream(Protocol):
 
 
 class Faulty(Protocol):
-    """A vehicle that faults happen to."""
+    """A vehicle into which faults can be injected."""
 
     @property
     def imu_stream(self) -> Stream: ...
@@ -59,17 +59,17 @@ class Faulty(Protocol):
     def plant(self) -> Machine: ...
 
     def later(self, seconds: float, action: Callable[[], None]) -> None:
-        """Do so after so many s."""
+        """Run `action` after `seconds` s."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class FaultKind:
-    """What a fault is; `strike` makes it happen."""
+    """A kind of fault; `inject` makes it happen."""
 
     meaning: str
     of_drive: bool
-    strike: Callable[[Faulty, str], None]
+    inject: Callable[[Faulty, str], None]
 
 
 def _imu_gap(vehicle: Faulty, drive: str) -> None:
@@ -109,7 +109,7 @@ FAULTS: dict[str, FaultKind] = {
     "imu_short_frames": FaultKind("the IMU's frames lack their last byte", False, _imu("short")),
     "imu_lost_frame": FaultKind("the last frame of each IMU set is missing", False, _imu("incomplete")),
     "drive_fault": FaultKind("overcurrent: EMCY 2310h, Fault, brake", True, _overcurrent),
-    "drive_silent": FaultKind("the drive's bus cable is out", True, _drive("connected")),
+    "drive_silent": FaultKind("the drive's bus cable is unplugged", True, _drive("connected")),
     "drive_restart": FaultKind("the drive's supply fails; it boots again", True, _drive_restart),
     "drive_heartbeat_lost": FaultKind("the drive stops sending its heartbeat", True, _drive("heartbeat_enabled")),
 }
@@ -117,7 +117,7 @@ FAULTS: dict[str, FaultKind] = {
 
 
 def parse_faults(arguments: Iterable[str], drives: Sequence[str]) -> tuple[Fault, ...]:
-    """`["imu_gap@5", "drive_fault:trim@8"]` as faults; `drives` are the names there are. Raises UnknownFaultError."""
+    """`["imu_gap@5", "drive_fault:trim@8"]` as faults; `drives` are the drives' names. Raises UnknownFaultError."""
     return tuple(_parse(argument, drives) for argument in arguments)
 
 
@@ -132,7 +132,9 @@ def _parse(argument: str, drives: Sequence[str]) -> Fault:
         when = -1.0
     if not 0.0 <= when < float("inf"):
         raise UnknownFaultError(
-            argument, f"{argument!r} does not say when {name} comes.", remedy=f"Write {what}@5 for 5 s after the start."
+            argument,
+            f"{argument!r} does not say when {name} occurs.",
+            remedy=f"Write {what}@5 for 5 s after the start.",
         )
     if FAULTS[name].of_drive != bool(drive) or (drive and drive not in drives):
         example = (
@@ -140,7 +142,9 @@ def _parse(argument: str, drives: Sequence[str]) -> Fault:
         )
         raise UnknownFaultError(
             argument,
-            f"{what!r} names no drive there is." if FAULTS[name].of_drive else f"{name} is not a fault of a drive.",
+            f"{what!r} names no drive of this vehicle."
+            if FAULTS[name].of_drive
+            else f"{name} is not a fault of a drive.",
             remedy=f"Write {example}; the drives are {', '.join(drives) or 'none'}.",
         )
     return Fault(name, when, drive or None)

@@ -1,7 +1,7 @@
 """Friction with memory: bristles that bend before they slide, and yielding material. Torques in N m on the roll axis.
 
 LuGre (Canudas de Wit et al., IEEE TAC 40, 1995):  z' = v - stiffness |v| z / g(v),  torque = -stiffness z - damping z',
-with g the level at which the bristles slide; their equation is integrated implicitly, so it is stable at any speed.
+with g the torque at which the bristles slide; their equation is integrated implicitly, so it is stable at any speed.
 Bouc-Wen (Wen, J. Eng. Mech. 102, 1976):  z' = (v / yield) (1 - |z|^n (1 + sgn(v z)) / 2),  torque = -size z.
 """
 
@@ -19,7 +19,7 @@ STRIBECK_RATE = 0.01
 
 
 class Rolling(Protocol):
-    """What friction on the roll axis feels of a vehicle: rad/s, N m, and s a step."""
+    """The quantities of a vehicle that friction on the roll axis depends on: rad/s, N m, and s per step."""
 
     @property
     def roll_rate(self) -> float: ...
@@ -30,7 +30,7 @@ class Rolling(Protocol):
 
 
 class LuGreFriction:
-    """Bristle friction that slides at `level` N m; `deflection` rad is where it begins to, `damping` (s) as above."""
+    """Bristle friction that begins to slide at `deflection` rad, at `level` N m; `damping` (s) as above."""
 
     def __init__(self, size: float, deflection: float = BRISTLE_DEFLECTION, damping: float = BRISTLE_DAMPING) -> None:
         self._size = size
@@ -43,11 +43,11 @@ class LuGreFriction:
         return self._size
 
     def torque(self, plant: Rolling) -> float:
-        """N m on the roll axis, where the gyroscopic torque is the load; called once a step."""
+        """N m on the roll axis, where the gyroscopic torque is the load; called once per step."""
         return self.force(plant.roll_rate, plant.gyroscopic_torque, plant.step_size)
 
     def force(self, rate: float, load: float, step: float) -> float:
-        """N m on what turns at `rate` rad/s; called once a step of `step` s."""
+        """N m on the part that turns at `rate` rad/s; called once per step of `step` s."""
         level = self.level(rate, load)
         if level <= 0.0:
             self._deflection = 0.0
@@ -60,7 +60,7 @@ class LuGreFriction:
 
 
 class StribeckFriction(LuGreFriction):
-    """Slides at the full size when slow and at half of it when faster than `stribeck_rate` rad/s."""
+    """Slides at the full torque `size` when slow and at half of it when faster than `stribeck_rate` rad/s."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class StribeckFriction(LuGreFriction):
 
 
 class AsymmetricFriction(LuGreFriction):
-    """Slides at the full size where the rate is positive and at a third of it the other way."""
+    """Slides at the full torque `size` if the rate is positive and at a third of it the other way."""
 
     def level(self, rate: float, load: float) -> float:
         return self._size if rate > 0.0 else self._size / 3.0

@@ -1,4 +1,4 @@
-"""Hidden effects between a gimbal drive's setpoint and its speed loop: rad/s in, rad/s out, once a step."""
+"""Hidden effects between a gimbal drive's setpoint and its speed loop: rad/s in, rad/s out, once per step."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Lag:
 
 
 def input_effects(sizes: Mapping[str, float], step: float) -> tuple[InputEffect, ...]:
-    """The input effects among the hidden effects `sizes`, in the order in which a signal meets them."""
+    """The input effects among the hidden effects `sizes`, in the order in which they act on a signal."""
     makers: dict[str, Callable[[float], InputEffect]] = {
         "input_gain": _gain,
         "input_asymmetry": _asymmetry,

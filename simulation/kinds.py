@@ -1,5 +1,5 @@
-"""From the physics of a vehicle to its mechanics: each folder here that has a `kind` module says which moves as
-which."""
+"""From the physics of a vehicle to its mechanics: the `kind` module of each folder here names its truth and the machine
+that simulates it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def _kinds() -> tuple[Any, ...]:
 def machine(config: SimulationConfig) -> Machine:
     """The mechanics that `config` describes, at rest.
 
-    Raises UnknownEffectError, and TypeError for a truth that no folder here has.
+    Raises UnknownEffectError, and TypeError for a truth without a machine.
     """
     for each in _kinds():
         if type(config.plant) is each.TRUTH:
             made: Machine = each.MACHINE(config)
             return made
-    raise TypeError(f"nothing here moves as a {type(config.plant).__name__} says")
+    raise TypeError(f"no machine simulates a {type(config.plant).__name__}")

@@ -1,8 +1,8 @@
-"""A random torque of a narrow band of a virtual vehicle: a mode of the body, or rail joints at constant speed.
+"""A narrow-band random torque on a virtual vehicle: a mode of the body, or rail joints at constant speed.
 
     x' = w v,   v' = -w x - 2 damping w v + 2 sqrt(damping w) rms n,   w = 2 pi frequency,   n: white, of unit density
 
-The torque is x: what a mode that white noise drives does. Stationary from the first step on: mean 0, x and v of the
+The torque is x: the response of a mode to white noise. Stationary from the first step on: mean 0, x and v of the
 standard deviation `rms` and independent. Discretised exactly at the plant's own step h and held over it: the step's
 transition is F = exp(A h), and its noise has the covariance rms^2 (1 - F F'). SI units.
 """
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from simulation.disturbance import NOISE_BLOCK
 
 STREAM = 25
-"""Spawn key of the torque's random numbers, which nothing else of the same seed shares."""
+"""Spawn key of the torque's random numbers, which nothing else with the same seed shares."""
 
 
 @dataclass(frozen=True, slots=True)
 class NarrowBand:
-    """A random torque about a frequency, positive as the angle that it acts on.
+    """A random torque around a frequency, with the sign of the angle that it acts on.
 
     Raises:
-        ValueError: a number that cannot be.
+        ValueError: a number is out of its range.
     """
 
     rms: float
@@ -34,7 +34,7 @@ class NarrowBand:
     frequency: float
     """Hz, above 0."""
     damping: float
-    """Damping ratio, between 0 and 1: half the power is within about 2 damping frequency."""
+    """Damping ratio, between 0 and 1: half the power is within about 2 damping x frequency."""
     onset: float | None = None
     """s after the first SYNC at which it sets in; None: it acts from the beginning."""
 
@@ -54,7 +54,7 @@ class NarrowBand:
 
 
 class NarrowBandTorque:
-    """A realisation of `narrow_band`: `torque` gives the next value, once an integration step of `step` s."""
+    """A realisation of `narrow_band`: `torque` gives the next value, once per integration step of `step` s."""
 
     def __init__(self, narrow_band: NarrowBand, step: float, seed: int) -> None:
         forth = _transition(narrow_band, step)
@@ -67,7 +67,7 @@ class NarrowBandTorque:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again, as after the start: what follows depends on the seed alone."""
+        """Restart, as at the start: what follows depends on the seed alone."""
         self._random = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(STREAM,)))
         self._noise: list[list[float]] = []
         self._x, self._v = (self._rms * self._random.standard_normal(2)).tolist()
@@ -84,7 +84,7 @@ class NarrowBandTorque:
 
 
 def _transition(narrow_band: NarrowBand, step: float) -> NDArray[np.float64]:
-    """exp(A step) of (x, v), (2, 2): a damped turn."""
+    """exp(A step) of (x, v), (2, 2): a damped rotation."""
     turn = 2.0 * math.pi * narrow_band.frequency * step
     damping = narrow_band.damping
     damped = math.sqrt(1.0 - damping**2)

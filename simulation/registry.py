@@ -1,4 +1,4 @@
-"""What a virtual vehicle may contain that the nominal model lacks: hidden effects, and how a person asks for them.
+"""Hidden effects: what a virtual vehicle may contain that the nominal model lacks, and how they are requested.
 
 Names are the canonical effect names. Each kind of vehicle has a registry of its own, in its folder.
 """
@@ -16,7 +16,7 @@ from telemetry.errors import UprightError
 
 
 class UnknownEffectError(UprightError):
-    """No hidden effect has this name, or it cannot have this level. `name` is what was asked for."""
+    """No hidden effect has this name, or it cannot have this level. `name` is the requested one."""
 
     def __init__(self, name: str, message: str, *, remedy: str) -> None:
         super().__init__(message, remedy=remedy)
@@ -25,7 +25,7 @@ class UnknownEffectError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class HiddenEffect:
-    """One effect: `size` in `unit` at level 1. `signed`: a negative level makes sense; `most`: largest size."""
+    """One effect: amplitude `size` in `unit` at level 1, at most `most`. `signed`: a negative level makes sense."""
 
     name: str
     unit: str
@@ -36,26 +36,26 @@ class HiddenEffect:
 
 
 DISTURBANCE = "disturbance"
-"""What the random torque is called beside the effects, and"""
+"""Name of the random torque, next to those of the effects."""
 NARROW_BAND = "narrow_band"
-"""the one of a narrow band."""
+"""Name of the random torque of a narrow band."""
 UNITS = {DISTURBANCE: "s", NARROW_BAND: "Hz"}
-"""Of their second number; the first is an RMS."""
+"""Of the second number of each; the first is an RMS."""
 Random = TypeVar("Random", Disturbance, NarrowBand)
 
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """The effects that a kind of vehicle can hide: those that a catalogue has, those that none has, the late ones."""
+    """The effects that can be hidden in a kind of vehicle: those in a catalogue, those in none, and the late ones."""
 
     listed: Mapping[str, HiddenEffect]
     unlisted: Mapping[str, HiddenEffect]
     late: frozenset[str]
-    """Names of those that can set in during a run."""
+    """Names of the effects that can set in during a run."""
     disturbance: Disturbance
-    """The random torque at level 1, and"""
+    """The random torque at level 1."""
     narrow_band: NarrowBand
-    """that of a narrow band."""
+    """The random torque of a narrow band at level 1."""
 
     def find(self, name: str) -> HiddenEffect:
         """The effect `name`. Raises UnknownEffectError."""
@@ -69,17 +69,17 @@ class Registry:
 def parse_disturbance(
     arguments: Iterable[str], registry: Registry, default: Disturbance | None = None
 ) -> tuple[list[str], Disturbance | None]:
-    """The `arguments` that are not about the disturbance, for `parse_hidden`; and the disturbance that is asked for.
+    """The `arguments` that are not about the disturbance, for `parse_hidden`; and the requested disturbance.
 
     `disturbance` is level 1, `disturbance=LEVEL` a multiple of its RMS, `disturbance=RMS,CORRELATION_TIME` is in N m
-    and s; each may end in `@SECONDS`. None with `disturbance=0`; `default` where nothing is said of it. The last one
+    and s; each may end in `@SECONDS`. None with `disturbance=0`; `default` if no argument is about it. The last one
     counts. Raises UnknownEffectError.
     """
     return _parsed(arguments, DISTURBANCE, registry.disturbance, default)
 
 
 def parse_narrow_band(arguments: Iterable[str], registry: Registry) -> tuple[list[str], NarrowBand | None]:
-    """The same of the random torque of a narrow band, `narrow_band=RMS,FREQUENCY,DAMPING` in N m and Hz."""
+    """The same for the random torque of a narrow band, `narrow_band=RMS,FREQUENCY,DAMPING` in N m and Hz."""
     return _parsed(arguments, NARROW_BAND, registry.narrow_band, None)
 
 
@@ -97,7 +97,7 @@ def _parsed(
 
 
 def _random(argument: str, name: str, usual: Random) -> Random | None:
-    """`name`, `name=LEVEL` or `name=NUMBER,...` with the numbers of `usual`, the RMS first; None where that is 0."""
+    """`name`, `name=LEVEL` or `name=NUMBER,...` with the numbers of `usual`, the RMS first; None if that is 0."""
     text, late, second = argument.partition("@")
     _, separator, value = text.partition("=")
     numbered = [each.name for each in fields(usual)][:-1]
@@ -109,13 +109,13 @@ def _random(argument: str, name: str, usual: Random) -> Random | None:
         given = dict(zip(numbered, numbers, strict=True))
         return replace(usual, **given, onset=onset) if numbers[0] != 0.0 else None
     except ValueError as error:
-        why = str(error) if str(error).startswith("the ") else f"{argument!r} is no {name.replace('_', ' ')}"
+        why = str(error) if str(error).startswith("the ") else f"{argument!r} is not a {name.replace('_', ' ')}"
         example = ",".join(f"{getattr(usual, each):g}" for each in numbered)
-        asked = ",".join(numbered).upper()
+        pattern = ",".join(numbered).upper()
         raise UnknownEffectError(
             name,
             f"{why}.",
-            remedy=f"Give {name}=LEVEL, or {name}={asked} in N m and {UNITS[name]}, all above 0, as in "
+            remedy=f"Give {name}=LEVEL, or {name}={pattern} in N m and {UNITS[name]}, all above 0, as in "
             f"{name}={example}, with @SECONDS for when it sets in; {name}=0 switches it off.",
         ) from None
 
@@ -139,12 +139,12 @@ def parse_hidden(arguments: Iterable[str], registry: Registry) -> tuple[dict[str
 
 
 def check_onsets(onsets: Mapping[str, float], registry: Registry) -> None:
-    """Raises UnknownEffectError for an effect that cannot set in during a run, or not then."""
+    """Raises UnknownEffectError for an effect that cannot set in during a run, or not at this time."""
     for name, second in onsets.items():
         if name not in registry.late:
             raise UnknownEffectError(
                 name,
-                f"{name} is there from the beginning.",
+                f"{name} acts from the beginning.",
                 remedy=f"These can set in later: {', '.join(sorted(registry.late))}.",
             )
         if not (math.isfinite(second) and second >= 0.0):
@@ -165,7 +165,7 @@ def _number(name: str, what: str, text: str) -> float:
 
 
 def sizes_of(hidden: Mapping[str, float | None], registry: Registry) -> dict[str, float]:
-    """The size of each named effect in its own unit; those at level 0 are left out. Raises UnknownEffectError."""
+    """The amplitude of each effect in its own unit; those at level 0 are left out. Raises UnknownEffectError."""
     sizes = {}
     for name, given in hidden.items():
         effect, level = registry.find(name), 1.0 if given is None else given

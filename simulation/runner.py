@@ -1,10 +1,10 @@
 """Runs a virtual vehicle on a bus: one thread, in real time or in lock-step with its master.
 
 Real time: IMU sets leave on an absolute schedule of the monotonic clock; a vehicle that falls behind catches up set by
-set, and beyond `MOST_BEHIND` cycles it leaves some out. Both are counted and said, never hidden.
+set, and beyond `MOST_BEHIND` cycles it skips some. Both are counted and reported.
 Lock-step: the set of simulated time t_k leaves with that time in its messages; the vehicle then waits for the SYNC,
-which it takes to come at t_k + 1 ms, and moves on by exactly one period. As long as no SYNC comes (set-up, or a master
-that went away) simulated time passes at real-time pace.
+which is assumed to come at t_k + 1 ms, and moves on by exactly one period. As long as no SYNC comes (set-up, or a
+master that went away), simulated time passes at real-time pace.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from simulation.faults import Fault
 from simulation.vehicle import SYNC_ID, VirtualVehicle
 
 MOST_BEHIND = 10
-"""Cycles that are made up for; further ones are left out."""
+"""Cycles that are caught up with; further ones are skipped."""
 QUIET = 0.03
-"""s without a SYNC after which every answer of a master that has just become cyclic has come."""
+"""s without a SYNC after which all answers of a master that has just become cyclic have arrived."""
 MASTER_TIMEOUT = 2.0
 """s of waiting for a SYNC after which a lock-step master counts as gone."""
 STOP_INTERVAL = 0.1
-"""s, longest wait between two looks at the stop event."""
+"""s, longest wait between two checks of the stop event."""
 DRAIN_INTERVAL = 250
-"""Cycles between two emptyings of an IMU bus of its own, from which nothing is expected."""
+"""Cycles after which a separate IMU bus, on which nothing is expected, is emptied."""
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ def run(
 
 
 class Runner:
-    """One run; `vehicle` and `statistics` may be looked at while it goes on."""
+    """One run; `vehicle` and `statistics` may be read while it goes on."""
 
     def __init__(
         self,
@@ -148,13 +148,13 @@ class Runner:
             self.vehicle.receive(can_id, data)
 
     def _sync_step(self) -> int:
-        """The step of the cycle at which a SYNC that is there now has come."""
+        """The step of the cycle at which a SYNC that has just been read arrived."""
         if self._lock_step:
             return self.vehicle.config.steps_per_ms
         return min(self._steps, int((monotonic() - self._began) / self._step))
 
     def _settle(self) -> None:
-        """Let a lock-step master that lags behind answer every set it has got, so that set and answer pair up."""
+        """Let a lock-step master that lags behind answer every set it has received, so that set and answer match."""
         quiet_since = monotonic()
         while monotonic() - quiet_since < QUIET and not self._stop.is_set():
             frames = self._port.receive(QUIET)

@@ -23,7 +23,7 @@ class AxisMode(Enum):
 
 
 class ServoAxis:
-    """One axis; who moves it calls `drive()` for the motor torque and `measure()` after each step."""
+    """One axis; its plant calls `drive()` for the motor torque and `measure()` after each step."""
 
     def __init__(
         self,
@@ -43,12 +43,12 @@ class ServoAxis:
         self.ramp = math.inf
         """Largest change of the speed demand, axis/s^2."""
         self.demand = 0.0
-        """Speed demand behind the ramp."""
+        """Speed demand after the ramp."""
         self.torque = 0.0
         """Of the motor, at the axis."""
         self.measured_rate = 0.0
         self.limited = False
-        """The torque limit is acting."""
+        """The torque limit is active."""
         self._gain = inertia / (2.0 * time_constant)
         self._integral_gain = self._gain * step / (4.0 * time_constant)
         self._prefilter = -math.expm1(-step / (4.0 * time_constant))
@@ -63,7 +63,7 @@ class ServoAxis:
 
     @property
     def measured_position(self) -> float:
-        """As the encoder shows it."""
+        """As measured by the encoder."""
         return self._count * self._encoder_step
 
     def power(self) -> None:
@@ -73,7 +73,7 @@ class ServoAxis:
         self._integral = self.torque = 0.0
 
     def unpower(self, mode: AxisMode) -> None:
-        """Take the torque away; the axis coasts or its brake closes."""
+        """Remove the torque; the axis coasts or its brake closes."""
         self.mode = mode
         self.setpoint = self.demand = self._reference = self.torque = self._integral = 0.0
         self.limited = False

@@ -26,7 +26,7 @@ OPERATIONAL = b"\x05"
 
 
 class SendFrame(Protocol):
-    """Puts a frame on the bus of the drives, or on that of the IMU."""
+    """Sends a frame on the bus of the drives, or on that of the IMU."""
 
     def __call__(self, can_id: int, data: bytes, timestamp_ns: int, *, of_imu: bool) -> None: ...
 
@@ -50,7 +50,7 @@ class ImuStream:
         self.silent = False
 
     def frames(self) -> list[tuple[int, bytes]]:
-        """What the IMU sends now: a set, and its heartbeat when that is due."""
+        """The frames that the IMU sends now: a set, and its heartbeat when that is due."""
         measured = self.imu.measure(self._plant)
         if self.silent:
             return []
@@ -111,7 +111,7 @@ class VirtualVehicle:
         self._start_faults(lambda fault: fault.seconds == 0.0)
 
     def begin_cycle(self) -> None:
-        """At an IMU instant: let the nodes look at the time, then send the IMU's set."""
+        """At an IMU instant: update the nodes' timers, then send the IMU's set."""
         now = self.plant.time
         if self._faults and self.synchronised:
             self._start_faults(lambda fault: self.plant.event_clock >= fault.seconds)
@@ -127,7 +127,7 @@ class VirtualVehicle:
             self._send(can_id, data, timestamp_ns, of_imu=True)
 
     def receive(self, can_id: int, data: bytes) -> bool:
-        """Take a frame from the bus of the drives; whether it was the SYNC."""
+        """Take a frame from the bus of the drives; returns whether it was the SYNC."""
         is_sync = can_id == SYNC_ID
         if is_sync and not self.synchronised:
             self.synchronised = True
@@ -139,17 +139,17 @@ class VirtualVehicle:
         return is_sync
 
     def advance_steps(self, steps: int) -> None:
-        """Let the mechanics move on."""
+        """Advance the mechanics."""
         self.plant.advance(steps)
 
     def later(self, delay: float, action: Callable[[], None]) -> None:
-        """Do something `delay` s from now, at the next control cycle then."""
+        """Run `action` `delay` s from now, at the next control cycle then."""
         self._agenda.append((self.plant.time + delay, action))
 
     def _start_faults(self, due: Callable[[Fault], bool]) -> None:
         for fault in [fault for fault in self._faults if due(fault)]:
             self._faults.remove(fault)
-            FAULTS[fault.name].strike(self, fault.drive or "")
+            FAULTS[fault.name].inject(self, fault.drive or "")
 
     def _send_from_drive(self, can_id: int, data: bytes) -> None:
         self._send(can_id, data, self.time_ns, of_imu=False)

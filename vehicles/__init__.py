@@ -1,6 +1,6 @@
-"""What a vehicle is: one folder a kind, with all that is its own, and what kinds have in common.
+"""Kinds of vehicle: one folder per kind with everything specific to it, and the code that kinds have in common.
 
-contract says what a kind is made of, registry finds them; sections and file are vehicle files, excitation, phases,
-bounds and rising what an experiment consists of, recorded what a recording says of its controller; drives their
-configuration, views what people see.
+contract defines the parts of a kind, registry finds the kinds. sections and file are vehicle files; excitation, phases,
+bounds and rising are the parts of an experiment; recorded identifies the controller of a recording; drives configures
+the drives; views is what people see.
 """

@@ -1,4 +1,4 @@
-"""What is watched of a vehicle beyond IMU and drives, and what a safety verdict says: bounds as data, codes,
+"""Safety monitoring of a vehicle beyond IMU and drives, and the content of a verdict: bounds as data, codes,
 reactions."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from math import degrees, isfinite
 
 
 class Reaction(Enum):
-    """What a verdict asks for."""
+    """The reaction that a verdict requires."""
 
     CONTINUE = "continue"
     END_EXPERIMENT = "end the experiment in order"
@@ -17,7 +17,7 @@ class Reaction(Enum):
 
 
 class Code(StrEnum):
-    """Why, for programs, as far as it is the same for all; each kind of vehicle has codes of its own beside these."""
+    """The reason, for programs. These are common to all vehicles; each kind has further codes of its own."""
 
     OK = "ok"
     IMU_SILENT = "imu_silent"
@@ -35,20 +35,20 @@ class Code(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer for one cycle."""
+    """The verdict on one cycle."""
 
     code: StrEnum
-    """A `Code`, or one of the vehicle's kind."""
+    """A `Code`, or a code of the vehicle's kind."""
     reaction: Reaction
     text: str
 
 
 OK = Verdict(Code.OK, Reaction.CONTINUE, "")
-"""All is well: always this very object."""
+"""No bound is violated: always this very object."""
 
 
 class When(Enum):
-    """In which part of a run a bound holds; each is within the one before."""
+    """The part of a run in which a bound is enforced; each is within the one before."""
 
     ALWAYS = "always"
     ARMED = "armed"
@@ -58,7 +58,7 @@ class When(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """How people read a quantity: `per_si` of it make one SI unit."""
+    """The unit in which people read a quantity: `per_si` of it make one SI unit."""
 
     name: str
     per_si: float = 1.0
@@ -66,15 +66,15 @@ class Unit:
 
 
 DEGREES = Unit("deg", degrees(1.0))
-DEGREES_A_SECOND = Unit("deg/s", degrees(1.0))
+DEGREES_PER_SECOND = Unit("deg/s", degrees(1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Bound:
     """A quantity of an `Observation` (a dotted name, as in "axes.precession") that must stay within +-`limit` (SI).
 
-    Beyond a bound with `advice` the experiment ends in order, which leaves time to follow it; beyond any other one the
-    vehicle is stopped.
+    If a bound with `advice` is exceeded, the experiment ends in an orderly way, which leaves time to follow it; if any
+    other bound is exceeded, the vehicle is stopped.
     """
 
     code: StrEnum
@@ -86,7 +86,7 @@ class Bound:
     advice: str = ""
 
     def verdict(self, value: float) -> Verdict:
-        """On a `value` (SI) that is not within it."""
+        """The verdict on a `value` (SI) that is not within the bound."""
         if not isfinite(value):
             return stop(Code.NOT_FINITE, f"{self.what} is {value}, not a number")
         unit, limit = self.unit, self.limit * self.unit.per_si

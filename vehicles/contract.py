@@ -1,14 +1,14 @@
 """What differs between kinds of vehicle, as the code that they share sees it: four small interfaces.
 
-The vehicle file's `kind` chooses (`vehicles.registry`). Everything else in the daemon, from the bus to the recorder, is
-the same code for every vehicle, and asks
+The vehicle file's `kind` selects one (`vehicles.registry`). Everything else in the daemon, from bus to recorder, is
+the same code for every vehicle, and uses
 
-    Kind        what do the drives' values mean, about which axis does it fall, what are its limits, what is recorded?
-    Pilot       how is its controller designed?
-    Handling    how does it get up, balance and get down in one experiment?
-    Measurement what the drives reported last, in the words of that kind
+    Kind        the meaning of the drives' values, the axis it falls about, its limits, and what is recorded
+    Pilot       the design of its controller
+    Handling    how it gets up, balances and gets down in one experiment
+    Measurement what the drives reported last, in the quantities of that kind
 
-`M` is the kind's own class of measurements; only its own code looks into it.
+`M` is the kind's own class of measurements; only the kind's own code reads its fields.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ class Lean:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the drives shall do in this cycle, and what led to it.
+    """The command to the drives in this cycle, and what it follows from.
 
-    `setpoint` is what the controller puts out (rad/s of precession, V at the motors); `reference` (rad) the angle that
-    was aimed at; `excitation` the test signal's value, in the unit of what it was added to.
+    `setpoint` is the controller's output (rad/s of precession, V at the motors); `reference` (rad) the angle that was
+    aimed at; `excitation` the test signal's value, in the unit of the signal to which it was added.
     """
 
     target: State
@@ -75,7 +75,7 @@ M_in = TypeVar("M_in", bound=Measurement, contravariant=True)
 
 
 class Handling(Protocol[M_in]):
-    """One experiment's way of moving the vehicle. Each method is one control cycle of `dt` s, in one phase."""
+    """How one experiment moves the vehicle. Each method is one control cycle of `dt` s, in one phase."""
 
     @property
     def risen(self) -> bool:
@@ -84,7 +84,7 @@ class Handling(Protocol[M_in]):
 
     @property
     def failure(self) -> str:
-        """Why it did not get up, in words; empty while it may still."""
+        """Why it did not get up, in words; empty while it still may."""
         ...
 
     @property
@@ -113,7 +113,7 @@ class Pilot(Protocol[M_in]):
     """The controller of a vehicle, designed once and checked; it makes the handling of each experiment."""
 
     def handling(self, excitation: Excitation) -> Handling[M_in]:
-        """For one run of an experiment; nothing of an earlier run is left in it."""
+        """The handling of one run of an experiment; it keeps nothing of an earlier run."""
         ...
 
     def findings(self) -> dict[str, Any]:
@@ -121,32 +121,32 @@ class Pilot(Protocol[M_in]):
         ...
 
     def words(self) -> list[str]:
-        """The same for people, a line each."""
+        """The same for people, one line each."""
         ...
 
 
 class Kind(Protocol[M]):
-    """One kind of vehicle, made of a vehicle file and its drivers."""
+    """One kind of vehicle, built from a vehicle file and its drivers."""
 
     angle: str
-    """What the angle that it falls by is called."""
+    """Name of the angle by which it falls."""
     bounds: tuple[Bound, ...]
-    """What a safety verdict watches beyond IMU and drives, the worst first."""
+    """What is monitored beyond IMU and drives, most severe first."""
 
     def lean(self, attitude: RollState) -> Lean:
-        """Of what the roll filter says, the angle that this kind falls by."""
+        """The angle by which this kind falls, from the roll filter's state."""
         ...
 
     def measure(self) -> M:
-        """What the drivers know now."""
+        """The latest values of the drivers."""
         ...
 
     def values(self, attitude: RollState, drives: M, command: Command, phase: float) -> tuple[float, ...]:
-        """A row of the recording, in the order of the kind's channels, once the command has been sent."""
+        """A sample of the recording, in the order of the kind's channels, once the command has been sent."""
         ...
 
     def interlocks(self, drives: M) -> list[str]:
-        """What of its own keeps a run from being started, each as a sentence with what to do."""
+        """What prevents this kind from starting a run, each as a sentence with the remedy."""
         ...
 
     def pilot(self) -> Pilot[M]:
@@ -158,9 +158,10 @@ class Kind(Protocol[M]):
 class Prediction:
     """How the loop of one kind of vehicle is predicted.
 
-    It needs these outputs of a model and gives these inputs; `of` a vehicle file makes what predicts an experiment of
-    it by name. `untold` is what a record that is too poor for a diagnosis tells apart the least. `assumed` is a model
-    with what no recording has told yet of how late the loop's inputs act.
+    The loop needs the outputs `needs` of a model and gives the inputs `gives`; `of` a vehicle file returns a function
+    that predicts an experiment of it by name. `untold` are the effects that a record too poor for a diagnosis
+    distinguishes least. `assumed` returns a model with assumed delays of the loop's inputs where no recording has
+    identified them.
     """
 
     needs: frozenset[str]
@@ -172,8 +173,9 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Models:
-    """Of one kind of vehicle: the one that is identified, with what identification assumes beside its equations, and
-    those of the actuators alone, of which the one that fits is chosen; none where these are part of the first."""
+    """The models of one kind of vehicle: `nominal` is the one that is identified, with everything that identification
+    assumes in addition to its equations; of the `actuators` alone, the one that fits is chosen. There are none if the
+    nominal model includes them."""
 
     nominal: Model
     actuators: tuple[Model, ...] = ()
@@ -181,7 +183,7 @@ class Models:
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """What the virtual vehicle of one kind is made of: its physics, and the shipped EDS that its drives follow."""
+    """The parts of the virtual vehicle of one kind: its physics, and the shipped EDS that its drives follow."""
 
     truth: Truth
     eds: str
@@ -189,15 +191,15 @@ class Twin:
 
 @dataclass(frozen=True, slots=True)
 class VehicleKind:
-    """All that is one kind of vehicle's own.
+    """Everything specific to one kind of vehicle.
 
-    `file`: what its vehicle file holds; `channels`: what is recorded of it; `kind` makes it of its file and of its
+    `file`: content of its vehicle file; `channels`: what is recorded of it; `kind` builds it from its file and its
     drivers; `views` is what people see of it. `models`: the one that is identified, and those of its actuators.
-    `identification`: what an identification has for it alone, of which the regressions run along with the vehicle.
-    `recorded_loop`: what closed the loop of a
-    recording from the first row of its excitation on, or why it is not known, in words; `prediction`: how that loop is
-    predicted; `twin`: its virtual vehicle, which `shaken` (RMS from and to, in the unit of the force it falls by) is
-    pushed by in benchmarks. What is a function imports what it needs when it is asked.
+    `identification`: the methods of identification for this kind only; their regressions run along with the vehicle.
+    `recorded_loop`: what closed the loop of a recording from the first sample of its excitation on, or why it is not
+    known, in words; `prediction`: how that loop is predicted; `twin`: its virtual vehicle; `shaken`: range of the RMS
+    of its random disturbance in benchmarks, in the unit of the force it falls by. The functions import what they need
+    when they are called.
     """
 
     file: type[VehicleFile]

@@ -1,8 +1,8 @@
 """Excitations: known test signals added to the controller's reference angle or to its output.
 
-`Excitation.value(t)` is pure: the value at `t` seconds after the start, in rad on a reference angle and in the unit of
-the controller's output there (rad/s of precession rate, V). Each one starts and ends at zero, smoothly, and stays
-within +-`peak`.
+`Excitation.value(t)` is pure: the value at `t` seconds after the start, in rad on a reference angle, and on the
+controller's output in the unit of that (rad/s of precession rate, V). Each one starts and ends at zero, smoothly, and
+stays within +-`peak`.
 
 - sweep: logarithmic chirp, sin(2 pi f0 T / ln(f1/f0) * ((f1/f0)^(t/T) - 1)): equal time for every octave, since the
   gravity stiffness shows at the low end and the inertia at the high one.
@@ -29,16 +29,16 @@ from telemetry.errors import UprightError
 from vehicles.sections import ExperimentSection, is_reference
 
 LONGEST_RAMP = 1.0
-"""s over which a signal is faded in and out, or a tenth of its duration where that is shorter."""
-SAMPLES_A_PERIOD = 8.0
-"""Control cycles that the highest frequency's period must have at least: fewer, and it is not that signal any more."""
+"""s over which a signal is faded in and out, or a tenth of its duration if that is shorter."""
+SAMPLES_PER_PERIOD = 8.0
+"""Minimum number of control cycles per period of the highest frequency: with fewer the signal is distorted."""
 
 Waveform = Callable[[float], float]
-"""A signal of seconds within -1..1."""
+"""A signal within -1..1 over time in seconds."""
 
 
 class ExcitationError(UprightError):
-    """An experiment section that describes no signal that can be played. `key` is the key at fault."""
+    """An experiment section that describes an impossible signal. `key` is the key at fault."""
 
     def __init__(self, key: str, message: str, *, remedy: str) -> None:
         super().__init__(f"{key}: {message}.", remedy=remedy)
@@ -49,8 +49,8 @@ class ExcitationError(UprightError):
 class Excitation:
     """A signal of `duration` seconds and at most +-`peak` at an injection point, faded in and out over `ramp` seconds.
 
-    The step is one that happens before the vehicle is upright (the kind's `Handling` plays it, `peak` being its
-    size), so its value here is zero.
+    The step is one that happens before the vehicle is upright (the kind's `Handling` generates it, `peak` being its
+    amplitude), so its value here is zero.
     """
 
     at: str
@@ -161,7 +161,7 @@ class SineStream:
 
 @dataclass(frozen=True, slots=True)
 class Multisine:
-    """Sum of cosines of equal size; each line is (angular frequency in rad/s, phase), `scale` brings the peak to 1."""
+    """Cosines of one amplitude, added; each line is (angular frequency in rad/s, phase), `scale` makes the peak 1."""
 
     lines: tuple[tuple[float, float], ...]
     scale: float
@@ -177,8 +177,8 @@ def make_excitation(section: ExperimentSection, rate: float) -> Excitation:
     """The excitation of an experiment, for a control loop of `rate` Hz.
 
     Raises:
-        ExcitationError: frequencies that are out of order, too high for `rate` or too low or too many for the
-            duration, or a duration too short for the signal; it names the key.
+        ExcitationError: the frequencies are out of order, too high for `rate`, or too low or too many for the
+            duration, or the duration is too short for the signal; the error names the key.
     """
     duration = section.duration
     waveform: Waveform = Nothing()
@@ -225,11 +225,11 @@ def make_excitation(section: ExperimentSection, rate: float) -> Excitation:
 
 def _require_frequencies(frequencies: tuple[float, ...], key: str, duration: float, rate: float) -> None:
     highest, lowest = max(frequencies), min(frequencies)
-    if highest * SAMPLES_A_PERIOD > rate:
+    if highest * SAMPLES_PER_PERIOD > rate:
         raise ExcitationError(
             key,
             f"{highest:g} Hz is too fast for a control loop of {rate:g} Hz",
-            remedy=f"stay below {rate / SAMPLES_A_PERIOD:g} Hz, or raise [control] rate.",
+            remedy=f"stay below {rate / SAMPLES_PER_PERIOD:g} Hz, or raise [control] rate.",
         )
     if lowest * duration < 1.0 - 1e-9:
         raise ExcitationError(

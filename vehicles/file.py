@@ -1,6 +1,6 @@
 """The vehicle file: everything about one vehicle that is not code (TOML, checked by pydantic).
 
-`load("monocab")` reads a shipped file, `load("path/to/file.toml")` one of the user's own. Whatever is wrong ends in a
+`load("monocab")` reads a shipped file, `load("path/to/file.toml")` one of the user's own. Every mistake in it raises a
 `VehicleFileError` that names the file, the key and the remedy. The sections are in `vehicles.sections`,
 those of one kind of vehicle in its own `file` module.
 """
@@ -66,7 +66,7 @@ def load(name_or_path: str) -> VehicleFile:
     try:
         table = tomllib.loads(content.decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise VehicleFileError(str(path), "", f"is not valid TOML: {error}", remedy="Mend that line.") from error
+        raise VehicleFileError(str(path), "", f"is not valid TOML: {error}", remedy="Correct that line.") from error
     return _check(table, str(path), hashlib.sha256(content).hexdigest()[:16])
 
 
@@ -90,7 +90,7 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
             raise VehicleFileError(file, reserved, "is not a key of a vehicle file", remedy="Remove it.")
     section = table.get("vehicle")
     name = section.get("kind") if isinstance(section, dict) else None
-    # Where it says nothing of its kind, that is found like any other mistake in it.
+    # If it states no kind, that is found like any other mistake in it.
     try:
         kind = registry.of(name if isinstance(name, str) else registry.names()[0]).file
     except registry.UnknownKindError as error:
@@ -101,7 +101,7 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         message = str(first["msg"]).removeprefix("Value error, ")
-        remedy = "Mend this key; `upright config schema` lists every key with its unit."
+        remedy = "Correct this key; `upright config schema` lists every key with its unit."
         if first["type"] == "extra_forbidden":
             message = "is not a key of a vehicle file"
             near = difflib.get_close_matches(str(first["loc"][-1]), _known_keys(kind, first["loc"]), n=1)
@@ -113,7 +113,7 @@ def _check(table: dict[str, Any], file: str, digest: str) -> VehicleFile:
             message = f"{message} (found {first['input']!r})"
         more = len(error.errors()) - 1
         if more:
-            remedy += f" ({more} more to mend after it.)"
+            remedy += f" ({more} more to correct after it.)"
         raise VehicleFileError(file, key, message, remedy=remedy) from error
 
 

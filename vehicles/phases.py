@@ -1,4 +1,4 @@
-"""The phases of an experiment, those of every vehicle, as channel `phase` has them."""
+"""The phases of an experiment, the same for every vehicle, as recorded in channel `phase`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from telemetry.channels import NOTHING_RUNS
 
 
 class Phase(IntEnum):
-    """Where an experiment is; recorded in channel `phase`."""
+    """The phase that an experiment is in; recorded in channel `phase`."""
 
     NONE = NOTHING_RUNS
     REST = 1
@@ -24,7 +24,7 @@ class Phase(IntEnum):
 
     @property
     def text(self) -> str:
-        """What a person reads."""
+        """The phase in words."""
         return _TEXTS[self]
 
 
@@ -43,10 +43,10 @@ _TEXTS = {
 }
 
 DURATIONS = {Phase.REST: 4.0, Phase.SETTLE: 3.0, Phase.FADE: 1.5}
-"""s of the phases that just take their time."""
+"""s, of the phases with a fixed duration."""
 
 TIMEOUTS = {Phase.ENABLE: 5.0, Phase.CENTRE: 30.0, Phase.LOWER: 12.0, Phase.CENTRE_BACK: 30.0, Phase.DISABLE: 3.0}
-"""s after which a phase that should have ended counts as failed. ENABLE bears a drive's pause before re-enabling."""
+"""s after which a phase that should have ended counts as failed. ENABLE covers a drive's pause before re-enabling."""
 
 POWERED = frozenset(set(Phase) - {Phase.NONE, Phase.REST, Phase.ENABLE, Phase.DISABLE})
 """Phases in which every drive must be in Operation enabled."""

@@ -1,8 +1,8 @@
-"""What a recording says of the controller that held the vehicle up: from which row on, excited when, and where.
+"""The controller that held the vehicle up in a recording: from which sample on, and when and where it was excited.
 
-Each kind of vehicle runs its controller over the recorded measurements (its `recorded_loop`): where it gives what was
-sent, this is the controller that was there, and it is known as it was at any row. So the recording needs no metadata;
-one of another vehicle or of other software is found out.
+Each kind of vehicle replays its controller on the recorded measurements (its `recorded_loop`). If it reproduces what
+was sent, this controller was active, and its state at every sample is known. So the recording needs no metadata, and
+one of another vehicle or of other software is detected.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from telemetry.recording import Recording
 from vehicles.phases import Phase
 
 DRIVEN = ("drive_age", "excitation", "phase")
-"""Channels without which no loop is known."""
+"""Channels without which the loop cannot be reconstructed."""
 SAME = 0.01
-"""Share of the RMS of what was sent by which the controller may differ from it: some rows may be lost."""
+"""Share of the RMS of what was sent by which the controller may differ from it: some samples may be lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recording as lists, for loops. The controller held the vehicle from row `held` on, excited from `first` to
-    `last`; `period` s from row to row."""
+    """A recording as lists, for loops. The controller held the vehicle from sample `held` on, excited from `first` to
+    `last`; `period` s from sample to sample."""
 
     values: Mapping[str, list[float]]
     time: list[float]
@@ -35,26 +35,26 @@ class Recorded:
     last: int
 
     def elapsed(self, row: int) -> float:
-        """s since the row before, as the control loop counts them: a gap does not throw its controller."""
+        """s since the sample before, limited as in the control loop: a gap does not upset its controller."""
         return min(max(self.time[row] - self.time[row - 1], 0.5 * self.period), 4.0 * self.period)
 
 
 def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, period: float) -> Recorded | str:
-    """`recording` with `channels` and DRIVEN, where its controller held the vehicle up from the phase `since` on; or
-    why that is not known, in words."""
+    """`recording` with `channels` and DRIVEN, and the samples between which its controller held the vehicle up, from
+    the phase `since` on; or why they are not known, in words."""
     needed = (*channels, *DRIVEN)
     lacking = [name for name in needed if name not in recording.values]
     if lacking:
-        return f"the recording has no channel {', '.join(lacking)}: what drove the controller is not known"
+        return f"the recording has no channel {', '.join(lacking)}: the inputs of the controller are not known"
     phase, excitation = recording["phase"], recording["excitation"]
     if not np.isfinite(excitation).any() or not np.isfinite(phase).any():
-        return "the recording does not hold the excitation, as one from a raw CAN log: take the .arrow beside it"
+        return "the recording does not contain the excitation (a raw CAN log never does): use the .arrow beside it"
     held = np.flatnonzero((phase >= since) & (phase <= Phase.FADE))
     excited = np.flatnonzero((phase >= Phase.EXCITE) & (phase <= Phase.FADE) & np.isfinite(excitation))
     if not len(excited) or not np.any(excitation[excited]):
-        return "nothing excites the vehicle while its controller holds it up"
+        return "the vehicle is not excited while its controller holds it up"
     if held[0] == 0 or phase[held[0]] != since:
-        return "the recording begins later than the controller: its state is not known"
+        return "the recording begins later than the controller, so that the controller's state is not known"
     if not all(np.isfinite(recording[name][held]).all() for name in needed):
         return "the recording has unknown values while the controller holds the vehicle up"
     return Recorded(
@@ -68,15 +68,15 @@ def recorded(recording: Recording, channels: Sequence[str], *, since: Phase, per
 
 
 def entered_at(
-    points: Sequence[str], given: Callable[[str], ArrayLike], told: Recorded, sent: Sequence[str]
+    points: Sequence[str], given: Callable[[str], ArrayLike], record: Recorded, sent: Sequence[str]
 ) -> str | None:
-    """The one of `points` at which the excitation entered; None where the controller reproduces the `sent` channels
-    with none of them.
+    """The one of `points` at which the excitation entered; None if the controller reproduces the `sent` channels with
+    none of them.
 
-    `given(at)`, shape (channels, rows), is what the controller sends with the excitation entering at `at`, from the row
-    after `held` up to `last`.
+    `given(at)`, shape (channels, samples), is what the controller sends with the excitation entering at `at`, from the
+    sample after `held` up to `last`.
     """
-    columns = np.array([told.values[name][told.held : told.last] for name in sent])
+    columns = np.array([record.values[name][record.held : record.last] for name in sent])
     for at in points:
         errors = np.asarray(given(at)) - columns[:, 1:]
         if np.sqrt(np.mean(errors**2)) < SAME * np.sqrt(np.mean(columns**2)):

@@ -1,8 +1,8 @@
-"""The kinds of vehicle that there are: each folder beside this file that has a `vehicle` module is one.
+"""The available kinds of vehicle: each folder next to this file that has a `vehicle` module is one.
 
     registry.of("monocab").recorded_loop(vehicle, recording)
 
-A further kind is a further folder; nothing here, nor anywhere else, names one.
+A further kind is a further folder; neither this module nor any other names a kind.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class UnknownKindError(UprightError):
 
 
 def names() -> tuple[str, ...]:
-    """Of all kinds, as a vehicle file's `kind` has them."""
+    """The names of all kinds, as in a vehicle file's `kind`."""
     return kinds_with("vehicle")
 
 
@@ -74,8 +74,8 @@ def models_of(vehicle: VehicleFile) -> Models:
 
 
 def recorded_loop(vehicle: VehicleFile, recording: Recording) -> Loop | str:
-    """What closed the loop of `recording`, from the first row of its excitation on, or why it is not known, in words.
+    """What closed the loop of `recording` from the first sample of its excitation on, or why it is not known, in words.
 
-    It is what a model's free run must be given in order to be compared with a recording of an unstable vehicle.
+    The free run of a model needs this loop to be comparable with a recording of an unstable vehicle.
     """
     return of(vehicle.vehicle.kind).recorded_loop(vehicle, recording)

@@ -20,10 +20,10 @@ class Upright:
 
 
 class Rising:
-    """One rise. `side` is that of the support it begins on, 1.0 or -1.0, 0.0 before the first cycle."""
+    """One rise. `side` is that of the support on which it begins, 1.0 or -1.0; 0.0 before the first cycle."""
 
     def __init__(self, upright: Upright, what: str, causes: str) -> None:
-        """`what` rises and which `causes` a failure may have: words of `failure`."""
+        """`what` rises, and the possible `causes` of a failure: words of `failure`."""
         self.side = 0.0
         self.risen = False
         self.failure = ""

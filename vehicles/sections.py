@@ -31,7 +31,7 @@ class VehicleSection(Section):
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
     """Name in MQTT topics, recordings and the control socket."""
     kind: str
-    """What the vehicle is: chooses its channels, model, controller and way of getting up; see `vehicles.registry`."""
+    """What the vehicle is: selects its channels, model, controller and way of getting up; see `vehicles.registry`."""
     description: str = ""
 
 
@@ -52,9 +52,9 @@ class ControlSection(Section):
     heartbeat_period: Positive = 0.04
     """s between heartbeats of the control loop."""
     heartbeat_timeout: Positive = 0.12
-    """s after which a drive that misses the heartbeat stops by itself (written to 1016h)."""
+    """s without the heartbeat after which a drive stops by itself (written to 1016h)."""
     lease: Annotated[float, Field(ge=0.2, le=2.0)] = 0.3
-    """s without a sign of whoever started an experiment after which it ends in order."""
+    """s without a renewal by the client that started an experiment, after which it ends in an orderly way."""
 
     @field_validator("rate")
     @classmethod
@@ -72,7 +72,7 @@ class ControlSection(Section):
 
 class FilterSection(Section):
     acceleration_std: Positive
-    """m/s^2 a sample, vibration included."""
+    """m/s^2 per sample, vibration included."""
     angular_rate_density: Positive
     """rad/s/sqrt(Hz)."""
     bias_random_walk: Positive
@@ -89,7 +89,7 @@ class ImuSection(Section):
     axes: tuple[str, str, str] = ("+x", "+y", "+z")
     """Sensor axis that points along the vehicle's x (forward), y (left) and z (up)."""
     acceleration_sign: Literal[1, -1] = 1
-    """-1 where the device reports -1 g along the axis that points up."""
+    """-1 if the device reports -1 g along the axis that points up."""
     angular_rate_unit: Literal["deg/s", "rad/s"] = "deg/s"
     acceleration_range: Positive = 39.2
     """m/s^2."""
@@ -113,10 +113,10 @@ class ImuSection(Section):
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What the drives of one role are to a kind of vehicle.
+    """The drives of one role in a kind of vehicle.
 
-    It has `least` to `most` of them. The controller's setpoint is for those that `act`; the others are held still. The
-    axis of a `linear` one moves along a line.
+    There are `least` to `most` of them. If the role `acts`, they follow the controller's setpoint; else they are held
+    at standstill. The axis of a `linear` one moves along a line.
     """
 
     least: int
@@ -127,8 +127,8 @@ class Role:
 
 NO_ROLE = Role(0, 0)
 REST, CONTROLLER_OUTPUT = "rest", "controller_output"
-"""Where an excitation may enter, beside the reference angles of a kind of vehicle: a vehicle at rest, or what the
-controller puts out."""
+"""Where an excitation may enter, in addition to the reference angles of a kind of vehicle: a vehicle at rest, or the
+controller's output."""
 
 
 def is_reference(at: str) -> bool:
@@ -139,31 +139,31 @@ def is_reference(at: str) -> bool:
 class DriveSection(Section):
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     role: str
-    """What it moves, one of those that its kind of vehicle has. Of two wheels the first one is the left."""
+    """What it moves: one of the roles of its kind of vehicle. Of two wheels the first one is the left."""
     node: NodeId
     direction: Literal[1, -1]
-    """+1 where a positive motor speed gives a positive roll torque, or drives the vehicle forward."""
+    """+1 if a positive motor speed gives a positive roll torque, or drives the vehicle forward."""
     gear_ratio: Positive | None = None
-    """Motor turns a turn of the axis (rotary axes)."""
+    """Motor turns per turn of the axis (rotary axes)."""
     lead: Positive | None = None
-    """m a motor turn (linear axes)."""
+    """m per motor turn (linear axes)."""
     mode: Literal[2, 9, 10, -1]
     """CiA 402 mode: 2 velocity (6042h, rpm), 9 cyclic synchronous velocity (60FFh), 10 cyclic synchronous torque
     (6071h, per mille of the rated torque), -1 voltage (2400h, mV)."""
     increments_per_turn: Annotated[int, Field(gt=0)]
-    """Of 6064h, a motor turn."""
+    """Of 6064h, per motor turn."""
     velocity_unit_rpm: Positive
-    """rpm a unit of 606Ch and 60FFh."""
+    """rpm per unit of 606Ch and 60FFh."""
     rated_torque: Positive
     """N m at the motor, the base of 6071h and 6077h."""
     eds: str = "upright_servo.eds"
     vendor_id: Annotated[int, Field(ge=0)] = 0
     product_code: Annotated[int, Field(ge=0)] = 0
     setpoint_resolution: Annotated[float, Field(ge=0.0)] = 0.0
-    """Of the setpoint (rad/s, m/s, N m or V), where the drive's is coarser than its objects: a PWM bridge has steps."""
+    """Of the setpoint (rad/s, m/s, N m or V), if the drive's is coarser than its objects: a PWM bridge has steps."""
     stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
     target_velocity_fine_index: Annotated[int, Field(ge=0x2000, le=0x5FFF)] = 0x2F15
-    """Vendor object of the fine part of the target velocity (1/8192 rpm), where `rpdo` maps it."""
+    """Vendor object of the fine part of the target velocity (1/8192 rpm), if `rpdo` maps it."""
     rpdo: list[list[str]]
     """Objects in each RPDO, in order."""
     tpdo: list[list[str]]
@@ -171,7 +171,7 @@ class DriveSection(Section):
 
     @property
     def axis_per_turn(self) -> float:
-        """rad, or m of a linear axis, a motor turn."""
+        """rad, or m of a linear axis, per motor turn."""
         if self.gear_ratio is not None:
             return 2.0 * math.pi / self.gear_ratio
         assert self.lead is not None
@@ -186,7 +186,7 @@ class ParameterEntry(Section):
 
 
 class LimitsSection(Section):
-    """What every kind of vehicle is limited by; each has further limits of its own."""
+    """Limits of every kind of vehicle; each has further limits of its own."""
 
     support_deg: Positive
     missed_cycles: Annotated[int, Field(ge=1, le=50)] = 3
@@ -223,15 +223,15 @@ class ParametersSection(Section):
 
 
 class ControllerSection(Section):
-    """The controller's figures; each kind of vehicle has a controller of its own."""
+    """Parameters of the controller; each kind of vehicle has a controller of its own."""
 
 
 class ExperimentSection(Section):
     title: str
     excitation: Literal["none", "step", "sweep", "sine", "square", "doublet", "sine_stream", "multisine"]
     at: str = ""
-    """Where the excitation is added, one of the places that its kind of vehicle has; the first of them where nothing is
-    said."""
+    """Where the excitation is added: one of the injection points of its kind of vehicle, by default the first of
+    them."""
     duration: Positive
     amplitude: Positive | None = None
     amplitude_deg: Positive | None = None
@@ -262,14 +262,14 @@ class ExperimentSection(Section):
         on_angle = is_reference(self.at)
         amplitude, other = ("amplitude_deg", "amplitude") if on_angle else ("amplitude", "amplitude_deg")
         if getattr(self, amplitude) is None or getattr(self, other) is not None:
-            raise ValueError(f"a {self.excitation} at {self.at} has its size in {amplitude}, and no {other}")
+            raise ValueError(f"a {self.excitation} at {self.at} needs {amplitude}, and no {other}")
         if (self.excitation == "step") != (self.at == REST):
             raise ValueError('the step, and only the step, starts at = "rest"')
         return self
 
     @property
     def amplitude_si(self) -> float:
-        """rad on a reference angle, elsewhere what the controller puts out (rad/s, V); 0 without excitation."""
+        """rad on a reference angle, else in the unit of the controller's output (rad/s, V); 0 without excitation."""
         if self.amplitude_deg is not None:
             return math.radians(self.amplitude_deg)
         return self.amplitude or 0.0
@@ -287,9 +287,9 @@ class MqttSection(Section):
     tls: bool = False
     """Whether to speak TLS; the broker's certificate must be valid for its host name."""
     ca_file: str = ""
-    """File with the certificate of whoever signed the broker's; empty: the system's."""
+    """File with the certificate of the authority that signed the broker's; empty: the system's."""
     commands: bool = False
-    """Whether commands are taken over MQTT."""
+    """Whether commands are accepted over MQTT."""
     home_assistant: bool = False
     """Whether the vehicle presents itself to Home Assistant, with sensors only."""
 
@@ -300,7 +300,7 @@ class VehicleFile(Section):
     ROLES: ClassVar[Mapping[str, Role]]
     """The drives that this kind of vehicle has."""
     INJECTION_POINTS: ClassVar[tuple[str, ...]]
-    """Where its experiments may enter; the first is where one enters that says nothing."""
+    """Where the excitations of its experiments may enter; the first is the default."""
 
     vehicle: VehicleSection
     bus: BusSection
@@ -335,7 +335,7 @@ class VehicleFile(Section):
             if cls.ROLES.get(drive.role, NO_ROLE).linear:
                 wanted, other = other, wanted
             if getattr(drive, wanted) is None or getattr(drive, other) is not None:
-                raise ValueError(f"{drive.name}: a {drive.role} drive has a {wanted}, and no {other}")
+                raise ValueError(f"{drive.name}: a {drive.role} drive needs {wanted}, and no {other}")
         return drives
 
     @model_validator(mode="after")
@@ -346,7 +346,7 @@ class VehicleFile(Section):
             if not known.least <= roles.count(role) <= known.most:
                 count = f"{known.least}" if known.least == known.most else f"{known.least} to {known.most}"
                 raise ValueError(
-                    f"drive: {roles.count(role)} drives have the role {role}, and a {self.vehicle.kind} has {count}"
+                    f"drive: {roles.count(role)} drives have the role {role}, but a {self.vehicle.kind} has {count}"
                 )
         return self
 
@@ -355,8 +355,8 @@ class VehicleFile(Section):
         for name, experiment in self.experiments.items():
             if experiment.at not in self.INJECTION_POINTS:
                 raise ValueError(
-                    f"experiments.{name}: at = {experiment.at!r} is nothing that a {self.vehicle.kind} has; use one of "
-                    f"{', '.join(self.INJECTION_POINTS)}"
+                    f"experiments.{name}: at = {experiment.at!r} is not an injection point of a {self.vehicle.kind}; "
+                    f"use one of {', '.join(self.INJECTION_POINTS)}"
                 )
         return self
 

@@ -21,7 +21,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Curves of one unit; `factor` turns SI into it."""
+    """Curves of one unit; `factor` converts SI to it."""
 
     id: str
     title: str
@@ -44,9 +44,9 @@ class Panel:
 class Story:
     """The demo of one kind of vehicle.
 
-    `experiments` are run where none are named; the last one is diagnosed. `begin`, s: what is before it, while the
-    vehicle gets up and its filter settles, tells nothing of the vehicle. `settling`: parameters and units that the
-    kind's first regression estimates while it runs; where none are, the last recording is identified afterwards.
+    `experiments` are run if none are named; the last one is diagnosed. `begin`, s: the time before it, while the
+    vehicle gets up and its filter settles, carries no information on the vehicle. `settling`: parameters and units that
+    the kind's first regression estimates while it runs; if there are none, the last recording is identified afterwards.
     """
 
     experiments: tuple[str, ...]
@@ -57,8 +57,8 @@ class Story:
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """All of one kind of vehicle. `amplitude`: unit of an excitation that is not on a reference angle, what the
-    controller puts out; `limits`: key under [limits] of its vehicle file to its words and unit."""
+    """The views of one kind of vehicle. `amplitude`: unit of an excitation that is not on a reference angle, which is
+    that of the controller's output; `limits`: key under [limits] of its vehicle file to its words and unit."""
 
     charts: tuple[Chart, ...]
     story: Story

@@ -1,1 +1,1 @@
-"""Servo inverters after CiA 402 over CANopen: state machine, PDO codecs and emergencies (pure), set-up over SDO."""
+"""CiA 402 servo inverters over CANopen: state machine, PDO codecs and emergencies (pure), set-up over SDO."""

@@ -1,8 +1,8 @@
-"""What one drive is and how its units become SI, from the vehicle file.
+"""The configuration of one drive from the vehicle file, and the conversion of its units to SI.
 
 velocity (axis) = direction * axis_per_turn * rpm / 60,  position (axis) = direction * axis_per_turn * increments /
-increments_per_turn; torque is the motor's, in N m, positive where it accelerates the axis in its positive direction.
-A voltage is direction * units, positive where it drives the axis in its positive direction.
+increments_per_turn; torque is the motor's, in N m, positive when it accelerates the axis in its positive direction.
+A voltage is direction * units, positive when it drives the axis in its positive direction.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SHIPPED_EDS = Path(__file__).resolve().parent.parent / "eds"
 
 
 class DriveConfigError(UprightError):
-    """A drive that cannot be described so. `drive` is its name, `key` the key of its section in the vehicle file."""
+    """An invalid drive configuration. `drive` is its name, `key` the key of its section in the vehicle file."""
 
     def __init__(self, drive: str, key: str, message: str, *, remedy: str = "") -> None:
         super().__init__(f"drive {drive!r}: {key}: {message}", remedy=remedy)
@@ -34,10 +34,10 @@ class DriveConfigError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class DriveConfig:
-    """One drive. Checked when it is made.
+    """One drive. Checked on construction.
 
     Raises:
-        DriveConfigError: a value, or a PDO, that cannot work.
+        DriveConfigError: a value or a PDO is invalid.
     """
 
     name: str
@@ -46,27 +46,27 @@ class DriveConfig:
     direction: int
     """+1 or -1: sign of the axis for a positive motor speed."""
     axis_per_turn: float
-    """rad or m of the axis a motor turn."""
+    """rad or m of the axis per motor turn."""
     mode: int
     """CiA 402 mode, one of `modes.MODES`: 2 or 9 (velocity), 10 (torque), -1 (voltage)."""
     increments_per_turn: int
-    """Of 6064h, a motor turn."""
+    """Of 6064h, per motor turn."""
     velocity_unit_rpm: float
-    """rpm a unit of 606Ch and 60FFh."""
+    """rpm per unit of 606Ch and 60FFh."""
     rated_torque: float
     """N m at the motor: the base of 6071h and 6077h (per mille)."""
     rpdo: tuple[tuple[str, ...], ...]
     tpdo: tuple[tuple[str, ...], ...]
     acts: bool = True
-    """Whether it carries out the controller's setpoint; another is held still."""
+    """Whether it follows the controller's setpoint; other drives are held at standstill."""
     eds: str = "upright_servo.eds"
     """A shipped EDS by its name, or a path; see `find_eds`."""
     vendor_id: int = 0
-    """1018h:1; 0 is not checked."""
+    """1018h:1; 0: not checked."""
     product_code: int = 0
-    """1018h:2; 0 is not checked."""
+    """1018h:2; 0: not checked."""
     setpoint_resolution: float = 0.0
-    """Axis unit/s, N m or V that the drive can tell apart, where that is coarser than its objects; 0 for these."""
+    """Resolution in axis unit/s, N m or V, if it is coarser than that of the objects; 0: that of the objects."""
     stop_reaction: Literal["quick_stop", "disable_voltage"] = "quick_stop"
     """What the drive does when the master is gone (6007h)."""
     target_velocity_fine_index: int = 0x2F15
@@ -78,14 +78,14 @@ class DriveConfig:
         if self.direction not in (1, -1):
             self._refuse("direction", f"{self.direction} is not a sign", "Use 1 or -1.")
         if self.mode not in MODES:
-            self._refuse("mode", f"mode {self.mode} is not one of this driver", f"Use {_either(MODES)}.")
+            self._refuse("mode", f"this driver has no mode {self.mode}", f"Use {_either(MODES)}.")
         for key in ("axis_per_turn", "increments_per_turn", "velocity_unit_rpm", "rated_torque"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0):
                 self._refuse(key, f"{value} is not a positive number", "Take it from the drive's data sheet.")
         if not (math.isfinite(self.setpoint_resolution) and self.setpoint_resolution >= 0.0):
             message = f"{self.setpoint_resolution} is not a resolution"
-            self._refuse("setpoint_resolution", message, "Use 0 where the drive takes what its objects can say.")
+            self._refuse("setpoint_resolution", message, "Use 0 if the drive resolves every unit of its objects.")
         self._check_pdos("rpdo", self.rpdo, self._rpdo_objects, needed=("controlword", self.operation.target.name))
         self._check_pdos("tpdo", self.tpdo, pdo.tpdo_objects(), needed=("statusword", "position_actual"))
         velocities = [name for pdo_names in self.tpdo for name in pdo_names if name.startswith("velocity_actual")]
@@ -126,7 +126,7 @@ class DriveConfig:
 
     @property
     def rpdo_codecs(self) -> dict[int, PdoCodec]:
-        """COB-ID to codec of what the drive receives, in the order of the PDO numbers."""
+        """COB-ID to codec of the PDOs that the drive receives, in the order of their numbers."""
         known = self._rpdo_objects
         return {
             pdo.rpdo_cob_id(number, self.node): PdoCodec([known[name] for name in names])
@@ -135,7 +135,7 @@ class DriveConfig:
 
     @property
     def tpdo_codecs(self) -> dict[int, PdoCodec]:
-        """COB-ID to codec of what the drive sends, in the order of the PDO numbers."""
+        """COB-ID to codec of the PDOs that the drive sends, in the order of their numbers."""
         known = pdo.tpdo_objects()
         return {
             pdo.tpdo_cob_id(number, self.node): PdoCodec([known[name] for name in names])
@@ -154,11 +154,11 @@ class DriveConfig:
 
     @property
     def operation(self) -> Mode:
-        """What hangs on the mode."""
+        """Everything that depends on the mode."""
         return MODES[self.mode]
 
     def resolved(self, setpoint: float) -> float:
-        """What the drive makes of `setpoint`, axis unit/s, N m or V: the nearest that it can tell apart."""
+        """`setpoint` (axis unit/s, N m or V) rounded to the drive's resolution."""
         step = self.setpoint_resolution
         return step * round(setpoint / step) if step > 0.0 and math.isfinite(setpoint) else setpoint
 
@@ -177,7 +177,7 @@ def find_eds(eds: str, *, drive: str, folder: Path | None = None) -> Path:
     """The file of an EDS: beside the vehicle file (in `folder`), as a path of its own, or shipped.
 
     Raises:
-        DriveConfigError: there is none; it names `drive`.
+        DriveConfigError: there is no such file; the error names `drive`.
     """
     places = [Path(eds), SHIPPED_EDS / eds]
     if folder is not None:

@@ -1,8 +1,8 @@
 """One drive at run time: its frames in, its state and motion in SI; target state and setpoint in, its frames out.
 
 Synchronous, no I/O, no clock. Every value has the receive time of its frame. The drive sends its TPDOs after each
-SYNC and takes our RPDOs over at the next one, so what is read here was sampled at the SYNC before.
-Sign: position, velocity and torque are positive where the axis moves in its positive direction (`config.direction`).
+SYNC and applies our RPDOs at the next one, so the values read here were sampled at the previous SYNC.
+Sign: position, velocity and torque are positive in the axis' positive direction (`config.direction`).
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ class Drive:
     """A drive of CiA 402 in one of `modes.MODES`: its setpoint is a velocity (axis unit/s), a torque (N m) or a
     voltage (V).
 
-    It never enables by itself: a drive that leaves Operation enabled uncommanded, or has a fault under the target
-    Operation enabled, is `tripped`. It is then held in quick stop until the fault is reset (`request_fault_reset`), the
-    target has been lowered, and is raised again. A drive that `restarted` has lost its set-up, and is held likewise
-    until it has been set up anew (`configured`).
+    It is never re-enabled automatically: a drive that leaves Operation enabled uncommanded, or has a fault under the
+    target Operation enabled, is `tripped`. It is then held in quick stop until the fault has been reset
+    (`request_fault_reset`) and the target has been lowered and raised again. A drive that `restarted` has lost its
+    set-up, and is held in the same way until it has been set up again (`configured`).
 
     Attributes, for others to read:
         state, statusword: as reported last; UNKNOWN and None before.
-        position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first.
-        setpoint: axis unit/s or V, as the drive makes it of the frame that was sent (in replay: read) last.
+        position, velocity, torque: rad or m, rad/s or m/s, N m at the motor; NaN before the first value.
+        setpoint: axis unit/s, N m or V, as the drive resolves it from the frame that was sent (in replay: read) last.
         controlword: as sent (in replay: read) last.
-        *_timestamp_ns: receive time of the frame that a value came with, 0 before the first.
+        *_timestamp_ns: receive time of the frame that contained the value, 0 before the first.
         nmt_state: of the last heartbeat, None before.
-        mode_display: 6061h where it is mapped, else None.
-        emergency: the EMCY in force, None without one or when it was cleared; last_emergency, emergency_count: of all.
+        mode_display: 6061h if it is mapped, else None.
+        emergency: the active EMCY, None if there is none or it was cleared; last_emergency, emergency_count: of all.
         tripped, trip_reason, restarted: see above.
-        wrong_length, last_wrong_length: how many frames had a wrong length and were not used; the last in words.
-        clipped: setpoints that were limited to what their object can hold.
+        wrong_length, last_wrong_length: number of frames ignored for their wrong length; the last one in words.
+        clipped: number of setpoints that were limited to the range of their object.
     """
 
     def __init__(self, config: DriveConfig) -> None:
@@ -109,12 +109,12 @@ class Drive:
         self._sent = [self.controlword, 0, 0]
 
     def configured(self) -> None:
-        """The drive has been set up: a boot-up from here on is unexpected, one before is forgiven."""
+        """The drive has been set up: a boot-up from here on is unexpected, an earlier one is ignored."""
         self._configured = True
         self.restarted = False
 
     def acknowledge(self) -> bool:
-        """The cause is mended: reset a fault, or forget an emergency that outlived it. False while it cannot be told.
+        """The cause is removed: reset a fault, or clear an emergency that outlived it. False while that cannot be done.
 
         As after any fault reset, the drive stays off until the target has been lowered and raised again.
         """
@@ -136,12 +136,12 @@ class Drive:
 
     @property
     def fault_reset(self) -> FaultResetOutcome | None:
-        """How the last requested fault reset goes; None when there was none."""
+        """Progress of the last requested fault reset; None if there was none."""
         return self._reset.outcome if self._reset is not None else None
 
     @property
     def condition(self) -> str:
-        """State and what is wrong, in words."""
+        """State and problems, in words."""
         words = ["no statusword yet"]
         if self.statusword is not None:
             words = [self.state.value, *states.flags(self.statusword)]
@@ -150,7 +150,7 @@ class Drive:
         if self.tripped:
             words.append(f"tripped: {self.trip_reason}")
         if self.restarted:
-            words.append("restarted, to be set up again")
+            words.append("restarted, must be set up again")
         return f"{self.config.name} (node {self.config.node}): " + ", ".join(words)
 
     # Frames out
@@ -161,7 +161,7 @@ class Drive:
         The setpoint is sent only to a drive that reports Operation enabled and is to stay there; else it is 0.
 
         Raises:
-            ValueError: `target` is not a state that a master can ask for.
+            ValueError: `target` is not a state that a master can command.
         """
         word = self._next_controlword(target)
         enabled = word & states.ENABLE_OPERATION == states.ENABLE_OPERATION and self.state is State.OPERATION_ENABLED
@@ -174,7 +174,7 @@ class Drive:
         )
 
     def request_fault_reset(self, patience: int = states.FAULT_RESET_PATIENCE) -> bool:
-        """Begin a fault reset; it runs over the next cycles, see `fault_reset`. False where the drive has no fault.
+        """Begin a fault reset; it runs over the next cycles, see `fault_reset`. False if the drive has no fault.
 
         The drive ends in Switch on disabled and stays there until the target has been lowered and raised again.
         """
@@ -211,9 +211,9 @@ class Drive:
         self.trip_reason = reason
 
     def _quantise(self, setpoint: float) -> int:
-        """Axis unit/s, N m or V to the smallest steps of the target's object, limited to what it can hold.
+        """Axis unit/s, N m or V to units of the target's object, limited to its range.
 
-        What the drive cannot tell apart is not asked for: what is recorded is what it does.
+        The setpoint is first rounded to the drive's resolution, so that the recorded setpoint is what the drive does.
         """
         units = self.config.resolved(setpoint) / self._setpoint_unit
         if self._lowest <= units <= self._highest:
@@ -224,7 +224,7 @@ class Drive:
         return self._lowest if units < 0 else 0  # not a number: stand still
 
     def _remember_sent(self) -> None:
-        """Set what is known of our own frames from their integers, alike for frames sent and frames replayed."""
+        """Update controlword and setpoint from the integers of our own frames, sent or replayed."""
         word, coarse, fine = self._sent
         self.controlword = word
         sent = (coarse * self._split + fine) * self._setpoint_unit
@@ -233,7 +233,7 @@ class Drive:
     # Frames in
 
     def handle(self, frame: CanFrame) -> None:
-        """Take one frame; those of others are ignored. Never raises on what is in a frame."""
+        """Take one frame; those of others are ignored. Never raises for the content of a frame."""
         handler = self._handlers.get(frame.can_id)
         if handler is not None:
             handler(frame)
@@ -252,10 +252,10 @@ class Drive:
         self.statusword = raw
         self.statusword_timestamp_ns = timestamp_ns
         self.state = state = states.classify(raw)
-        # Once enable operation has been sent, and so Switched on been seen, there is no way back but by itself.
-        asked = self.controlword & states.ENABLE_OPERATION == states.ENABLE_OPERATION
+        # Enable operation is sent only after Switched on was seen, so any way back from there is uncommanded.
+        commanded = self.controlword & states.ENABLE_OPERATION == states.ENABLE_OPERATION
         fell = before is State.OPERATION_ENABLED or state is not State.SWITCHED_ON
-        if asked and fell and state is not State.OPERATION_ENABLED:
+        if commanded and fell and state is not State.OPERATION_ENABLED:
             self._trip(f"left Operation enabled by itself for {state.value} (statusword {raw:04X}h)")
 
     def _take_position(self, raw: int, timestamp_ns: int) -> None:

@@ -1,7 +1,7 @@
 """Electronic data sheets (CiA 306) of drives: read by canopen, checked against what upright is going to use.
 
-An EDS of another device reads without complaint, and then every name in it is a lie; so identity and types are
-compared before anything is written.
+The EDS of another device loads without an error, but its names then refer to the wrong objects. So identity and types
+are compared before anything is written.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def load(config: DriveConfig) -> tuple[Path, ObjectDictionary]:
 
     Raises:
         DriveConfigError: there is no such file.
-        EdsError: it is not an EDS, or lacks an object, or has it with another type.
+        EdsError: the file is not an EDS, lacks an object, or has it with another type.
     """
     file = find_eds(config.eds, drive=config.name)
-    remedy = "Use the EDS that the drive's maker gives for this model and firmware."
+    remedy = "Use the EDS that the drive's maker supplies for this model and firmware."
     try:
         # Latin-1 reads any byte: makers' files come in several encodings, and only names are affected.
         with file.open(encoding="latin-1") as source:
@@ -74,11 +74,11 @@ def _check_entry(config: DriveConfig, file: Path, dictionary: ObjectDictionary, 
 
 
 def check_device(sdo: SdoDialogue, file: Path) -> None:
-    """See that the drive has every object that is going to be mapped, in the length that the EDS says.
+    """Check that the drive has every object that is going to be mapped, with the length stated in the EDS.
 
     Raises:
-        EdsError: it does not have one.
-        DriveSetupError: it has one with another length.
+        EdsError: an object is missing.
+        DriveSetupError: an object has another length.
     """
     for entry in sdo.config.mapped_objects:
         try:
@@ -87,7 +87,7 @@ def check_device(sdo: SdoDialogue, file: Path) -> None:
             raise EdsError(
                 sdo.config,
                 file,
-                "the EDS has this object, and the drive does not",
+                "the EDS has this object, but the drive does not",
                 entry=entry,
                 remedy="Name the EDS of this drive and its firmware, or map another object.",
             ) from error
@@ -99,7 +99,7 @@ def check_identity(
     """Compare the EDS with the identity (1018h) of the drive; what the EDS leaves open (absent or 0) is not checked.
 
     Raises:
-        EdsError: it is that of another device.
+        EdsError: the EDS is that of another device.
     """
     information = dictionary.device_information
     for key, in_eds, in_drive in (
@@ -110,7 +110,7 @@ def check_identity(
             raise EdsError(
                 config,
                 file,
-                f"[DeviceInfo] {key} is {in_eds:#x}, and the drive answers {in_drive:#x} (1018h): it belongs to "
+                f"[DeviceInfo] {key} is {in_eds:#x}, but the drive reports {in_drive:#x} (1018h): it belongs to "
                 "another device",
                 remedy="Name the EDS of this drive under eds in the vehicle file.",
             )

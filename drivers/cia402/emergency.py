@@ -1,7 +1,7 @@
-"""EMCY objects (CiA 301, 7.2.7): error code, error register (1001h) and five bytes of the vendor's, in words.
+"""EMCY objects (CiA 301, 7.2.7): error code, error register (1001h) and five vendor-specific bytes, in words.
 
-Codes are those of CiA 301 and CiA 402 (603Fh). A code that is not in the table is named by its class: the more
-leading digits agree, the closer.
+Codes are those of CiA 301 and CiA 402 (603Fh). A code that is not in the table is named by its class: the entry with
+the most leading digits in common.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ ERROR_CODES: dict[int, str] = {
     0xF002: "sub-synchronous run",
     0xF003: "stroke operation",
     0xF004: "control",
-    0xFF00: "vendor's own",
+    0xFF00: "vendor-specific",
 }
 
 ERROR_REGISTER_BITS = (
@@ -105,7 +105,7 @@ ERROR_REGISTER_BITS = (
     "communication",
     "device profile",
     "reserved",
-    "vendor's own",
+    "vendor-specific",
 )
 """Meaning of the bits of 1001h, from bit 0."""
 
@@ -123,7 +123,7 @@ class Emergency:
 
     @property
     def cleared(self) -> bool:
-        """The drive says that all its errors are gone."""
+        """The drive reports that all its errors are cleared."""
         return self.code == 0
 
     @property
@@ -143,7 +143,7 @@ def decode(timestamp_ns: int, data: bytes) -> Emergency:
 
 
 def describe(code: int) -> str:
-    """An error code in words, by the closest class that is known: `7305h incremental encoder 1`."""
+    """An error code in words, by the closest known class: `7305h incremental encoder 1`."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
         text = ERROR_CODES.get(code & mask)
         if text is not None and (code == 0 or code & mask):

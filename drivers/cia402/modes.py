@@ -1,9 +1,9 @@
-"""The modes of operation (6060h) in which a drive can be run, and all that hangs on the mode.
+"""The modes of operation (6060h) in which a drive can be run, and everything that depends on the mode.
 
-    2    velocity: 6042h in rpm, with the drive's ramp, where mapped with a fine part in 1/8192 rpm
+    2    velocity: 6042h in rpm, with the drive's ramp, and a fine part in 1/8192 rpm if that is mapped
     9    cyclic synchronous velocity: 60FFh in the drive's velocity unit
     10   cyclic synchronous torque: 6071h in per mille of the motor's rated torque
-    -1   voltage, of upright_motor.eds: the mean voltage at the motor; negative modes are each maker's own (CiA 402)
+    -1   voltage, of upright_motor.eds: mean voltage at the motor; negative modes are manufacturer-specific (CiA 402)
 
 A drive's setpoint is in axis unit/s (rad/s, m/s) in the velocity modes, in N m at the motor in the torque mode,
 and in V in the voltage mode.
@@ -22,7 +22,7 @@ FINE_UNITS_PER_RPM = 8192
 """Resolution of `target_velocity_fine`."""
 
 VOLTAGE_UNIT = 1e-3
-"""V a unit of `target_voltage`, 2400h of upright_motor.eds."""
+"""V per unit of `target_voltage`, 2400h of upright_motor.eds."""
 
 
 class Scaling(Protocol):
@@ -44,9 +44,9 @@ class Scaling(Protocol):
 class Mode:
     """One mode of operation.
 
-    `target` is the object of the setpoint, `fine` the name of its vendor-specific fine part, "" where there is none;
-    `step` gives the setpoint of its smallest unit, direction included; `enable_bits` are those of the controlword that
-    the mode wants beyond enable operation; `cyclic`: the drive must know the time between two setpoints.
+    `target` is the object of the setpoint, `fine` the name of its vendor-specific fine part, "" if there is none;
+    `step` gives the setpoint of its smallest unit, direction included; `enable_bits` are the bits of the controlword
+    that the mode requires beyond enable operation; `cyclic`: the drive must know the time between two setpoints.
     """
 
     number: int
@@ -76,6 +76,6 @@ MODES = {
 
 
 def supported(bits: int) -> tuple[int, ...]:
-    """The modes that 6502h says a drive has: bit n - 1 is mode n, and bit 15 + n the maker's own mode -n."""
+    """The modes of a drive by 6502h: bit n - 1 is mode n, and bit 15 + n the manufacturer-specific mode -n."""
     standard = tuple(bit + 1 for bit in range(16) if bits >> bit & 1)
     return standard + tuple(15 - bit for bit in range(16, 32) if bits >> bit & 1)

@@ -19,7 +19,7 @@ class NmtState(Enum):
 
 
 class NmtCommand(Enum):
-    """What the master asks of a node."""
+    """A command of the master to a node."""
 
     START = 0x01
     STOP = 0x02

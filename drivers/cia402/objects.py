@@ -34,11 +34,11 @@ class ObjectEntry:
         return DATA_TYPES[self.code]
 
     def pack(self, value: int) -> bytes:
-        """Raises struct.error where `value` does not fit."""
+        """Raises struct.error if `value` does not fit."""
         return struct.pack("<" + self.code, value)
 
     def unpack(self, data: bytes) -> int:
-        """Raises struct.error where `data` has another length."""
+        """Raises struct.error if `data` has another length."""
         value: int = struct.unpack("<" + self.code, data)[0]
         return value
 

@@ -17,9 +17,9 @@ MAX_PDOS = 4
 
 
 def rpdo_objects(mode: int, fine_index: int) -> dict[str, ObjectEntry]:
-    """What can be sent to the drive in `mode`, one of `modes.MODES`, by name.
+    """The objects that can be sent to the drive in `mode`, one of `modes.MODES`, by name.
 
-    `fine_index` is the vendor object of the fine part of the target, where the mode has one.
+    `fine_index` is the vendor object of the fine part of the target, if the mode has one.
     """
     chosen = MODES[mode]
     fine = (ObjectEntry(chosen.fine, fine_index, 0, "h"),) if chosen.fine else ()
@@ -27,7 +27,7 @@ def rpdo_objects(mode: int, fine_index: int) -> dict[str, ObjectEntry]:
 
 
 def tpdo_objects() -> dict[str, ObjectEntry]:
-    """What the drive can send, by name."""
+    """The objects that the drive can send, by name."""
     return _by_name(
         STATUSWORD,
         ObjectEntry("velocity_actual_rpm", 0x6044, 0, "h"),

@@ -1,6 +1,6 @@
 """The PDOs of a drive over SDO: mapping, transmission at SYNC and COB-ID, compared with the vehicle file's.
 
-What differs is written where the drive allows it, in the order that CiA 301 asks for: PDO off (bit 31 of its COB-ID),
+Differences are written if the drive allows it, in the order that CiA 301 requires: PDO off (bit 31 of its COB-ID),
 count of mapped objects 0, the objects, the count, PDO on; then everything is read back.
 """
 
@@ -19,7 +19,7 @@ INVALID = 1 << 31
 """Bit of a PDO's COB-ID: the PDO is off."""
 
 NO_REMOTE = 1 << 30
-"""Bit of a TPDO's COB-ID: not to be asked for by a remote frame. Some drives insist on it."""
+"""Bit of a TPDO's COB-ID: not to be requested by a remote frame. Some drives require it."""
 
 AT_SYNC = 1
 """Transmission type: at every SYNC."""
@@ -27,7 +27,7 @@ AT_SYNC = 1
 
 @dataclass(frozen=True, slots=True)
 class PdoEntries:
-    """Where PDO `number` (from 1) of one direction stands in an object dictionary."""
+    """Location of PDO `number` (from 1) of one direction in an object dictionary."""
 
     kind: str
     number: int
@@ -70,9 +70,9 @@ def tpdo(number: int) -> PdoEntries:
 
 
 def configure_pdos(sdo: SdoDialogue, dictionary: ObjectDictionary, rpdo_timeout: float) -> bool:
-    """Give the drive the PDOs of its configuration, and switch off those beyond them.
+    """Set up the drive's PDOs as configured, and switch off the others.
 
-    `rpdo_timeout` is in s. Returns whether the drive watches for missing setpoints (1400h:5 and up).
+    `rpdo_timeout` is in s. Returns whether the drive monitors missing setpoints (1400h:5 and up).
 
     Raises:
         DriveSetupError: a PDO differs and cannot be changed.
@@ -85,7 +85,7 @@ def configure_pdos(sdo: SdoDialogue, dictionary: ObjectDictionary, rpdo_timeout:
         watches &= sdo.set_where_present(
             entries.event_timer,
             milliseconds(rpdo_timeout),
-            without="the drive does not notice that setpoints stay away while the heartbeat goes on",
+            without="the drive does not notice missing setpoints while the heartbeat goes on",
         )
     for number, (cob_id, codec) in enumerate(config.tpdo_codecs.items(), start=1):
         _configure(sdo, tpdo(number), cob_id, codec)
@@ -146,7 +146,7 @@ def _set_transmission(sdo: SdoDialogue, entries: PdoEntries) -> None:
         sdo.set(entries.transmission_type, AT_SYNC)
     except DriveSetupError:
         if entries.kind == "TPDO":
-            raise  # without it no values would come, or at their own time
+            raise  # without it values would not arrive, or not at the SYNC
         found = sdo.read(entries.transmission_type)
         sdo.warnings.append(
             f"{entries.transmission_type} stays {found}: a setpoint acts when it arrives, not at the next SYNC"
@@ -154,7 +154,7 @@ def _set_transmission(sdo: SdoDialogue, entries: PdoEntries) -> None:
 
 
 def _switch_off_rest(sdo: SdoDialogue, dictionary: ObjectDictionary) -> None:
-    """PDOs that nobody uses take bus time, and their timeouts would stop the drive."""
+    """Unused PDOs take bus time, and their timeouts would stop the drive."""
     for direction, used in ((rpdo, len(sdo.config.rpdo)), (tpdo, len(sdo.config.tpdo))):
         for number in range(used + 1, 513):
             entries = direction(number)

@@ -1,6 +1,7 @@
 """The object dictionary of one drive over SDO (CiA 301), with errors that name node, object and remedy.
 
-Blocking: for a thread of its own. Two threads must not talk to one node at the same time. canopen does the transfers.
+Blocking: must run in a thread of its own. Two threads must not use one node at the same time. canopen does the
+transfers.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ NO_SUCH_OBJECT = frozenset({0x06020000, 0x06090011})
 class DriveSetupError(UprightError):
     """A drive that cannot be set up.
 
-    Attributes: drive, node, entry (None where no object is concerned), reason (the message without drive and node).
+    Attributes: drive, node, entry (None if no object is concerned), reason (the message without drive and node).
     """
 
     def __init__(self, config: DriveConfig, message: str, *, entry: ObjectEntry | None = None, remedy: str) -> None:
@@ -44,12 +45,12 @@ class MissingObject(DriveSetupError):
 
 
 def milliseconds(seconds: float) -> int:
-    """A time as CANopen objects hold it: rounded up, at least 1."""
+    """A time as CANopen objects hold it, in ms: rounded up, at least 1."""
     return max(1, math.ceil(seconds * 1000.0 - 1e-6))
 
 
 class SdoDialogue:
-    """Reads and writes entries of one drive. Gathers what it lacks (`warnings`) and what was written (`changes`)."""
+    """Reads and writes entries of one drive. Collects what it lacks (`warnings`) and what was written (`changes`)."""
 
     def __init__(self, node: canopen.RemoteNode, config: DriveConfig) -> None:
         self.config = config
@@ -76,7 +77,7 @@ class SdoDialogue:
             raise self._silent(entry, error) from error
         self._answered = True
         if size is None:
-            data = data[: entry.size]  # expedited without a size: four bytes, of which the first are meant
+            data = data[: entry.size]  # expedited without a size: four bytes, of which only the first are valid
         try:
             return entry.unpack(data)
         except struct.error as error:
@@ -88,14 +89,14 @@ class SdoDialogue:
             ) from error
 
     def find(self, entry: ObjectEntry) -> int | None:
-        """As `read`; None where the drive does not have the object."""
+        """As `read`; None if the drive does not have the object."""
         try:
             return self.read(entry)
         except MissingObject:
             return None
 
     def write(self, entry: ObjectEntry, value: int) -> None:
-        """Write `entry` without looking. Raises as `read`."""
+        """Write `entry` without reading it first. Raises as `read`."""
         try:
             self._sdo.download(entry.index, entry.subindex, entry.pack(value))
         except canopen.SdoAbortedError as error:
@@ -104,7 +105,7 @@ class SdoDialogue:
             raise self._silent(entry, error) from error
 
     def set(self, entry: ObjectEntry, value: int) -> None:
-        """Make `entry` have `value`: written only where it differs, and read back.
+        """Make `entry` have `value`: written only if it differs, and read back.
 
         Raises:
             DriveSetupError: as `read`, or the drive keeps another value.
@@ -124,7 +125,7 @@ class SdoDialogue:
         self.changes.append(f"{entry}: {before:#x} -> {value:#x}")
 
     def set_where_present(self, entry: ObjectEntry, value: int, *, without: str) -> bool:
-        """As `set`; where the drive lacks `entry`, warn what that means (`without`) and return False."""
+        """As `set`; if the drive lacks `entry`, warn of the consequence (`without`) and return False."""
         try:
             self.set(entry, value)
         except MissingObject:
@@ -133,7 +134,7 @@ class SdoDialogue:
         return True
 
     def refuse(self, message: str, *, entry: ObjectEntry | None = None, remedy: str) -> DriveSetupError:
-        """The error to raise for something about this drive."""
+        """The error to raise for a problem with this drive."""
         return DriveSetupError(self.config, message, entry=entry, remedy=remedy)
 
     def _aborted(self, entry: ObjectEntry, doing: str, error: canopen.SdoAbortedError) -> DriveSetupError:
@@ -151,7 +152,7 @@ class SdoDialogue:
         if self._answered:
             return DriveSetupError(
                 self.config,
-                f"the node answered before, and no more ({error})",
+                f"the node answered before, but no longer does ({error})",
                 entry=entry,
                 remedy="Check the cable, and that no other SDO client is on the bus.",
             )

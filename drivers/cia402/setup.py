@@ -1,7 +1,7 @@
-"""Set-up of a drive over SDO before it is run: who it is, what it will send and take, and when it stops by itself.
+"""Set-up of a drive over SDO before it is run: its identity, the PDOs both ways, and when it stops by itself.
 
-Blocking: `configure` belongs in a thread, while another hands the bus's frames to the canopen network. It leaves the
-drive in NMT pre-operational, disabled; starting the node and enabling it are the control loop's. CiA 301 and CiA 402.
+Blocking: `configure` must run in a thread, while another passes the bus's frames to the canopen network. It leaves the
+drive in NMT pre-operational, disabled; the control loop starts and enables it. CiA 301 and CiA 402.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.cia402.sdo import DriveSetupError, MissingNode, SdoDialogue, millis
 from drivers.cia402.states import State
 
 PATIENCE = 1.0
-"""s that a drive has to take over a mode or to switch off."""
+"""s within which a drive must adopt a mode or switch off."""
 
 STOP_REACTIONS = {"disable_voltage": 2, "quick_stop": 3}
 """Values of the abort connection option code (6007h)."""
@@ -31,22 +31,22 @@ CIA402_PROFILE = 402
 
 @dataclass(frozen=True, slots=True)
 class Supervision:
-    """How master and drives watch each other. Times in s; what a drive cannot hold (ms) is rounded up."""
+    """How master and drives monitor each other. Times in s, rounded up to whole ms for the drive."""
 
     master_node: int
     heartbeat_period: float
     """Of the drive's own heartbeat."""
     heartbeat_timeout: float
-    """Without the master's heartbeat for so long, the drive stops by itself."""
+    """Time without the master's heartbeat after which the drive stops by itself."""
     rpdo_timeout: float
-    """Without a setpoint for so long, the drive stops by itself, where it can watch for that."""
+    """Time without a setpoint after which the drive stops by itself, if it can monitor that."""
     cycle_period: float
     """Between two SYNCs."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveReport:
-    """What was found in a drive and what was changed. None where the drive does not have the object."""
+    """What was found in a drive and what was changed. None if the drive does not have the object."""
 
     name: str
     node: int
@@ -68,7 +68,7 @@ class DriveReport:
     changes: tuple[str, ...]
     """Objects that were written, with the value before and after."""
     warnings: tuple[str, ...]
-    """What the drive lacks, and what follows from that."""
+    """What the drive lacks, with the consequences."""
 
 
 def configure(network: canopen.Network, config: DriveConfig, supervision: Supervision) -> DriveReport:
@@ -76,7 +76,7 @@ def configure(network: canopen.Network, config: DriveConfig, supervision: Superv
 
     Raises:
         DriveConfigError: the EDS file does not exist.
-        DriveSetupError: with the node, the object and the remedy; `MissingNode` where nothing answers.
+        DriveSetupError: with the node, the object and the remedy; `MissingNode` if nothing answers.
     """
     file, dictionary = eds.load(config)
     node = network.add_node(canopen.RemoteNode(config.node, dictionary))
@@ -94,12 +94,12 @@ def configure(network: canopen.Network, config: DriveConfig, supervision: Superv
     watches_heartbeat = _set_heartbeats(sdo, supervision)
     if not (watches_heartbeat or watches_rpdos):
         raise sdo.refuse(
-            "it can watch neither the master's heartbeat (1016h) nor its setpoints (1400h:5), and would keep the last "
-            "speed when the master is gone",
+            "it can monitor neither the master's heartbeat (1016h) nor its setpoints (1400h:5), and would keep the "
+            "last speed when the master is gone",
             remedy="Use a drive, or a firmware, that has one of them.",
         )
     stop_reaction = STOP_REACTIONS[config.stop_reaction]
-    stops_so = sdo.set_where_present(
+    reaction_set = sdo.set_where_present(
         od.ABORT_CONNECTION_OPTION,
         stop_reaction,
         without="what the drive does when the master is gone is set in its own parameters; test it by pulling the plug",
@@ -118,7 +118,7 @@ def configure(network: canopen.Network, config: DriveConfig, supervision: Superv
         supported_modes=supported,
         mode=config.mode,
         quick_stop_option=_check_quick_stop(sdo),
-        stop_reaction=stop_reaction if stops_so else None,
+        stop_reaction=stop_reaction if reaction_set else None,
         watches_heartbeat=watches_heartbeat,
         watches_rpdos=watches_rpdos,
         changes=tuple(sdo.changes),
@@ -145,7 +145,7 @@ def _check_identity(sdo: SdoDialogue) -> tuple[int, int]:
     ):
         if expected and found != expected:
             raise sdo.refuse(
-                f"the drive answers {found:#x}, and {key} in the vehicle file is {expected:#x}",
+                f"the drive reports {found:#x}, but {key} in the vehicle file is {expected:#x}",
                 entry=entry,
                 remedy=f"Check that the drives are not mixed up; else write {key} = {found:#x}, or 0 for any.",
             )
@@ -153,7 +153,7 @@ def _check_identity(sdo: SdoDialogue) -> tuple[int, int]:
 
 
 def _switch_off(sdo: SdoDialogue) -> tuple[State, int | None]:
-    """Disable a drive that is still on, say from a run before. Its state on arrival, and its error code in Fault."""
+    """Disable a drive that is still on, as from an earlier run. Its state on arrival, and its error code in Fault."""
     arrival = state = states.classify(sdo.read(od.STATUSWORD))
     off = (State.SWITCH_ON_DISABLED, State.NOT_READY_TO_SWITCH_ON, State.FAULT)
     if state not in off:
@@ -164,7 +164,7 @@ def _switch_off(sdo: SdoDialogue) -> tuple[State, int | None]:
                 raise sdo.refuse(
                     f"stays in {state.value} after disable voltage",
                     entry=od.STATUSWORD,
-                    remedy="Switch the drive off by hand, and see that nothing else on the bus controls it.",
+                    remedy="Switch the drive off by hand, and check that nothing else on the bus controls it.",
                 )
             time.sleep(0.005)
             state = states.classify(sdo.read(od.STATUSWORD))
@@ -181,10 +181,10 @@ def _select_mode(sdo: SdoDialogue) -> tuple[int, ...] | None:
     bits = sdo.find(od.SUPPORTED_MODES)
     supported = None if bits is None else modes.supported(bits)
     if supported is None:
-        sdo.warnings.append(f"no {od.SUPPORTED_MODES}: whether it has mode {mode} shows in 6061h alone")
+        sdo.warnings.append(f"no {od.SUPPORTED_MODES}: only 6061h shows whether it has mode {mode}")
     elif mode not in supported:
         raise sdo.refuse(
-            f"the drive has modes {', '.join(map(str, supported)) or 'none'}, and not mode {mode}",
+            f"the drive has modes {', '.join(map(str, supported)) or 'none'}, but not mode {mode}",
             entry=od.SUPPORTED_MODES,
             remedy="Choose another one under mode in the vehicle file, or set the drive up for this one.",
         )
@@ -193,16 +193,16 @@ def _select_mode(sdo: SdoDialogue) -> tuple[int, ...] | None:
     while (shown := sdo.read(od.MODE_DISPLAY)) != mode:
         if time.monotonic() > deadline:
             raise sdo.refuse(
-                f"is {shown} after mode {mode} was asked for",
+                f"is {shown} after mode {mode} was requested",
                 entry=od.MODE_DISPLAY,
-                remedy="See in the drive's manual what this mode needs (in mode 9 often a synchronous cycle).",
+                remedy="Check in the drive's manual what this mode needs (mode 9 often a synchronous cycle).",
             )
         time.sleep(0.005)
     return supported
 
 
 def _set_sync(sdo: SdoDialogue, supervision: Supervision) -> None:
-    """The drive shall take SYNC from 080h and not make one; in a cyclic mode it must also know the cycle."""
+    """The drive must receive SYNC on 080h and not produce it; in a cyclic mode it must also know the cycle."""
     sdo.set_where_present(od.SYNC_COB_ID, 0x80, without="assumed to be 080h")
     if sdo.config.operation.cyclic:
         exponent = -3 if math.isclose(supervision.cycle_period % 1e-3, 0.0, abs_tol=1e-9) else -4
@@ -213,7 +213,7 @@ def _set_sync(sdo: SdoDialogue, supervision: Supervision) -> None:
 
 
 def _set_heartbeats(sdo: SdoDialogue, supervision: Supervision) -> bool:
-    """The drive's own heartbeat, and the one that it watches. False where it cannot watch."""
+    """The drive's own heartbeat, and the one that it monitors. False if it cannot monitor one."""
     timeout = milliseconds(supervision.heartbeat_timeout)
     watches = sdo.set_where_present(
         od.CONSUMER_HEARTBEAT,

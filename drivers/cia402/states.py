@@ -1,6 +1,6 @@
 """The power drive system state machine of CiA 402 (IEC 61800-7-201), as pure functions over data.
 
-A drive tells its state in the statusword (6041h), and is led from state to state by the controlword (6040h). Nothing
+A drive reports its state in the statusword (6041h), and the controlword (6040h) leads it from state to state. Nothing
 here keeps time or does I/O. Transition numbers in comments are those of CiA 402.
 """
 
@@ -10,7 +10,7 @@ from enum import Enum
 
 
 class State(Enum):
-    """The CiA 402 states; UNKNOWN is a statusword that no state has, or that never came."""
+    """The CiA 402 states; UNKNOWN: the statusword matches none, or has not been received."""
 
     NOT_READY_TO_SWITCH_ON = "Not ready to switch on"
     SWITCH_ON_DISABLED = "Switch on disabled"
@@ -33,7 +33,7 @@ PATTERNS: tuple[tuple[int, int, State], ...] = (
     (0x4F, 0x0F, State.FAULT_REACTION_ACTIVE),
     (0x4F, 0x08, State.FAULT),
 )
-"""Mask, value, state: a statusword is in the state where `statusword & mask == value`."""
+"""Mask, value, state: the drive is in the state for which `statusword & mask == value`."""
 
 _STATE_BITS = 0x6F
 _BY_BITS = tuple(
@@ -52,7 +52,7 @@ FLAGS: tuple[tuple[int, str], ...] = (
 
 
 def classify(statusword: int) -> State:
-    """The state that `statusword` reports; UNKNOWN where its bits belong to none. Defined for all 65,536 words."""
+    """The state that `statusword` reports; UNKNOWN if its bits match none. Defined for all 65,536 words."""
     return _BY_BITS[statusword & _STATE_BITS]
 
 
@@ -85,10 +85,10 @@ TOWARDS: dict[State, dict[State, int]] = {
     State.OPERATION_ENABLED: _FROM_BELOW,
     State.QUICK_STOP_ACTIVE: dict.fromkeys(State, QUICK_STOP),  # 7, 10, 11; no effect elsewhere
 }
-"""Target, then present state, to the controlword. Where a state is not named, DISABLE_VOLTAGE."""
+"""Controlword by target, then present state; DISABLE_VOLTAGE for a state that is not listed."""
 
 FAULT_RESET_PATIENCE = 250
-"""Cycles that a drive has to leave Fault after the edge: 1 s at 250 Hz."""
+"""Cycles within which a drive must leave Fault after the edge: 1 s at 250 Hz."""
 
 FAULTY = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE})
 
@@ -96,11 +96,11 @@ FAULTY = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE})
 def controlword_towards(state: State, target: State) -> int:
     """The controlword that leads one transition from `state` towards `target`, or holds it there.
 
-    A drive with a fault is never led out of it from here, see `FaultReset`. A drive in Switch on disabled stays there
+    This function never leads a drive out of a fault, see `FaultReset`. A drive in Switch on disabled stays there
     under the target QUICK_STOP_ACTIVE, so that a quick stop that ends by itself (605Ah = 0 to 2) ends for good.
 
     Raises:
-        ValueError: `target` is not a state that a master can ask for.
+        ValueError: `target` is not a state that a master can command.
     """
     try:
         return TOWARDS[target].get(state, DISABLE_VOLTAGE)
@@ -117,9 +117,9 @@ class FaultResetOutcome(Enum):
 
 
 class FaultReset:
-    """One fault reset (transition 15): bit 7 low for a cycle, then high until the fault is gone or patience is.
+    """One fault reset (transition 15): bit 7 low for a cycle, then high until the fault is gone or patience runs out.
 
-    It ends in Switch on disabled at best; it never asks for more. `patience` is in calls of `controlword`.
+    It leads at most to Switch on disabled. `patience` is in calls of `controlword`.
     """
 
     __slots__ = ("_left", "_rising", "outcome")

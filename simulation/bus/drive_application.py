@@ -20,7 +20,7 @@ HALT = 0x100
 
 @dataclass(slots=True)
 class DriveParameters:
-    """What a master can set by SDO: option codes and ramps (rpm/s), with the values of an unset drive."""
+    """Parameters that a master can set by SDO: option codes and ramps (rpm/s), with their defaults."""
 
     quick_stop_option: int = 2
     shutdown_option: int = 0
@@ -68,7 +68,7 @@ class DriveApplication(ABC):
         self._release()
 
     def write(self, key: int, value: int, now: float) -> bool:
-        """Take a value for the image; whether it has reset a fault."""
+        """Write a value to the image; returns whether it has reset a fault."""
         self.image[key] = value
         if key != CONTROLWORD:
             return False
@@ -85,7 +85,7 @@ class DriveApplication(ABC):
         self.update(now)
 
     def update(self, now: float) -> None:
-        """Let the state machine move on and the axis follow it."""
+        """Advance the state machine and let the axis follow it."""
         power = self.power
         power.stay_in_stop = self.parameters.quick_stop_option >= 5
         power.ramp_before_disable = self.parameters.disable_option == 1
@@ -105,7 +105,7 @@ class DriveApplication(ABC):
 
     @abstractmethod
     def _release(self) -> None:
-        """Power-on: what becomes of the axis."""
+        """Power-on: bring the axis into its initial state."""
 
     @abstractmethod
     def _standstill(self) -> bool: ...
@@ -116,14 +116,14 @@ class DriveApplication(ABC):
 
     @abstractmethod
     def _drive(self) -> None:
-        """Operation enabled: do what mode and target say."""
+        """Operation enabled: follow mode and target."""
 
     @abstractmethod
     def _unpower(self, now: float) -> None:
-        """Take the power from the axis if it has any."""
+        """Remove the power from the axis if it is on."""
 
     def _statusword(self) -> int:
-        """Its bits that do not depend on the mode of operation."""
+        """The bits of the statusword that do not depend on the mode of operation."""
         state = self.power.state
         word = int(state)
         if state is not PowerState.NOT_READY_TO_SWITCH_ON:
@@ -134,10 +134,10 @@ class DriveApplication(ABC):
 
 
 def wrapped(value: int) -> int:
-    """As a 32-bit counter shows it."""
+    """`value` as a 32-bit counter shows it."""
     return (value + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
 
 
 def permille(value: float) -> int:
-    """`value` per mille as 6077h can show it."""
+    """`value` in per mille, limited to the range of 6077h."""
     return max(-32768, min(32767, round(value)))

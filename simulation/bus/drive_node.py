@@ -1,7 +1,7 @@
 """A drive as a CANopen slave (CiA 301): NMT, SDO server, PDOs, SYNC, EMCY, heartbeat both ways.
 
 SDO and NMT run on canopen's LocalNode over an object dictionary from an EDS. What LocalNode lacks is here: PDOs on
-SYNC and on event, the heartbeat consumer (1016h), RPDO deadlines (1400h:5) and what follows from them (6007h, 1029h).
+SYNC and on event, the heartbeat consumer (1016h), RPDO deadlines (1400h:5) and the reactions to them (6007h, 1029h).
 All times are simulated, in s.
 """
 
@@ -49,7 +49,7 @@ class VirtualDrive:
         self.config = config
         self.servo = servo
         self.connected = True
-        """False: cable out, nothing is sent or received."""
+        """False: cable unplugged, nothing is sent or received."""
         self.heartbeat_enabled = True
         self._emit = send
         self._clock = clock
@@ -62,7 +62,7 @@ class VirtualDrive:
         self._rpdos: list[Pdo] = []
         self._tpdos: list[Pdo] = []
         self._consumers: dict[int, tuple[float, float | None]] = {}
-        """Node whose heartbeat is watched to its timeout and when it is overdue; None until it was heard."""
+        """Monitored node to its heartbeat timeout and the time at which it is overdue; None until it was heard."""
         self._stale = False
         self._last_sync = 0.0
 
@@ -90,7 +90,7 @@ class VirtualDrive:
                 self._configure()
 
     def tick(self) -> None:
-        """Let time pass: states, deadlines, heartbeat, event-timed PDOs. Call it once a control period."""
+        """Let time pass: states, deadlines, heartbeat, event-timed PDOs. Call it once per control period."""
         now = self._clock()
         for node, (timeout, due) in self._consumers.items():
             if due is not None and now >= due:

@@ -1,8 +1,8 @@
-"""A drive without a holding brake, whose master sets what acts on its motor: CiA 402 states, encoder, torque.
+"""A drive without a holding brake, whose master sets torque or voltage: CiA 402 states, encoder, torque.
 
-Without power the motor turns freely. Statusword bit 11 says that more was asked for than the drive can give.
+Without power the motor turns freely. Statusword bit 11 reports that the setpoint exceeds the drive's limits.
 axis position = direction * axis_per_turn * increments / increments_per_turn; 6077h is per mille of the rated torque at
-the motor. What the setpoint is, and how the motor is braked, is up to `torque_drive` and `voltage_drive`.
+the motor. The setpoint, and how the motor is braked, are defined by `torque_drive` and `voltage_drive`.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from simulation.bus.power_state import PowerState
 from simulation.config import DriveNode
 
 STANDSTILL_RATE = 0.5
-"""rad/s of the axis below which it counts as standing (assumed)."""
+"""rad/s of the axis below which it counts as at standstill (assumed)."""
 
 
 class FreeMotor(Protocol):
-    """A motor and its encoder; positive where the axis is. Its setpoint is in V or N m at the axis."""
+    """A motor and its encoder, with the signs of the axis. Its setpoint is in V or N m at the axis."""
 
     powered: bool
     """False: no current flows."""
@@ -37,12 +37,12 @@ class FreeMotor(Protocol):
 
     @property
     def demand(self) -> float:
-        """What the drive makes of the target within its limits."""
+        """The target within the drive's limits."""
         ...
 
     @property
     def limited(self) -> bool:
-        """The target is beyond these."""
+        """The target exceeds the drive's limits."""
         ...
 
     @property
@@ -62,14 +62,14 @@ class FreeMotor(Protocol):
 
 
 class FreeDrive(DriveApplication):
-    """A drive that passes a target on to `axis`, in the one mode of `modes`."""
+    """A drive that passes a target on to `axis`, in the only mode of `modes`."""
 
     TARGET: ClassVar[int]
-    """Key of the object of the target, and"""
+    """Key of the target's object."""
     DEMAND: ClassVar[int]
-    """of what the drive makes of it."""
+    """Key of the object for the target within the drive's limits."""
     MODE_BIT: ClassVar[int] = 0
-    """Bit of the statusword that says in this mode that the drive follows its target; 0 for none."""
+    """Bit of the statusword that reports in this mode that the drive follows its target; 0 for none."""
 
     def __init__(self, config: DriveNode, axis: FreeMotor) -> None:
         self.axis = axis

@@ -1,7 +1,6 @@
-"""The LPMS-IG1 on the vehicle: the errors of its sensors, and the CAN frames it streams. What they feel is the plant's.
+"""The LPMS-IG1 on the vehicle: the errors of its sensors, and the CAN frames it streams. The plant gives its motion.
 
-Frames carry g and deg/s or rad/s as 32-bit floats, or g / 1000 and 0.1 deg/s as
-16-bit integers, little-endian.
+Frames carry g and deg/s or rad/s as 32-bit floats, or g / 1000 and 0.1 deg/s as 16-bit integers, little-endian.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class SensorPath:
         self._state: Motion | None = None
 
     def pass_on(self, motion: Motion) -> Motion:
-        """The motion that the sensor sees now that the vehicle moves with `motion`."""
+        """The motion that the sensor sees now; `motion` is the vehicle's actual one."""
         if self._state is None:
             self._state = motion
             self._past.extend([motion] * (self._past.maxlen or 0))
@@ -45,8 +44,8 @@ class SensorPath:
 
 
 def _between(one: Motion, other: Motion, share: float, period: float) -> Motion:
-    """The motion at `share` of the `period` (s) from `one` to `other`: angle and rate, of which the next value is the
-    slope, by Hermite's cubics, for a straight line would take away from whatever is fast; the rest by such lines."""
+    """The motion at `share` of the `period` (s) from `one` to `other`. Angle and rate, whose slope is the next value,
+    are interpolated by Hermite cubics, since straight lines would attenuate fast motion; the rest is linear."""
     if share >= 1.0:
         return other
     rest = 1.0 - share
@@ -72,7 +71,7 @@ class VirtualImu:
         sizes: Mapping[str, float],
         falling_axis: int = 0,
     ) -> None:
-        """`falling_axis`: of the gyro whose hidden errors are among `sizes`, see `Machine`."""
+        """`falling_axis`: axis of the gyro whose hidden errors are among `sizes`, see `Machine`."""
         self.config = config
         self._rate = rate
         self._seed = seed
@@ -89,7 +88,7 @@ class VirtualImu:
         self.reseed()
 
     def reseed(self) -> None:
-        """Begin the noise again, as after the start: what follows depends on the seed alone."""
+        """Restart the noise, as at the start: what follows depends on the seed alone."""
         self._random = np.random.default_rng(self._seed)
         self._noise: list[list[float]] = []
         self._bias = list(self.config.angular_rate_bias)

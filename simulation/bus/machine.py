@@ -1,4 +1,4 @@
-"""What a plant is to the nodes on the bus: a clock, steps, axes for the drives to move, a motion that the IMU feels."""
+"""The plant as the nodes on the bus see it: a clock, steps, axes that the drives move, a motion that the IMU feels."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from simulation.config import DriveNode
 from telemetry.samples import Vector3
 
 Motion = tuple[float, ...]
-"""Angle about the axis of `Machine.falling_axis`, its rate and acceleration; then what else an IMU on it feels."""
+"""Angle about the axis of `Machine.falling_axis`, its rate and acceleration; then all else that an IMU on it feels."""
 
 
 class Machine(ABC):
     """A vehicle's mechanics, integrated in steps of `step_size` s."""
 
     name: ClassVar[str]
-    """What it is called in messages, with its article."""
+    """Its name in messages, with the article."""
     roles: ClassVar[Mapping[str, int]]
-    """How many drives of which role it has."""
+    """Role to number of drives."""
     falling_axis: ClassVar[int]
-    """0 where it falls about x (roll), 1 about y (tilt)."""
+    """0: it falls about x (roll); 1: about y (tilt)."""
 
     def __init__(self, step_size: float) -> None:
         self.step_size = step_size
@@ -46,7 +46,7 @@ class Machine(ABC):
             self.step()
 
     def restart_disturbance(self) -> None:  # noqa: B027 - a machine without a random part has nothing to restart
-        """Begin the random disturbance again: what follows depends on the seed alone."""
+        """Restart the random disturbance: what follows depends on the seed alone."""
 
     @abstractmethod
     def step(self) -> None:
@@ -54,12 +54,12 @@ class Machine(ABC):
 
     @abstractmethod
     def application(self, node: DriveNode, number: int) -> DriveApplication:
-        """What runs on the n-th drive with the role of `node`."""
+        """The application of the drive number `number` with the role of `node`."""
 
     @abstractmethod
     def motion(self) -> Motion:
-        """How it moves now."""
+        """The present motion."""
 
     @abstractmethod
     def felt(self, motion: Motion, position: Vector3, gravity: float) -> tuple[Vector3, Vector3]:
-        """Specific force (m/s^2) and angular rate (rad/s) in vehicle axes, at `position` (m), while it moves so."""
+        """Specific force (m/s^2) and angular rate (rad/s) in vehicle axes, at `position` (m), for `motion`."""

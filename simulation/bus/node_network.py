@@ -11,7 +11,7 @@ Send = Callable[[int, bytes], None]
 
 
 class PeriodicMessage:
-    """A message that canopen wants sent again and again: the heartbeat."""
+    """A message that canopen sends periodically: the heartbeat."""
 
     def __init__(self, can_id: int, data: bytes, period: float, due: float) -> None:
         self.can_id = can_id
@@ -47,7 +47,7 @@ class NodeNetwork(canopen.Network):
         return message
 
     def send_due(self, now: float) -> None:
-        """Send the periodic messages whose time has come."""
+        """Send the periodic messages that are due."""
         for message in self._periodic:
             if now >= message.due:
                 message.due = max(message.due + message.period, now)

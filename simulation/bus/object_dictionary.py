@@ -39,7 +39,7 @@ def load_dictionary(config: DriveNode) -> canopen.ObjectDictionary:
             assert isinstance(dictionary, canopen.ObjectDictionary)
             if 0x1400 in dictionary:
                 return dictionary
-            problem = "describes no PDO: it is not one of a drive"
+            problem = "describes no PDO: it is not that of a drive"
     raise SimulationError(
         f"the EDS {str(path)!r} of drive {config.name!r} {problem}.",
         remedy="Name another in the vehicle file, or use one that is shipped, such as upright_servo.eds.",
@@ -47,7 +47,7 @@ def load_dictionary(config: DriveNode) -> canopen.ObjectDictionary:
 
 
 def read_number(node: canopen.LocalNode, index: int, subindex: int, default: int) -> int:
-    """An integer object, `default` where the dictionary does not have it."""
+    """An integer object, `default` if the dictionary does not have it."""
     variable = node.object_dictionary.get_variable(index, subindex)
     if variable is None:
         return default
@@ -58,7 +58,7 @@ def read_number(node: canopen.LocalNode, index: int, subindex: int, default: int
 
 
 def write_default_pdos(node: canopen.LocalNode, config: DriveNode) -> None:
-    """Give the node the power-on PDOs of `config`. Raises SimulationError where the EDS lacks what they need."""
+    """Give the node the power-on PDOs of `config`. Raises SimulationError if the EDS lacks what they need."""
     for first, pdos in ((RPDO, config.rpdo), (TPDO, config.tpdo)):
         for place in range(MAX_PDOS):
             if place < len(pdos):
@@ -95,7 +95,7 @@ def _write_pdo(node: canopen.LocalNode, config: DriveNode, first: int, place: in
 
 
 def read_pdo(node: canopen.LocalNode, index: int, before: Sequence[Pdo]) -> Pdo | None:
-    """The PDO with communication object `index`, None if not in use; keeps the data of its like in `before`."""
+    """The PDO with communication object `index`, None if not in use; keeps the data of the same PDO in `before`."""
     cob_id = read_number(node, index, 1, NOT_IN_USE)
     if cob_id & NOT_IN_USE:
         return None
@@ -116,7 +116,7 @@ def read_pdo(node: canopen.LocalNode, index: int, before: Sequence[Pdo]) -> Pdo 
 
 
 def check_mapping(node: canopen.LocalNode, index: int, subindex: int, value: int) -> None:
-    """Refuse, as a drive does, a mapping that cannot be. Raises SdoAbortedError with the code of CiA 301."""
+    """Refuse an impossible mapping, as a drive does. Raises SdoAbortedError with the code of CiA 301."""
     if subindex == 0:
         entries = [read_number(node, index, place, 0) for place in range(1, value + 1)]
         if 0 in entries:

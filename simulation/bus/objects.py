@@ -73,7 +73,7 @@ class Pdo:
     keys: tuple[int, ...]
     codec: struct.Struct
     data: bytes | None = None
-    """RPDO: what waits for the next SYNC. TPDO: what was sent last."""
+    """RPDO: data waiting for the next SYNC. TPDO: data sent last."""
     due: float | None = None
     """s: when the RPDO is late, or the TPDO is next sent; None: not watched."""
     syncs: int = 0

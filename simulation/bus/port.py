@@ -23,7 +23,7 @@ OUTAGE_PAUSE = 0.01
 """s to wait before a bus that is down is read again."""
 
 MOST_FRAMES = 256
-"""Handed over at once, so that a flooded bus cannot stop the vehicle's time."""
+"""Frames handed over at most at once, so that a flooded bus cannot stop the vehicle's time."""
 
 Received = list[tuple[int, bytes]]
 """CAN id and data of frames."""
@@ -31,7 +31,7 @@ Received = list[tuple[int, bytes]]
 
 @dataclass(slots=True)
 class PortStatistics:
-    """What went over a port. `transmit_dropped` counts frames the bus did not take, `errors` failed reads."""
+    """Counts of a port. `transmit_dropped` counts frames the bus did not take, `errors` failed reads."""
 
     received: int = 0
     sent: int = 0
@@ -50,7 +50,7 @@ class BusPort:
             self._socket.setblocking(False)
 
     def receive(self, timeout: float) -> Received:
-        """Wait up to `timeout` s for a frame; then all there are."""
+        """Wait up to `timeout` s for a frame; returns all that have arrived."""
         try:
             frames = self._receive_raw(timeout) if self._socket is not None else self._receive_messages(timeout)
         except (OSError, can.CanError):
@@ -86,7 +86,7 @@ class BusPort:
             except BlockingIOError:
                 return frames
             except OSError as error:
-                if error.errno == errno.ENOBUFS:  # the queue overflowed; what is in it is still good
+                if error.errno == errno.ENOBUFS:  # the queue overflowed; its content is still valid
                     continue
                 raise
             if not can_id & FLAGS:

@@ -1,7 +1,7 @@
 """The power state machine inside a CiA 402 servo drive (CiA 402-2, figure "state machine"), seen from the drive.
 
-A controlword asks for a command; where the state allows it, the transition happens after the time that a real power
-stage takes. A fault is left by a rising edge of bit 7 alone, into Switch on disabled.
+A controlword requests a command; if the state allows it, the transition happens after the time that a real power
+stage takes. A fault is left only by a rising edge of bit 7, into Switch on disabled.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class PowerState(IntEnum):
 
 
 class Command(Enum):
-    """What the low bits of a controlword ask for."""
+    """The command in the low bits of a controlword."""
 
     SHUTDOWN = "shutdown"
     SWITCH_ON = "switch on"
@@ -60,7 +60,7 @@ TRANSITIONS: dict[tuple[PowerState, Command], tuple[PowerState, float]] = {
     (_S.OPERATION_ENABLED, _C.QUICK_STOP): (_S.QUICK_STOP_ACTIVE, 0.0),
     (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): (_S.SWITCH_ON_DISABLED, 0.0),
 }
-"""State and command to next state and the s it takes. From Quick stop active see `PowerStateMachine.stay_in_stop`."""
+"""State and command to next state and time, s. From Quick stop active see `PowerStateMachine.stay_in_stop`."""
 
 SELF_TEST = 0.05
 """s from power-on until Switch on disabled."""
@@ -97,7 +97,7 @@ class PowerStateMachine:
         self._enter(PowerState.NOT_READY_TO_SWITCH_ON, now)
 
     def write(self, controlword: int, now: float) -> bool:
-        """Take a controlword; whether it has reset a fault (a rising edge of bit 7 in Fault)."""
+        """Take a controlword; returns whether it has reset a fault (a rising edge of bit 7 in Fault)."""
         edge = controlword & FAULT_RESET and not self.controlword & FAULT_RESET
         self.controlword = controlword
         if edge and self.state is PowerState.FAULT:
@@ -106,7 +106,7 @@ class PowerStateMachine:
         return False
 
     def fail(self, now: float, *, under_power: bool) -> None:
-        """Go to Fault, by way of a stop under power where the stage is on and that is the reaction."""
+        """Go to Fault, through a stop under power if the stage is on and the reaction is to stop."""
         if self.state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
             return
         moving = self.state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)

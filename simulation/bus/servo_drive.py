@@ -1,6 +1,6 @@
 """The application of a servo inverter: CiA 402 states, velocity modes 2 and 9, statusword and actual values.
 
-Mode 2 (velocity): 6042h in rpm plus a fine part in 1/8192 rpm, with the drive's ramp and, where the drive honours
+Mode 2 (velocity): 6042h in rpm plus a fine part in 1/8192 rpm, with the drive's ramp and, if the drive honours
 them, controlword bits 4 (enable ramp), 5 (unlock ramp) and 6 (use the reference). Mode 9 (cyclic synchronous
 velocity): 60FFh in the drive's velocity unit, no ramp. A drive that loses power closes its holding brake: at once at
 standstill, else after it has coasted for the brake's closing time.

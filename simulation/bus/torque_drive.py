@@ -1,7 +1,7 @@
 """A servo drive whose master sets the torque: cyclic synchronous torque (mode 10).
 
-6071h is the motor's torque in per mille of the rated torque, from the next SYNC on, 6074h what of it the current limit
-allows. Statusword bit 12 says that the drive follows the target.
+6071h is the motor's torque in per mille of the rated torque, from the next SYNC on; 6074h is the part of it that the
+current limit allows. Statusword bit 12 reports that the drive follows the target.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from simulation.config import DriveNode
 
 CYCLIC_SYNCHRONOUS_TORQUE = 10
 BRAKING_RATE = 10.0
-"""rad/s of the axis from which on it is braked with the rated torque; below in proportion, so that it comes to rest
-(assumed)."""
+"""rad/s of the axis above which it is braked with the rated torque; below it the torque is proportional to the rate, so
+that the axis comes to rest (assumed)."""
 
 
 class TorqueDrive(FreeDrive):
-    """A drive that puts a torque on its axis."""
+    """A drive that applies a torque to its axis."""
 
     modes = (CYCLIC_SYNCHRONOUS_TORQUE,)
     TARGET, DEMAND, MODE_BIT = TARGET_TORQUE, TORQUE_DEMAND, 0x1000

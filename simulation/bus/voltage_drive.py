@@ -1,8 +1,8 @@
 """A DC motor controller whose master sets the voltage: mode -1, of upright_motor.eds.
 
-2400h is the mean voltage at the motor in mV, from the next SYNC on, 2401h what the bridge makes of it at the nominal
-supply. Without power the bridge is open. A stop under power puts 0 V on the motor, which shorts it, until it stands
-still.
+2400h is the mean voltage at the motor in mV, from the next SYNC on; 2401h is the voltage that the bridge outputs for it
+at the nominal supply. Without power the bridge is open. A stop under power applies 0 V to the motor, which shorts it,
+until it stands still.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ VOLTAGE = -1
 
 
 class VoltageDrive(FreeDrive):
-    """A motor controller that puts a voltage on its axis."""
+    """A motor controller that applies a voltage to its axis."""
 
     modes = (VOLTAGE,)
     TARGET, DEMAND = TARGET_VOLTAGE, VOLTAGE_DEMAND

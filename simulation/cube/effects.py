@@ -22,11 +22,11 @@ WHEEL_DAMPING = 2.0e-4
 FAN, SLOSH = 2.0 * math.pi * 1.3, 2.0 * math.pi * 0.7
 """rad/s."""
 POLES = 7
-"""Of the motor, pairs: the cogging repeats so often a turn."""
+"""Pole pairs of the motor: the cogging repeats this often per turn."""
 
 
 class Tilting(Protocol):
-    """What an effect sees of the cube."""
+    """The quantities of the cube that an effect depends on."""
 
     @property
     def tilt(self) -> float: ...
@@ -45,7 +45,7 @@ class Tilting(Protocol):
 
 
 Torque = Callable[[Tilting], float]
-"""N m, for this step; called once a step."""
+"""N m, for this step; called once per step."""
 
 
 def _at_the_edge(friction: LuGreFriction) -> Torque:
@@ -81,7 +81,7 @@ _WHEEL: dict[str, Callable[[float], Torque]] = {
 
 
 def edge_effects(sizes: Mapping[str, float], onsets: Mapping[str, float]) -> tuple[Torque, ...]:
-    """The torques on the body among the hidden effects `sizes` (name to size), late ones at their `onsets` (s)."""
+    """The torques on the body among the hidden effects `sizes` (name to amplitude), late ones at their `onsets` (s)."""
     found = _made(_EDGE, sizes, onsets)
     if "torque_step" in sizes:
         size, event = sizes["torque_step"], onsets.get("torque_step", EVENT_TIME)

@@ -3,7 +3,7 @@
     I tilt''                    = G sin(tilt) - friction tilt' - wheel torque + supports + hidden effects + disturbance
     I_w (tilt'' + wheel'')      = wheel torque,         wheel torque = motor - wheel friction wheel' + hidden effects
 
-I = I_b + m_w l^2 and G = (m_b l_b + m_w l) g, in the symbols of table I of the paper; the wheel's rate is that against
+I = I_b + m_w l^2 and G = (m_b l_b + m_w l) g, in the symbols of table I of the paper; the wheel's rate is relative to
 the body. Integrated by velocity Verlet. SI units; plain floats, no arrays.
 Source: Gajamohan, Merz, Thommen, D'Andrea, The Cubli: a cube that can jump up and balance, IROS 2012, section III.
 """
@@ -67,7 +67,7 @@ class CubePlant(Machine):
             torque.restart()
 
     def place(self, tilt: float) -> None:
-        """Let go of the cube at this tilt, at rest."""
+        """Release the cube at this tilt, at rest."""
         self.tilt, self.tilt_rate = tilt, 0.0
         self.wheel_rate = 0.0
         self._balance()
@@ -107,7 +107,7 @@ class CubePlant(Machine):
         return (self.tilt, self.tilt_rate, self._tilt_acceleration)
 
     def felt(self, motion: Motion, position: Vector3, gravity: float) -> tuple[Vector3, Vector3]:
-        """Along x: q'' z - q'^2 x - g sin(q), along z: g cos(q) - q'' x - q'^2 z; q is the tilt, x and z the place."""
+        """Along x: q'' z - q'^2 x - g sin(q), along z: g cos(q) - q'' x - q'^2 z; q is the tilt, (x, z) the place."""
         tilt, rate, acceleration = motion
         x, _, z = position
         force = (

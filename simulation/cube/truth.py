@@ -1,4 +1,4 @@
-"""The reaction-wheel cube as it really is, and how its virtual vehicle is built."""
+"""The true reaction-wheel cube, from which its virtual vehicle is built."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulation.registry import Registry
 
 @dataclass(frozen=True, slots=True)
 class CubeTruth:
-    """Deliberately off table I of Gajamohan et al.: masses and heights by 3 %, inertias by 6 to 8 %, friction by 20."""
+    """Deliberately off table I of Gajamohan et al.: masses and heights 3 %, inertias 6 to 8 %, friction 20 %."""
 
     body_mass: float = 0.43
     """kg (m_b)."""
@@ -34,19 +34,19 @@ class CubeTruth:
     torque_lag: float = 0.15e-3
     """s, of the current loop: a bandwidth of 1 kHz."""
     torque_noise: float = 5.0e-5
-    """N m RMS a step: a current sensor of 12 bits over six times the rated torque, averaged over the step."""
+    """N m RMS per step: a current sensor of 12 bits over six times the rated torque, averaged over the step."""
     torque_limit: float = 0.16
-    """N m: what the drive's current limit gives."""
+    """N m: that of the drive's current limit."""
     encoder_increments_per_turn: int = 8192
     """Of the wheel's encoder."""
     rate_filter: float = 2.0e-3
-    """s, of the drive's rate, a difference of the encoder's counts."""
+    """s, low pass of the drive's rate, a difference of the encoder's counts."""
     support_angle: float = math.radians(8.0)
     """rad, where the supports touch, front and rear."""
     support_stiffness: float = 60.0
     """N m/rad."""
     support_damping: float = 0.43
-    """N m s/rad, while pressed: 0.4 of critical with the body's inertia about the edge."""
+    """N m s/rad, in contact: 0.4 of critical with the body's inertia about the edge."""
 
     @property
     def inertia(self) -> float:
@@ -60,12 +60,12 @@ class CubeTruth:
 
     @property
     def falling_inertia(self) -> float:
-        """The wheel, which turns freely, has no part in it but by its mass."""
+        """The wheel turns freely, so that only its mass contributes."""
         return self.inertia
 
     @property
     def parameters(self) -> dict[str, float]:
-        """What it is by the names of a vehicle file."""
+        """Its parameters, by their names in a vehicle file."""
         return {
             "inertia": self.inertia,
             "gravity_stiffness": self.gravity_stiffness,

@@ -10,7 +10,7 @@ from simulation.input_effects import InputEffect
 
 
 class Wheel:
-    """Call `drive` before a step, and `follow` after it. Angles and rates are those of the wheel against the body."""
+    """Call `drive` before a step, and `follow` after it. Angles and rates of the wheel are relative to the body."""
 
     def __init__(self, truth: CubeTruth, step: float, effects: tuple[InputEffect, ...], seed: int) -> None:
         self.powered = False
@@ -32,7 +32,7 @@ class Wheel:
         self.restart()
 
     def restart(self) -> None:
-        """Begin the noise of the current loop again."""
+        """Restart the noise of the current loop."""
         self._random = random.Random(self._seed)
 
     @property

@@ -1,2 +1,2 @@
-"""The MONOCAB as a plant: truth is what it is made of, plant how it moves with its gimbals, roll_effects and hidden
-what it may contain that nobody knows."""
+"""The plant of the MONOCAB: truth has its parameters, plant its motion with the gimbals, roll_effects and hidden the
+effects that may be hidden in it."""

@@ -2,8 +2,8 @@
 
 Turning the gimbal at a rate w gives the vehicle the roll torque  momentum * w * cos(angle); rolling the vehicle at a
 rate p gives the gimbal the reaction  -momentum * p * cos(angle). The two exchange no energy with anything else. The
-cosine counts with the hidden effect `gimbal_angle_coupling` only. With `backlash` the gimbal is a second inertia that
-meets the motor through a play. rad, rad/s, N m.
+cosine applies with the hidden effect `gimbal_angle_coupling` only. With `backlash` the gimbal is a second inertia that
+the motor drives through the backlash. rad, rad/s, N m.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import math
 
 from simulation.servo_axis import AxisMode, ServoAxis
 
-PLAY_STIFFNESS = 2.0e5
-"""N m/rad of the chain drive, beyond its play."""
-PLAY_DAMPING = 400.0
+BACKLASH_STIFFNESS = 2.0e5
+"""N m/rad of the chain drive, beyond its backlash."""
+BACKLASH_DAMPING = 400.0
 """N m s/rad, in contact."""
 LOAD_SHARE = 0.4
-"""Of the inertia, behind the play; the rest is the reflected rotor."""
+"""Share of the inertia that is behind the backlash; the rest is the reflected rotor."""
 
 
 class Gimbal:
@@ -32,7 +32,7 @@ class Gimbal:
         brake_torque: float,
         step: float,
         coupling: float = 0.0,
-        play: float = 0.0,
+        backlash: float = 0.0,
     ) -> None:
         self.axis = axis
         self.angle = 0.0
@@ -42,15 +42,15 @@ class Gimbal:
         self._brake_torque = brake_torque
         self._step = step
         self._coupling = coupling
-        self._play = play
+        self._backlash = backlash
 
     def advance(self, roll_rate: float) -> float:
-        """Move on by one step while the vehicle rolls at `roll_rate`; the roll torque this gives, N m."""
+        """Move on by one step while the vehicle rolls at `roll_rate`; returns the resulting roll torque, N m."""
         momentum = self._momentum
         if self._coupling:
             momentum *= 1.0 + self._coupling * (math.cos(self.angle) - 1.0)
-        if self._play:
-            self._advance_with_play(-momentum * roll_rate)
+        if self._backlash:
+            self._advance_with_backlash(-momentum * roll_rate)
         else:
             self._move(self.axis.inertia, -momentum * roll_rate)
             self.angle = self.axis.position
@@ -67,11 +67,11 @@ class Gimbal:
         axis.rate = rate + self._step * torque / inertia
         axis.position += 0.5 * self._step * (rate + axis.rate)
 
-    def _advance_with_play(self, load: float) -> None:
+    def _advance_with_backlash(self, load: float) -> None:
         axis = self.axis
         twist = axis.position - self.angle
-        beyond = twist - min(0.5 * self._play, max(-0.5 * self._play, twist))
-        contact = PLAY_STIFFNESS * beyond + PLAY_DAMPING * (axis.rate - self.rate) if beyond else 0.0
+        beyond = twist - min(0.5 * self._backlash, max(-0.5 * self._backlash, twist))
+        contact = BACKLASH_STIFFNESS * beyond + BACKLASH_DAMPING * (axis.rate - self.rate) if beyond else 0.0
         self._move((1.0 - LOAD_SHARE) * axis.inertia, -contact)
         rate = self.rate
         self.rate = rate + self._step * (contact + load) / (LOAD_SHARE * axis.inertia)

@@ -1,6 +1,6 @@
 """What the MONOCAB may contain that its nominal model lacks.
 
-The size at level 1 is physically plausible for it: a few percent of the 1000 N m that gravity exerts at the supports,
+Amplitudes at level 1 are physically plausible: a few percent of the 1000 N m that gravity exerts at the supports,
 or a few milliseconds. Formulas are in `roll_effects`, `simulation.friction`, `simulation.input_effects`, `gimbal` and
 `simulation.bus.imu_node`.
 """
@@ -36,7 +36,7 @@ HIDDEN: dict[str, HiddenEffect] = {
             "torque_step",
             "N m",
             550.0,
-            "a person sits down 10 s after the drives started, a ramp of 0.3 s",
+            "a person sits down 10 s after the drives started, as a ramp of 0.3 s",
             signed=True,
         ),
         HiddenEffect(
@@ -47,20 +47,28 @@ HIDDEN: dict[str, HiddenEffect] = {
         ),
         HiddenEffect("gimbal_angle_coupling", "1", 1.0, "gyroscopic torque falls with the cosine of precession"),
         HiddenEffect(
-            "gimbal_imbalance", "N m", 80.0, "roll torque with the sine of precession: eccentric gimbals", signed=True
+            "gimbal_imbalance",
+            "N m",
+            80.0,
+            "roll torque in proportion to the sine of precession: eccentric gimbals",
+            signed=True,
         ),
-        HiddenEffect("backlash", "rad", 5.0e-3, "play between gimbal motor and gimbal, as an angle of the gimbal"),
+        HiddenEffect("backlash", "rad", 5.0e-3, "backlash between gimbal motor and gimbal, as an angle of the gimbal"),
         HiddenEffect("input_deadband", "rad/s", 6.0e-3, "precession rate setpoints smaller than this do nothing"),
         HiddenEffect("input_delay", "s", 0.012, "the setpoint acts this much later"),
         HiddenEffect("actuator_lag", "s", 0.03, "a further first-order lag ahead of the speed loop"),
         HiddenEffect(
-            "input_asymmetry", "1", 0.08, "setpoints up act this much stronger, setpoints down weaker", signed=True
+            "input_asymmetry",
+            "1",
+            0.08,
+            "relative gain: positive setpoints stronger, negative ones weaker",
+            signed=True,
         ),
         HiddenEffect("input_gain", "1", -0.08, "relative error of the setpoint's gain", signed=True),
         HiddenEffect("gyro_bias", "rad/s", 8.7e-3, "further bias of the roll gyro (0.5 deg/s)", signed=True),
         HiddenEffect("sensor_offset", "rad", 8.7e-3, "the IMU is mounted rolled by this much (0.5 deg)", signed=True),
         HiddenEffect("sensor_lag", "s", 0.02, "low pass inside the IMU"),
-        HiddenEffect("sensor_delay", "s", 0.012, "the IMU reports the past"),
+        HiddenEffect("sensor_delay", "s", 0.012, "delay of the IMU's readings"),
         HiddenEffect("sensor_scale", "1", 0.03, "relative error of the gyro's scale", signed=True),
     )
 }
@@ -81,7 +89,7 @@ UNLISTED: dict[str, HiddenEffect] = {
         ),
     )
 }
-"""What no catalogue has, to test whether a diagnosis says that it does not know: `test_` begins their names."""
+"""Effects that no catalogue contains, to test whether a diagnosis reports an unknown cause. Their prefix is `test_`."""
 
 LATE = frozenset(
     {
@@ -110,5 +118,5 @@ MONOCAB = Registry(
     Disturbance(rms=8.0, correlation_time=0.3),
     NarrowBand(rms=4.0, frequency=2.0, damping=0.05),
 )
-"""The MONOCAB's. Its disturbance is what the alignment of a worn rail does to it at walking pace, 3 % of the gravity
-torque at 1 deg; the calculation, and what wind does, are in docs/explanation/disturbance.md."""
+"""The registry of the MONOCAB. Its disturbance is that of a worn rail's alignment at walking pace, 3 % of the gravity
+torque at 1 deg; the calculation, and the effect of wind, are in docs/explanation/disturbance.md."""

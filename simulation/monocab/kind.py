@@ -1,4 +1,4 @@
-"""Which truth moves as which machine."""
+"""The truth of the MONOCAB, and the machine that simulates it."""
 
 from __future__ import annotations
 

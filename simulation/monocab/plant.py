@@ -4,7 +4,7 @@
                                                           + supports + rail friction + hidden effects + disturbance
     (m + drive mass) y'' + m h roll''                   = force + m g sin(roll) + m y roll'^2 - drag y'
 
-m is the trim mass at the height h, y its place to the right (Lagrange; `inertia` and `gravity_stiffness` contain the
+m is the trim mass at the height h, y its position to the right (Lagrange; `inertia` and `gravity_stiffness` contain the
 mass in the middle). Roll and trim mass are integrated by velocity Verlet, the gimbals half a step apart from them
 (leapfrog), so that the gyroscopic coupling neither feeds nor drains energy. SI units; plain floats, no arrays.
 """
@@ -61,7 +61,7 @@ class Plant(Machine):
                 brake_torque=truth.gimbal_brake_torque,
                 step=step,
                 coupling=sizes.get("gimbal_angle_coupling", 0.0),
-                play=sizes.get("backlash", 0.0),
+                backlash=sizes.get("backlash", 0.0),
             )
             for per_turn in (_per_turn(config.drives, "gimbal", i, DEFAULT_GIMBAL_PER_TURN) for i in range(2))
         )
@@ -120,7 +120,7 @@ class Plant(Machine):
             torque.restart()
 
     def place(self, roll: float) -> None:
-        """Let go of the vehicle at this roll angle, at rest."""
+        """Release the vehicle at this roll angle, at rest."""
         self.roll = roll
         self.roll_rate = 0.0
         self._balance()

@@ -23,7 +23,7 @@ from simulation.monocab.gimbal import Gimbal
 
 
 class RollingVehicle(Rolling, Protocol):
-    """What an effect on the roll axis sees of the vehicle: rad and s."""
+    """The quantities of the vehicle that an effect on the roll axis depends on: rad and s."""
 
     @property
     def roll(self) -> float: ...
@@ -41,7 +41,7 @@ class RollEffect(Protocol):
     """A torque on the roll axis."""
 
     def torque(self, plant: RollingVehicle) -> float:
-        """N m, for this step; called once a step."""
+        """N m, for this step; called once per step."""
         ...
 
 
@@ -91,7 +91,7 @@ def _quadratic(size: float) -> RollEffect:
 
 
 def _progressive(size: float) -> RollEffect:
-    scale = 0.05  # rad, where the progression leaves the cubic behind
+    scale = 0.05  # rad, at which the progressive spring leaves the cubic
 
     def formula(plant: RollingVehicle) -> float:
         ratio = plant.roll / scale
@@ -173,7 +173,7 @@ class _Late:
 
 
 def roll_effects(sizes: Mapping[str, float], *, inertia: float, onsets: Mapping[str, float]) -> tuple[RollEffect, ...]:
-    """The roll torques among the hidden effects `sizes` (name to size in its unit), late ones at their `onsets` (s)."""
+    """The roll torques among the hidden effects `sizes` (name to amplitude), late ones at their `onsets` (s)."""
     effects = {name: maker(sizes[name]) for name, maker in _MAKERS.items() if name in sizes}
     effects |= {name: _Late(effect, onsets[name]) for name, effect in effects.items() if name in onsets}
     if "torque_step" in sizes:

@@ -1,4 +1,4 @@
-"""The MONOCAB as it really is."""
+"""The true MONOCAB."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulation.registry import Registry
 
 @dataclass(frozen=True, slots=True)
 class PlantTruth:
-    """The MONOCAB as it really is; the vehicle file's CAD values are deliberately off by 10 to 20 %."""
+    """The true parameters of the MONOCAB; the vehicle file's CAD values are deliberately off by 10 to 20 %."""
 
     inertia: float = 1650.0
     """kg m^2, mechanical, about the rail head, trim mass in the middle included."""
@@ -46,7 +46,7 @@ class PlantTruth:
     support_stiffness: float = 2.0e6
     """N m/rad."""
     support_damping: float = 4.6e4
-    """N m s/rad, while pressed: 0.4 of critical with the inertia above, a restitution of about a quarter."""
+    """N m s/rad, in contact: 0.4 of critical with the inertia above, a restitution of about a quarter."""
     rail_friction: float = 0.0
     """N m s/rad of the roll motion."""
     gravity: float = 9.81

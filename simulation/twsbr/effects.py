@@ -14,20 +14,20 @@ BRISTLE_DEFLECTION = 2.0e-4
 """rad of a wheel at which the bristles begin to slide: a hundredth of a mm at the motor's brushes, 1 mm from its axis
 and on the fast side of the gear."""
 BRISTLE_DAMPING = 2.0e-4
-"""s, damping over stiffness of the bristles. A turning wheel bends them anew at each reversal, and damping then gives
-rate x damping / deflection of the friction more: as much again at 1 rad/s."""
+"""s, damping over stiffness of the bristles. A turning wheel bends them again at each reversal, and damping then adds
+rate x damping / deflection of the friction: as much again at 1 rad/s."""
 STRIBECK_RATE = 0.5
-"""rad/s of a wheel against the body at which most of the breakaway torque is gone."""
+"""rad/s of a wheel relative to the body at which most of the breakaway torque is gone."""
 TYPICAL_TORQUE = 0.2
 """N m of a motor, at the wheel."""
 
 PULL = 0.05
-"""rad (3 deg) of tilt from which on a cable gives way and pulls no harder: or the robot could not lie on its bumper."""
+"""rad (3 deg) of tilt above which a cable pulls no harder; otherwise the robot could not lie on its bumper."""
 
 TiltEffect = Callable[[float, float, float], float]
 """Tilt, time and event clock to the torque on the tilt."""
 WheelEffect = Callable[[Motor, float], float]
-"""Motor with its wheel, and the event clock, to the torque on that wheel, or at the wheel in the gear; called once a
+"""Motor with its wheel, and the event clock, to the torque on that wheel, or at the wheel in the gear; called once per
 step."""
 
 _TILT: dict[str, Callable[[float], TiltEffect]] = {
@@ -56,7 +56,7 @@ _WHEEL: dict[str, Callable[[float], WheelEffect]] = {
 
 
 def tilt_effects(sizes: Mapping[str, float], onsets: Mapping[str, float]) -> tuple[TiltEffect, ...]:
-    """The torques on the tilt among the hidden effects `sizes` (name to size), late ones at their `onsets` (s)."""
+    """The torques on the tilt among the hidden effects `sizes` (name to amplitude), late ones at their `onsets` (s)."""
     effects = [
         _late_on_tilt(maker(sizes[name]), onsets[name]) if name in onsets else maker(sizes[name])
         for name, maker in _TILT.items()
@@ -74,7 +74,7 @@ def wheel_effects(sizes: Mapping[str, float], onsets: Mapping[str, float]) -> tu
 
 
 def gear_effects(sizes: Mapping[str, float], onsets: Mapping[str, float], step: float) -> tuple[WheelEffect, ...]:
-    """The torques in one gear, likewise; make them anew for each, since bristles have a memory."""
+    """The torques in one gear, likewise; each gear needs its own, since bristles have a memory."""
     return _made({name: _rubbing(maker, step) for name, maker in _BRISTLES.items()}, sizes, onsets)
 
 

@@ -1,9 +1,9 @@
 """What the balancing robot may contain that its nominal model lacks.
 
-Sizes at level 1 are plausible for a robot of 0.85 kg: 12 V at standstill are 0.67 N m a wheel, 1 deg of tilt 6 mN m of
-gravity. "On each wheel" is between wheel and floor, "in each gear" between motor and body, at the wheel: where a small
-robot has its dry friction, from brushes and the gear's first stages, as large as 0.2 to 0.5 V, while a tyre's on a hard
-floor is a tenth of that. Formulas are in `effects`, `mechanics` and `motor`.
+Amplitudes at level 1 are plausible for a robot of 0.85 kg: 12 V at standstill give 0.67 N m per wheel, 1 deg of tilt
+6 mN m of gravity. "On each wheel" is between wheel and floor, "in each gear" between motor and body, at the wheel. The
+latter is where a small robot has its dry friction, from brushes and the gear's first stages, as large as 0.2 to 0.5 V;
+that of a tyre on a hard floor is a tenth of it. Formulas are in `effects`, `mechanics` and `motor`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TWSBR_HIDDEN: dict[str, HiddenEffect] = {
         HiddenEffect("viscous_friction", "N m s/rad", 3.0e-3, "torque on each wheel against its rate"),
         HiddenEffect("coulomb_friction", "N m", 0.01, "dry friction in each gear (LuGre bristles)"),
         HiddenEffect("stribeck_friction", "N m", 0.015, "breakaway torque in each gear, half of it lost when sliding"),
-        HiddenEffect("asymmetric_friction", "N m", 0.01, "dry friction in each gear, backwards a third of it"),
+        HiddenEffect("asymmetric_friction", "N m", 0.01, "dry friction in each gear, a third of it backwards"),
         HiddenEffect(
             "load_dependent_friction", "1", 0.1, "dry friction in each gear, as a share of the motor's torque"
         ),
@@ -30,24 +30,26 @@ TWSBR_HIDDEN: dict[str, HiddenEffect] = {
         HiddenEffect("cubic_stiffness", "N m/rad^3", 200.0, "restoring tilt torque of a cable to the bench"),
         HiddenEffect("periodic_disturbance", "N m", 0.02, "sinusoidal tilt torque at 1.3 Hz: a fan", signed=True),
         HiddenEffect(
-            "position_cogging", "N m", 0.015, "torque that repeats twice a wheel turn: an oval wheel", signed=True
+            "position_cogging", "N m", 0.015, "torque that repeats twice per wheel turn: an oval wheel", signed=True
         ),
-        HiddenEffect("torque_step", "N m", 0.01, "a load is put on after 10 s, a ramp of 0.3 s", signed=True),
+        HiddenEffect("torque_step", "N m", 0.01, "a load is added after 10 s, as a ramp of 0.3 s", signed=True),
         HiddenEffect("torque_drift", "N m", 0.01, "tilt torque that creeps up, time constant 45 s", signed=True),
-        HiddenEffect("backlash", "rad", 1.0e-3, "play of each gear, as an angle of the wheel"),
+        HiddenEffect("backlash", "rad", 1.0e-3, "backlash of each gear, as an angle of the wheel"),
         HiddenEffect("input_deadband", "V", 0.6, "voltages smaller than this do nothing: the bridge's own drop"),
         HiddenEffect("input_delay", "s", 0.005, "the voltage acts this much later"),
         HiddenEffect("actuator_lag", "s", 0.005, "a first-order lag between target and voltage"),
-        HiddenEffect("input_asymmetry", "1", 0.08, "forward voltages act this much stronger, back weaker", signed=True),
+        HiddenEffect(
+            "input_asymmetry", "1", 0.08, "relative gain: forward voltages stronger, back weaker", signed=True
+        ),
         HiddenEffect("input_gain", "1", -0.08, "relative error of the voltage", signed=True),
         HiddenEffect("gyro_bias", "rad/s", 8.7e-3, "further bias of the tilt gyro (0.5 deg/s)", signed=True),
         HiddenEffect("sensor_offset", "rad", 8.7e-3, "the IMU is mounted tilted by this much (0.5 deg)", signed=True),
         HiddenEffect("sensor_lag", "s", 0.004, "low pass inside the IMU"),
-        HiddenEffect("sensor_delay", "s", 0.004, "the IMU reports the past"),
+        HiddenEffect("sensor_delay", "s", 0.004, "delay of the IMU's readings"),
         HiddenEffect("sensor_scale", "1", 0.03, "relative error of the gyro's scale", signed=True),
     )
 }
-"""Every listed effect by name, all canonical but `slope`, which a catalogue knows as `static_torque` at the wheels."""
+"""Every listed effect by name, all canonical but `slope`, which is `static_torque` at the wheels in a catalogue."""
 
 TWSBR_UNLISTED: dict[str, HiddenEffect] = {
     effect.name: effect
@@ -59,7 +61,7 @@ TWSBR_UNLISTED: dict[str, HiddenEffect] = {
         ),
     )
 }
-"""What no catalogue has."""
+"""Effects that no catalogue contains."""
 
 TWSBR = Registry(
     TWSBR_HIDDEN,

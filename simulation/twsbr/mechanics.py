@@ -1,6 +1,6 @@
-"""The equations of motion of the balancing robot (Lagrange, from the energies of the paper as mended).
+"""The equations of motion of the balancing robot (Lagrange, from the energies of the paper as corrected).
 
-Coordinates: `travel` a and `turn` c, mean and half difference of the wheel angles against the floor (left = a - c,
+Coordinates: `travel` a and `turn` c, mean and half difference of the wheel angles relative to the floor (left = a - c,
 right = a + c; the robot moves by r a and yaws by 2 r c / d), and `tilt` q. With s the slope, positive uphill ahead,
 
     kinetic   = (3/2) m_w r^2 (a'^2 + c'^2) + n^2 J_r ((a' - q')^2 + c'^2)
@@ -8,8 +8,8 @@ right = a + c; the robot moves by r a and yaws by 2 r c / d), and `tilt` q. With
                 + m_b (r^2 a'^2 + 2 r l a' q' cos(q + s) + l^2 q'^2) / 2
     potential = m_b g l cos(q) + (m_b + 2 m_w) g r a sin(s)
 
-In these coordinates only travel and tilt are coupled by inertia. A gear with play separates each rotor from its wheel:
-its angle against the body is then a coordinate of its own, and the two meet through a stiff contact. rad, N m.
+In these coordinates only travel and tilt are coupled by inertia. Backlash separates each rotor from its wheel: the
+rotor's angle relative to the body is then a coordinate of its own, and a stiff contact couples the two. rad, N m.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ import math
 from simulation.contact import Supports
 from simulation.twsbr.truth import TwsbrTruth
 
-PLAY_STIFFNESS = 560.0
-"""N m/rad of a gear, at the wheel, beyond its play: its shaft, 18 mm of steel 6 mm thick, G pi d^4 / (32 length).
+BACKLASH_STIFFNESS = 560.0
+"""N m/rad of a gear, at the wheel, beyond its backlash: its shaft, 18 mm of steel 6 mm thick, G pi d^4 / (32 length).
 
-A quarter of that, with half the damping, swings from one end of the supply to the other by itself with the paper's
-gains at 200 Hz, with no play to speak of.
+With a quarter of that and half the damping, the paper's gains at 200 Hz make the robot oscillate by itself between both
+limits of the supply, even with negligible backlash.
 """
-PLAY_DAMPING = 0.3
-"""N m s/rad, in contact: half of critical for wheels and body against each other."""
+BACKLASH_DAMPING = 0.3
+"""N m s/rad, in contact: half of critical for wheels and body relative to each other."""
 
 State = tuple[float, ...]
-"""travel, turn, tilt, left and right rotor at the wheel (against the body); then their rates. See `PLACES`."""
+"""travel, turn, tilt, left and right rotor at the wheel (relative to the body); then their rates. See `PLACES`."""
 PLACES = 5
 Drive = tuple[float, float]
-"""A motor at the wheel: its torque at standstill, N m, and what it loses with its rate, N m s/rad."""
+"""A motor at the wheel: its torque at standstill, N m, and its damping, N m s/rad."""
 Held = tuple[float, float, float]
 """Further torques over a step: on the left wheel, the right one, the tilt; N m."""
 
 
 class Mechanics:
-    """`rates` is the time derivative of a state; `integrate` moves one on."""
+    """`rates` is the time derivative of a state; `integrate` advances one."""
 
-    def __init__(self, truth: TwsbrTruth, *, play: float = 0.0, slope: float = 0.0) -> None:
+    def __init__(self, truth: TwsbrTruth, *, backlash: float = 0.0, slope: float = 0.0) -> None:
         radius, height = truth.wheel_radius, truth.centre_of_gravity_height
         self.floor = Supports(truth.floor_angle, truth.floor_stiffness, truth.floor_damping)
         self.gravity_stiffness = truth.body_mass * truth.gravity * height
@@ -49,8 +49,8 @@ class Mechanics:
         """A stand holds the tilt."""
         rotor = truth.gear_ratio**2 * truth.rotor_inertia
         wheels = 3.0 * truth.wheel_mass * radius**2
-        lumped = 0.0 if play else 2.0 * rotor
-        self._play = play
+        lumped = 0.0 if backlash else 2.0 * rotor
+        self._backlash = backlash
         self._rotor = rotor
         self._lumped = lumped
         self._travel_inertia = wheels + truth.body_mass * radius**2 + lumped
@@ -67,7 +67,7 @@ class Mechanics:
         """Its coordinates' rates, then their accelerations, with these motors and further torques."""
         travel, turn, tilt, left_rotor, right_rotor, travel_rate, turn_rate, tilt_rate, left_speed, right_speed = state
         left_rate, right_rate = travel_rate - turn_rate, travel_rate + turn_rate
-        if self._play:
+        if self._backlash:
             gear_left = self._contact(left_rotor - travel + turn + tilt, left_speed - left_rate + tilt_rate)
             gear_right = self._contact(right_rotor - travel - turn + tilt, right_speed - right_rate + tilt_rate)
             left_spin = (self._motor(left, left_speed) - gear_left) / self._rotor
@@ -93,7 +93,7 @@ class Mechanics:
             forward = (self._tilt_inertia * torque - mixed * tipping) / determinant
             tip = (self._travel_inertia * tipping - mixed * torque) / determinant
         swing = turning / (self._turn_inertia + self._leaning * sine * sine)
-        if not self._play:
+        if not self._backlash:
             left_speed, right_speed = left_rate - tilt_rate, right_rate - tilt_rate
             left_spin, right_spin = forward - swing - tip, forward + swing - tip
         return travel_rate, turn_rate, tilt_rate, left_speed, right_speed, forward, swing, tip, left_spin, right_spin
@@ -113,10 +113,10 @@ class Mechanics:
         return standstill - (damping + self._motor_friction) * rate
 
     def _contact(self, twist: float, twist_rate: float) -> float:
-        """Torque that a rotor ahead of its wheel by `twist` passes on: pressed together, never pulled."""
-        beyond = twist - min(0.5 * self._play, max(-0.5 * self._play, twist))
+        """Torque that a rotor ahead of its wheel by `twist` transmits: they push but never pull."""
+        beyond = twist - min(0.5 * self._backlash, max(-0.5 * self._backlash, twist))
         if beyond > 0.0:
-            return max(0.0, PLAY_STIFFNESS * beyond + PLAY_DAMPING * twist_rate)
+            return max(0.0, BACKLASH_STIFFNESS * beyond + BACKLASH_DAMPING * twist_rate)
         if beyond < 0.0:
-            return min(0.0, PLAY_STIFFNESS * beyond + PLAY_DAMPING * twist_rate)
+            return min(0.0, BACKLASH_STIFFNESS * beyond + BACKLASH_DAMPING * twist_rate)
         return 0.0

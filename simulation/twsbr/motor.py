@@ -1,7 +1,7 @@
 """A geared DC motor on a PWM bridge, at the wheel; its encoder, and the wheel that it turns.
 
-current = (voltage - n K rate) / R and torque = n K current, rate being the wheel's against the body. With an open
-bridge no current flows. The bridge has whole steps of the supply; what comes out of it meets the hidden input effects.
+current = (voltage - n K rate) / R and torque = n K current, rate being the wheel's relative to the body. With an open
+bridge no current flows. The bridge outputs whole steps of the supply; the hidden input effects act on its output.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class Motor:
         self.duty = 0.0
         """Share of the supply that the bridge puts on the motor, -1 to 1."""
         self.wheel_angle = 0.0
-        """rad of the wheel, against the floor."""
+        """rad of the wheel, relative to the floor."""
         self.wheel_rate = 0.0
         self.rotor_rate = 0.0
-        """rad/s of the motor, at the wheel and against the body."""
+        """rad/s of the motor, at the wheel and relative to the body."""
         self.torque = 0.0
         """N m at the wheel."""
         self._encoder = Encoder(2.0 * math.pi / truth.encoder_counts_per_turn, step)
@@ -40,7 +40,7 @@ class Motor:
 
     @property
     def demand(self) -> float:
-        """V that the bridge makes of the target at the nominal supply."""
+        """V that the bridge outputs for the target at the nominal supply."""
         return self.duty * self._nominal
 
     @property
@@ -50,7 +50,7 @@ class Motor:
 
     @property
     def measured_position(self) -> float:
-        """rad of the motor, at the wheel and against the body."""
+        """rad of the motor, at the wheel and relative to the body."""
         return self._encoder.position
 
     @property
@@ -59,7 +59,7 @@ class Motor:
         return self._encoder.rate
 
     def set_voltage(self, supply: float) -> Drive:
-        """What the bridge does in the next step, with `supply` V behind it."""
+        """The effect of the bridge in the next step, with a supply of `supply` V."""
         if not self.powered:
             self.duty, self.limited, self._drive = 0.0, False, (0.0, 0.0)
             return self._drive
@@ -74,7 +74,7 @@ class Motor:
         return self._drive
 
     def follow(self, wheel_angle: float, wheel_rate: float, rotor: float, rotor_rate: float) -> None:
-        """Take the motion at the end of a step; `rotor` is the motor's angle at the wheel, against the body."""
+        """Take the motion at the end of a step; `rotor` is the motor's angle at the wheel, relative to the body."""
         self.wheel_angle, self.wheel_rate, self.rotor_rate = wheel_angle, wheel_rate, rotor_rate
         standstill, damping = self._drive
         self.torque = standstill - damping * rotor_rate
@@ -82,16 +82,16 @@ class Motor:
 
 
 class Encoder:
-    """Counts the edges of a coarse encoder and takes their times, as small motor controllers do; starts between two.
+    """Counts the edges of a coarse encoder and records their times, as small motor controllers do; starts between two.
 
-    The rate is that between the last two edges, and no more than one edge in the time since.
+    The rate is that between the last two edges, limited to one edge in the time since the last.
     """
 
     def __init__(self, pitch: float, step: float) -> None:
         self._pitch = pitch
         self._step = step
         self._place = 0.5
-        """Of the disc, in counts."""
+        """Position of the disc, in counts."""
         self._count = 0
         self._since = math.inf
         """s since the last edge."""
@@ -110,7 +110,7 @@ class Encoder:
         return min(most, max(-most, self._rate))
 
     def read(self, angle: float) -> None:
-        """Look at the disc a step later."""
+        """Sample the disc's angle one step later."""
         place = angle / self._pitch + 0.5
         count = math.floor(place)
         before, self._place = self._place, place

@@ -18,9 +18,9 @@ from simulation.twsbr.truth import TwsbrTruth
 from telemetry.samples import Vector3
 
 RELEASE_DELAY = 0.1
-"""s that both motors have had power when the stand lets go."""
+"""s of power at both motors after which the stand releases the robot."""
 TRAVEL, TURN, TILT, LEFT, RIGHT = range(PLACES)
-"""Places of the coordinates in a state; their rates are `PLACES` further on."""
+"""Places of the coordinates in a state; their rates are `PLACES` places later."""
 
 
 class TwsbrPlant(Machine):
@@ -41,7 +41,7 @@ class TwsbrPlant(Machine):
         super().__init__(config.step)
         sizes, onsets = config.sizes, config.onsets
         check_onsets(onsets, truth.registry)
-        self.mechanics = Mechanics(truth, play=sizes.get("backlash", 0.0), slope=sizes.get("slope", 0.0))
+        self.mechanics = Mechanics(truth, backlash=sizes.get("backlash", 0.0), slope=sizes.get("slope", 0.0))
         self.motors = tuple(Motor(truth, self.step_size, input_effects(sizes, self.step_size)) for _ in range(2))
         self._radius = truth.wheel_radius
         self._supply = truth.supply_voltage
@@ -87,12 +87,12 @@ class TwsbrPlant(Machine):
             torque.restart()
 
     def place(self, tilt: float) -> None:
-        """Let go of the robot at this tilt, at rest; its wheels have rolled along without turning in their gears."""
+        """Release the robot at this tilt, at rest; its wheels have rolled along without turning in their gears."""
         self.mechanics.held_upright = False
         self._put(tilt)
 
     def hold(self, tilt: float = 0.0) -> None:
-        """Put the robot at this tilt into the stand, which lets go once the motors have power."""
+        """Put the robot at this tilt into the stand, which releases it once the motors have power."""
         self.mechanics.held_upright = True
         self._powered_steps = 0
         self._put(tilt)
@@ -129,7 +129,7 @@ class TwsbrPlant(Machine):
         return (self.tilt, tilt_rate, tipping, *along, per_turn * turn_rate, per_turn * turning)
 
     def felt(self, motion: Motion, position: Vector3, gravity: float) -> tuple[Vector3, Vector3]:
-        """Gravity and the axle's acceleration seen from the tilted body, and w' x p + w x (w x p) of the place p."""
+        """Gravity and the axle's acceleration seen from the tilted body, and w' x p + w x (w x p) at the position p."""
         tilt, rate, tipping, speed, acceleration, yaw_rate, turning = motion
         sine, cosine = math.sin(tilt), math.cos(tilt)
         angular = (-yaw_rate * sine, rate, yaw_rate * cosine)
@@ -143,7 +143,7 @@ class TwsbrPlant(Machine):
         return force, angular
 
     def _geared(self, side: int, drive: Drive) -> Drive:
-        """`drive` with what its gear takes or gives."""
+        """`drive` with the torques of its gear added."""
         effects = self._gear_effects[side]
         if not effects:
             return drive

@@ -14,7 +14,7 @@ from estimators.identify.run import with_values
 from models.effects.catalogue import find
 from models.library import get
 from service.virtual.run import record
-from simulation.monocab.gimbal import LOAD_SHARE, PLAY_STIFFNESS
+from simulation.monocab.gimbal import BACKLASH_STIFFNESS, LOAD_SHARE
 from simulation.monocab.hidden import HIDDEN
 from simulation.monocab.truth import PlantTruth
 from vehicles.file import load
@@ -112,7 +112,7 @@ class TestRecords:
         # Two gears side by side: 2 stiffness x width / 2. To four of its standard deviations of a tenth or less.
         stiffness = finding.parameters["backlash.torque"].value
         assert stiffness is not None
-        assert stiffness == pytest.approx(PLAY_STIFFNESS * true, rel=0.4)
+        assert stiffness == pytest.approx(BACKLASH_STIFFNESS * true, rel=0.4)
         assert PlantTruth().gimbal_inertia * LOAD_SHARE == pytest.approx(LOAD_INERTIA)
 
     @pytest.mark.parametrize(

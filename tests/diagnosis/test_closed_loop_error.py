@@ -138,7 +138,7 @@ class TestTheRecordedLoop:
 
     def test_a_recording_of_other_software_has_none(self) -> None:
         other = small_vehicle.recording(*small_vehicle.run(1, 5.0), 0)
-        assert "nothing excites the vehicle" in str(recorded_loop(VEHICLE, other))
+        assert "the vehicle is not excited" in str(recorded_loop(VEHICLE, other))
         channels = ChannelTable(each for each in multisine().channels if each.name not in ("excitation", "phase"))
         fewer = replace(multisine(), channels=channels, values={n: multisine()[n] for n in channels.names})
         assert "no channel excitation, phase" in str(recorded_loop(VEHICLE, fewer))
@@ -146,7 +146,7 @@ class TestTheRecordedLoop:
     def test_a_raw_log_has_none(self) -> None:
         unknown = np.full(len(multisine()), np.nan)
         told = recorded_loop(VEHICLE, self.changed(excitation=unknown, phase=unknown, roll_reference=unknown))
-        assert "take the .arrow beside it" in str(told)
+        assert "use the .arrow beside it" in str(told)
 
     def test_the_setpoints_of_another_controller_are_found_out(self) -> None:
         heavier = VEHICLE.controller.model_copy(update={"roll_weight": 2.0 * VEHICLE.controller.roll_weight})

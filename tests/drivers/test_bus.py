@@ -114,9 +114,9 @@ def scripted(takes: Callable[[], bool] = lambda: True) -> tuple[ScriptedPort, Bu
 @pytest.mark.parametrize(
     ("address", "says", "remedy"),
     [
-        ("can0", "no bus address", "IFACE:CHANNEL"),
-        ("socketcan:", "no bus address", "IFACE:CHANNEL"),
-        ("", "no bus address", "IFACE:CHANNEL"),
+        ("can0", "not a bus address", "IFACE:CHANNEL"),
+        ("socketcan:", "not a bus address", "IFACE:CHANNEL"),
+        ("", "not a bus address", "IFACE:CHANNEL"),
         ("soketcan:can0", "no interface 'soketcan'", "socketcan"),
         ("udp_multicast:192.0.2.200", "cannot be opened", "multicast address"),
         ("slcan:/dev/no-such-adapter", "cannot be opened", "serial port"),

@@ -534,7 +534,7 @@ def test_reset_forgets_what_was_measured_and_keeps_the_state_machine() -> None:
         (0x7307, "sensor"),  # not in the table: the class
         (0x2311, "continuous over-current"),
         (0x8F42, "monitoring"),
-        (0xFF7F, "vendor's own"),
+        (0xFF7F, "vendor-specific"),
         (0xA123, "unknown error"),
         (0x0001, "unknown error"),
     ],
@@ -590,7 +590,7 @@ def test_heartbeat_tells_the_nmt_state_and_an_unexpected_boot_up() -> None:
     for target in (State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED):
         word = controlword(drive, target)
     assert word == states.QUICK_STOP
-    assert "to be set up again" in drive.condition
+    assert "must be set up again" in drive.condition
     drive.configured()
     assert controlword(drive, State.OPERATION_ENABLED) == states.SHUTDOWN
     drive = Drive(GIMBAL)

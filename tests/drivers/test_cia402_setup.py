@@ -332,7 +332,7 @@ def test_an_object_with_another_length_in_the_drive(network: canopen.Network, de
 def test_a_mode_that_the_drive_does_not_have(network: canopen.Network, device: Device) -> None:
     device.set(0x6502, 0, 0b1_0000_0101)  # 1, 3, 9
     error = refused(network)
-    assert "modes 1, 3, 9, and not mode 2" in str(error)
+    assert "modes 1, 3, 9, but not mode 2" in str(error)
     assert not [entry for entry in device.written if entry[0] == 0x6060]
 
 
@@ -341,7 +341,7 @@ def test_a_mode_that_the_drive_does_not_take(
 ) -> None:
     monkeypatch.setattr("drivers.cia402.setup.PATIENCE", 0.05)
     device.stuck_mode = 0
-    assert "is 0 after mode 2 was asked for" in str(refused(network))
+    assert "is 0 after mode 2 was requested" in str(refused(network))
 
 
 def test_a_drive_that_keeps_another_value(network: canopen.Network, device: Device) -> None:

@@ -92,7 +92,7 @@ def test_a_log_alone_gives_the_plain_estimates_bit_for_bit(run: Path, tmp_path: 
     assert rebuilt[plain] == recorded[plain]
     assert rebuilt["recursive_prediction_error"] == recorded["recursive_prediction_error"]
     assert rebuilt[instrumental]["status"] == "missing_channel"
-    assert "raw log does not hold it" in rebuilt[instrumental]["reason"]
+    assert "raw log does not contain it" in rebuilt[instrumental]["reason"]
     assert rebuilt[instrumental]["samples"] == 0
 
 

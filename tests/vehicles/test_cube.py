@@ -63,10 +63,10 @@ def test_the_cad_values_are_those_of_the_models_table() -> None:
     ("old", "new", "said"),
     [
         ('role = "wheel"', 'role = "gimbal"', "a cube has 1"),
-        ('at = "controller_output"', 'at = "tilt_reference"', "nothing that a cube has"),
+        ('at = "controller_output"', 'at = "tilt_reference"', "not an injection point of a cube"),
         ("upright_deg = 6.0 ", "upright_deg = 9.0 ", "must be below support_deg"),
         ("wheel_rate_budget = 250.0", "wheel_rate_budget = 400.0", "must be below wheel_rate"),
-        ("gear_ratio = 1.0", "lead = 1.0", "has a gear_ratio, and no lead"),
+        ("gear_ratio = 1.0", "lead = 1.0", "needs gear_ratio, and no lead"),
         ("mode = 10 ", "mode = 8 ", "mode"),
     ],
 )

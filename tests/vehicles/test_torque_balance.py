@@ -387,7 +387,7 @@ def test_a_variance_that_is_none_becomes_a_reason(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(RecursiveLeastSquares, "solve", solved)
     result = estimator.result()
     assert result.status is Status.TOO_FEW_SAMPLES
-    assert "how sure inertia is" in result.reason
+    assert "the deviation of inertia" in result.reason
     assert result.parameters["inertia"].value is None
     assert result.parameters["inertia"].std is None
 

@@ -146,7 +146,7 @@ class TestTheRecordedLoop:
 
     def test_what_is_not_there_or_not_known_is_said(self) -> None:
         recording = recorded("square")
-        assert "nothing excites the vehicle" in str(recorded_loop(VEHICLE, recorded("hold")))
+        assert "the vehicle is not excited" in str(recorded_loop(VEHICLE, recorded("hold")))
         late = str(recorded_loop(VEHICLE, recording.between(8.0, float("inf"))))
         assert "begins later than the controller" in late
         channels = ChannelTable(each for each in recording.channels if each.name not in ("excitation", "phase"))
@@ -154,7 +154,7 @@ class TestTheRecordedLoop:
         assert "no channel excitation, phase" in str(recorded_loop(VEHICLE, fewer))
         unknown = np.full(len(recording), np.nan)
         raw = self.changed(excitation=unknown, phase=unknown, tilt_reference=unknown)
-        assert "take the .arrow beside it" in str(recorded_loop(VEHICLE, raw))
+        assert "use the .arrow beside it" in str(recorded_loop(VEHICLE, raw))
         holes = recording["left_wheel_angle"].copy()
         holes[np.flatnonzero(recording["phase"] == Phase.EXCITE)[100]] = np.nan
         assert "unknown values" in str(recorded_loop(VEHICLE, self.changed(left_wheel_angle=holes)))

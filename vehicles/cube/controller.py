@@ -1,13 +1,13 @@
 """The controller of the reaction-wheel cube: an LQI that holds it up and brings its wheel back to where it stood.
 
-One step a control cycle (gains from `models.control_design`):
+One step per control cycle (gains from `models.control_design`):
 
     torque = -(k_tilt tilt + k_rate tilt' + k_wheel wheel' + k_previous torque before + k_angle q) + excitation
 
-q is the integral of the wheel's rate. A static torque, or an IMU that is mounted at a slant, would make the wheel of a
-controller without it faster and faster, or keep it turning; with it the cube comes to lean where it is in balance, and
-the wheel to rest. (The paper estimates that angle by a filter instead: section V.) The integral waits while the limit
-of the torque holds (conditional integration; Astroem and Haegglund, Advanced PID Control, section 3.5).
+q is the integral of the wheel's rate. Without it a static torque, or an IMU that is mounted at a slant, would spin the
+wheel up or keep it turning; with it the cube settles at the lean at which it is in balance, and the wheel comes to
+rest. (The paper estimates that angle by a filter instead: section V.) The integral is held while the torque is at its
+limit (conditional integration; Astroem and Haegglund, Advanced PID Control, section 3.5).
 
 Signs: see `channels`. rad, rad/s, N m.
 """
@@ -22,7 +22,7 @@ from models.control_design import CheckedDesign, LqiGains, LqiWeights, StateSpac
 from vehicles.cube.file import CubeFile
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "wheel_inertia")
-"""Parameters that the design must bear to be off by a fifth."""
+"""Parameters whose error of a fifth the design must tolerate."""
 
 
 def linear_model(values: Mapping[str, float]) -> StateSpace:
@@ -61,7 +61,7 @@ def design(vehicle: CubeFile) -> CheckedDesign:
 class WheelController:
     """Holds the cube up: tilt, its rate and the wheel's rate in, the wheel's torque out.
 
-    `torque` is what the last step gave; `limited` whether the limit held it back.
+    `torque` is the output of the last step; `limited` whether the limit reduced it.
     """
 
     __slots__ = ("_angle", "_angle_gain", "_gains", "_limit", "_previous_gain", "limited", "torque")

@@ -1,4 +1,4 @@
-"""What the vehicle file of a reaction-wheel cube holds beyond the sections that all vehicles share."""
+"""Content of the vehicle file of a reaction-wheel cube beyond the sections that all vehicles share."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from vehicles.sections import (
 
 
 class CubeLimits(LimitsSection):
-    """Of tilt, wheel and torque. `support_deg` is the tilt at which the cube lies on a support."""
+    """Limits of tilt, wheel and torque. `support_deg` is the tilt at which the cube lies on a support."""
 
     tilt_deg: Positive
     tilt_rate_deg: Positive
     upright_deg: Positive
     """A cube that leans further while it is balanced has fallen."""
     wheel_rate: Positive
-    """rad/s of the wheel against the body."""
+    """rad/s of the wheel relative to the body."""
     wheel_rate_budget: Positive
-    """rad/s, at which an experiment ends in order."""
+    """rad/s, at which an experiment ends in an orderly way."""
     torque: Positive
-    """N m at the wheel: what the drive's current limit gives."""
+    """N m at the wheel: that of the drive's current limit."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.support_deg >= self.tilt_deg:
-            raise ValueError("support_deg must be below tilt_deg, or lying on a support is a fault")
+            raise ValueError("support_deg must be below tilt_deg, or lying on a support would be a fault")
         if self.upright_deg >= self.support_deg:
-            raise ValueError("upright_deg must be below support_deg, or a fallen cube is not noticed")
+            raise ValueError("upright_deg must be below support_deg, or a fallen cube would not be noticed")
         if self.wheel_rate_budget >= self.wheel_rate:
-            raise ValueError("wheel_rate_budget must be below wheel_rate, or a run cannot end in order")
+            raise ValueError("wheel_rate_budget must be below wheel_rate, or a run cannot end in an orderly way")
         return self
 
 
 class CubeCad(ParametersSection):
-    """The parameters of `model`, made of table I of the paper."""
+    """The parameters of `model`, from table I of the paper."""
 
     UNITS: ClassVar[Mapping[str, str]] = {
         "inertia": "kg m^2",
@@ -74,7 +74,7 @@ class CubeController(ControllerSection):
 
 
 class CubeFile(VehicleFile):
-    """A body on an edge, with one wheel that it holds itself up by."""
+    """A body on an edge, with one wheel by which it holds itself up."""
 
     ROLES: ClassVar[Mapping[str, Role]] = {"wheel": Role(1, 1)}
     INJECTION_POINTS: ClassVar[tuple[str, ...]] = (CONTROLLER_OUTPUT,)

@@ -1,8 +1,8 @@
 """How the cube gets up, balances and gets down.
 
-From its support the controller brings it up by itself: the torque of gravity there is less than half of the drive's. To
-get down it tips at LOWERING_RATE; the wheel takes up the momentum, and is then braked on the support with less torque
-than would lift the cube off it.
+The controller brings it up from its support by itself: the torque of gravity there is less than half of the drive's.
+To get down it tips at LOWERING_RATE; the wheel takes up the momentum, and is then braked on the support with less
+torque than would lift the cube off it.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from vehicles.cube.controller import WheelController
 from vehicles.rising import Rising, Upright
 
 UPRIGHT = Upright(angle=0.035, rate=0.3, time=0.2, timeout=0.8)
-"""2 deg of tilt, either way. Getting up takes a fifth of a second; with all of its torque the wheel is at its budget in
+"""2 deg of tilt, either way. Getting up takes a fifth of a second; at full torque the wheel reaches its budget in
 0.9 s."""
 LOWERING_RATE = 0.3
 """rad/s of tilt: half a second to the support."""
 LOWERING_DAMPING = 20.0
-"""1/s with which the rate of lowering is held."""
+"""1/s, gain with which the rate of lowering is held."""
 LYING_SHARE = 0.8
-"""Share of the supports' angle from which on it is let lie down."""
+"""Share of the supports' angle beyond which the cube is left to lie down."""
 LYING_RATE = 0.02
 """rad/s of tilt that count as standing still."""
 LYING_TIME = 0.2
-"""s of standing still that count as lying: a support throws it back a little."""
+"""s of standing still that count as lying: the cube bounces off a support a little."""
 BRAKING_SHARE = 0.3
-"""Of the torque of gravity on the support: what brakes the wheel must not lift the cube off it."""
+"""Share of the torque of gravity on the support: braking the wheel must not lift the cube off it."""
 WHEEL_AT_REST = 1.0
 """rad/s."""
 
@@ -67,7 +67,7 @@ class CubeHandling:
         return self._rising.failure
 
     def rise(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
-        """Balance, from the support; up when it has stayed upright for a moment."""
+        """Balance, from the support; it is up when it has stayed upright for a moment."""
         self._rising.step(dt, lean)
         return HOLD if self.failure else self.balance(dt, lean, drives, 0.0)
 

@@ -1,4 +1,4 @@
-"""The reaction-wheel cube as the shared code sees it: what is measured, recorded and watched, and how it is held up."""
+"""The reaction-wheel cube as the shared code sees it: what is measured, recorded and monitored, and its pilot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
 from models.control_design import CheckedDesign
-from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.cube.axes import Wheel, WheelMeasurement
 from vehicles.cube.controller import WheelController, design
@@ -18,11 +18,11 @@ from vehicles.cube.file import CubeFile
 from vehicles.cube.handling import CubeHandling
 from vehicles.excitation import Excitation
 
-NEWTON_METRES, RADIANS_A_SECOND = Unit("N m", digits=3), Unit("rad/s", digits=0)
+NEWTON_METRES, RADIANS_PER_SECOND = Unit("N m", digits=3), Unit("rad/s", digits=0)
 
 
 class CubeCode(StrEnum):
-    """What of a cube is beyond its bound, for programs."""
+    """The quantity of a cube that exceeds its bound, for programs."""
 
     TILT = "tilt"
     TILT_RATE = "tilt_rate"
@@ -33,21 +33,21 @@ class CubeCode(StrEnum):
 
 
 def bounds(vehicle: CubeFile) -> tuple[Bound, ...]:
-    """What is watched of tilt, wheel and torque."""
+    """The bounds of tilt, wheel and torque."""
     limits = vehicle.limits
     tilt, rate, upright = (radians(each) for each in (limits.tilt_deg, limits.tilt_rate_deg, limits.upright_deg))
     return (
         Bound(CubeCode.TILT, "tilt", "angle", tilt, DEGREES, When.ALWAYS),
-        Bound(CubeCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_A_SECOND, When.ALWAYS),
+        Bound(CubeCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_PER_SECOND, When.ALWAYS),
         Bound(CubeCode.SETPOINT, "torque", "setpoint", limits.torque, NEWTON_METRES),
-        Bound(CubeCode.WHEEL_RATE, "rate of the wheel", "axes.rate", limits.wheel_rate, RADIANS_A_SECOND),
+        Bound(CubeCode.WHEEL_RATE, "rate of the wheel", "axes.rate", limits.wheel_rate, RADIANS_PER_SECOND),
         Bound(CubeCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
         Bound(
             CubeCode.WHEEL_RATE_BUDGET,
             "wheel rate budget",
             "axes.rate",
             limits.wheel_rate_budget,
-            RADIANS_A_SECOND,
+            RADIANS_PER_SECOND,
             When.BALANCING,
             advice="a static torque spins up the wheel: balance the body, or make the excitation smaller or faster",
         ),

@@ -4,11 +4,11 @@
     wheel_inertia (tilt'' + wheel'') = motor,        motor = torque - wheel_friction wheel'
 
 `inertia` is that of the body about the edge with the wheel's mass at its axle, I_b + m_w l^2, and `gravity_stiffness`
-(m_b l_b + m_w l) g, in the symbols of table I of the paper: its lengths and masses are not identifiable one by one.
-The torque is known by its command, which anchors the scale of all of them.
+is (m_b l_b + m_w l) g, in the symbols of table I of the paper: its lengths and masses are not identifiable one by one.
+The torque is known from its command, which fixes the scale of all parameters.
 
-Effects act at two joints: `tilt` (the body on its edge) and `wheel` (between wheel and body). A joint's inertia is what
-a torque there meets while all else is free to move.
+Effects act at two joints: `tilt` (the body on its edge) and `wheel` (between wheel and body). A joint's inertia is the
+effective one for a torque there while everything else is free to move.
 Source: Gajamohan, Merz, Thommen, D'Andrea, The Cubli: a cube that can jump up and balance, IROS 2012, section III.
 """
 
@@ -21,9 +21,9 @@ from models.model import Model
 from models.parts import Actuator, Disturbance, Hold, Input, Joint, Output, Parameter, Sensor, State
 
 COUNT = 2.0 * math.pi / 8192.0
-"""rad of the wheel that its encoder counts as one."""
+"""rad of the wheel per encoder count."""
 PERIOD = 4e-3
-"""s from row to row."""
+"""s from sample to sample."""
 
 _PARAMETERS = (
     Parameter("inertia", "kg m^2", 4.81e-3, std=0.5e-3, lower=0.0, meaning="of the body about its edge, I_b + m_w l^2"),
@@ -48,10 +48,10 @@ _PARAMETERS = (
         "s",
         0.0,
         std=0.001,
-        # Three deviations: an answer comes within its row, and what is later is no property of a bus, but a delay.
+        # Three deviations: an answer comes within its sample; a later one is not a property of the bus but a delay.
         lower=-0.003,
         upper=0.003,
-        meaning="how much later than its row a torque begins to act",
+        meaning="how much later than its sample a torque begins to act",
     ),
 )
 
@@ -64,12 +64,12 @@ _DEFINITIONS = {
     "wheel_mobility": "1 / wheel_inertia + 1 / inertia",
     "wheel_acceleration": "motor / wheel_inertia - tilt_load / inertia",
     "wheel_load": "wheel_acceleration / wheel_mobility",
-    # The filter's gains, by how well it knows the tilt; the integral one follows from the Riccati equation.
+    # The filter's gains, from its variance of the tilt; the integral one follows from the Riccati equation.
     "filter_proportional": f"tilt_std ** 2 / {_ACCELEROMETER}",
     "filter_integral": f"max(0, 0.5 * (filter_proportional ** 2 - {_GYRO / _ACCELEROMETER})"
     f" + tilt_std * tilt_std_slope / {_ACCELEROMETER})",
 }
-# What effects add: those at the wheel have their reaction on the body.
+# Contribution of effects: those at the wheel have their reaction on the body.
 _ON_WHEEL = "(wheel_force - wheel_load)"
 _TILT = f"(tilt_force - {_ON_WHEEL}) / inertia"
 _WHEEL = f"wheel_acceleration + {_ON_WHEEL} * wheel_mobility - (tilt_force - tilt_load) / inertia"
@@ -88,7 +88,7 @@ CUBE = Model(
             "wheel_rate",
             initial="wheel_angle",
             initial_std=COUNT,
-            meaning="against the body, positive forward",
+            meaning="relative to the body, positive forward",
         ),
         State("wheel_rate", "rad/s", _WHEEL, initial="wheel_rate", initial_std=2.0, process_noise=0.1),
         State(
@@ -110,16 +110,16 @@ CUBE = Model(
             process_noise=1.3e-5,
             noise_known=True,
             error_of="tilt",
-            meaning="what the tilt filter has not learned of the gyro's bias",
+            meaning="remaining error of the tilt filter's estimate of the gyro bias",
         ),
     ),
     inputs=(
         Input("torque", "N m", Hold.ZERO_ORDER, age="setpoint_age", delays=("torque_offset",)),
-        Input("tilt_std", "rad", usual=1.3e-3, meaning="of the tilt, as the tilt filter sees it"),
+        Input("tilt_std", "rad", usual=1.3e-3, meaning="of the tilt, as estimated by the tilt filter"),
     ),
     outputs=(
-        # The tilt filter integrates the gyro by trapezoids: where the torque jumps within a row, at the share s of it,
-        # these make s (1 - s) / 2 of its square times the jump of the acceleration too much.
+        # The tilt filter integrates the gyro by trapezoids: if the torque jumps within a period, at the share s of it,
+        # they add an error of s (1 - s) / 2 of its square times the jump of the acceleration.
         Output(
             "tilt",
             "rad",
@@ -128,9 +128,9 @@ CUBE = Model(
             noise_known=True,
         ),
         Output("tilt_rate", "rad/s", "tilt_rate + rate_error", noise=1e-3),
-        # It moves on by many counts a row: what is left of one is as good as white.
+        # It moves by many counts per sample, so that the quantisation error is practically white.
         Output("wheel_angle", "rad", "wheel_angle", noise=COUNT / 12**0.5, noise_known=True, age="drive_age"),
-        # A filtered difference of the same counts: it lags, and holds no information beyond the angle's, so that
+        # A filtered difference of the same counts: it lags and contains no information beyond the angle's, so that
         # its noise is stated far too large.
         Output(
             "wheel_rate",
@@ -155,7 +155,7 @@ CUBE = Model(
             coordinate_scale=0.05,
             rate_scale=0.5,
             smooth_rate=0.01,
-            # A draught in a room, where estimation starts (docs/explanation/disturbance.md).
+            # A draught in a room, as the start of the estimation (docs/explanation/disturbance.md).
             disturbance=Disturbance(std=4e-4, correlation_time=0.3),
         ),
         Joint(

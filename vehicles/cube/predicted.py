@@ -19,19 +19,19 @@ from vehicles.sections import ExperimentSection
 NEEDS = frozenset({"tilt", "tilt_rate", "wheel_rate"})
 """Outputs of a model that the controller needs."""
 GIVES = frozenset({"torque"})
-"""Inputs of a model that the loop gives."""
-UNTOLD = ("coulomb_friction@wheel", "viscous_friction@wheel")
-"""What a record that is too poor for a diagnosis tells apart the least: friction of the bearings."""
+"""Inputs of a model that the loop provides."""
+HARDEST_TO_SEPARATE = ("coulomb_friction@wheel", "viscous_friction@wheel")
+"""The effects that a record too poor for a diagnosis distinguishes least: friction of the bearings."""
 
 
 def assumed(model: Model) -> Model:
-    """`model` with its torque as late as it says that it may be, where nothing has told how late it is."""
+    """`model` with the delay of its torque at one standard deviation of the model's, unless it was identified."""
     late = {name for each in model.inputs if each.name in GIVES for name in each.delays}
     return model.change({name: model.parameter(name).std for name in late if model.parameter(name).value == 0.0})
 
 
 def predictor(vehicle: CubeFile) -> Callable[[str], Experiment]:
-    """Makes the experiment of this name, as predicted. It raises ExcitationError where that cannot be played."""
+    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
     gains = design(vehicle).gains
     return lambda name: _experiment(name, vehicle.experiments[name], vehicle, gains)
 

@@ -1,8 +1,8 @@
 """What closed the loop while the cube was recorded: its controller, the excitation, and its drive's age.
 
-The controller is run over the recorded measurements first (vehicles.recorded), from the row on in which the cube began
-to get up. A model shows its wheel at the instant of the row, and the controller saw it older by `drive_age`: it is read
-back that far.
+The controller is first replayed on the recorded measurements (vehicles.recorded), from the sample on in which the cube
+began to get up. A model gives its wheel's rate at the sampling instant, but the controller saw a value older by
+`drive_age`: the model's value is taken from that much earlier.
 """
 
 from __future__ import annotations
@@ -30,21 +30,23 @@ COMPARED = ("tilt", "wheel_rate")
 
 
 def recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
-    """The loop of `recording` from the first row of its excitation on, or why it is not known, in words."""
-    told = recorded(recording, (*MEASURED, "torque"), since=Phase.RISE, period=vehicle.period)
-    if isinstance(told, str):
-        return told
+    """The loop of `recording` from the first sample of its excitation on, or why it is not known, in words."""
+    record = recorded(recording, (*MEASURED, "torque"), since=Phase.RISE, period=vehicle.period)
+    if isinstance(record, str):
+        return record
     try:
         gains = design(vehicle).gains
     except UprightError as error:
-        return f"the loop cannot be made: {error}"
-    at = entered_at((CONTROLLER_OUTPUT,), lambda at: [_replayed(vehicle, gains, told, told.last)[1]], told, ("torque",))
+        return f"the loop cannot be reconstructed: {error}"
+    at = entered_at(
+        (CONTROLLER_OUTPUT,), lambda at: [_replayed(vehicle, gains, record, record.last)[1]], record, ("torque",)
+    )
     if at is None:
         return f"the controller of {vehicle.vehicle.id}'s vehicle file does not give the recorded torques"
     return Loop(
-        begins=told.time[told.first],
-        ends=told.time[told.last],
-        controller=partial(_loop, vehicle, gains, told),
+        begins=record.time[record.first],
+        ends=record.time[record.last],
+        controller=partial(_loop, vehicle, gains, record),
         needs=frozenset(MEASURED),
         gives=frozenset({"torque"}),
         channels=COMPARED,
@@ -54,26 +56,26 @@ def recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
     )
 
 
-def _replayed(vehicle: CubeFile, gains: LqiGains, told: Recorded, until: int) -> tuple[WheelController, list[float]]:
-    """The controller before row `until`, run over the recorded measurements, and the torques it gave."""
+def _replayed(vehicle: CubeFile, gains: LqiGains, record: Recorded, until: int) -> tuple[WheelController, list[float]]:
+    """The controller before sample `until`, replayed on the recorded measurements, and its torques."""
     controller = WheelController(gains, vehicle.limits.torque)
     sent = drive_config(vehicle, vehicle.drive[0]).resolved
-    columns = [told.values[name] for name in (*MEASURED, "excitation")]
+    columns = [record.values[name] for name in (*MEASURED, "excitation")]
     given = []
-    # The row in which it began to get up is its first step already.
-    for row in range(told.held, until):
+    # The sample in which it began to get up is already its first step.
+    for row in range(record.held, until):
         tilt, tilt_rate, wheel_rate, excitation = (each[row] for each in columns)
-        given.append(sent(controller.step(tilt, tilt_rate, wheel_rate, told.elapsed(row), excitation)))
+        given.append(sent(controller.step(tilt, tilt_rate, wheel_rate, record.elapsed(row), excitation)))
     return controller, given[1:]
 
 
-def _loop(vehicle: CubeFile, gains: LqiGains, told: Recorded) -> Controller:
-    """The controller as it was at the first excited row."""
-    controller, _ = _replayed(vehicle, gains, told, told.first)
-    # The wheel at the instants of the rows: as recorded, until the model shows it.
-    time, age = np.array(told.time), np.array(told.values["drive_age"])
-    wheel = np.interp(time[: told.first + 1], time - age, told.values["wheel_rate"]).tolist()
-    row = told.first - 1
+def _loop(vehicle: CubeFile, gains: LqiGains, record: Recorded) -> Controller:
+    """The controller in its state at the first excited sample."""
+    controller, _ = _replayed(vehicle, gains, record, record.first)
+    # The wheel at the sampling instants: as recorded, until the model gives it.
+    time, age = np.array(record.time), np.array(record.values["drive_age"])
+    wheel = np.interp(time[: record.first + 1], time - age, record.values["wheel_rate"]).tolist()
+    row = record.first - 1
     sent = drive_config(vehicle, vehicle.drive[0])
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
@@ -83,13 +85,13 @@ def _loop(vehicle: CubeFile, gains: LqiGains, told: Recorded) -> Controller:
             wheel[row] = seen["wheel_rate"]
         else:
             wheel.append(seen["wheel_rate"])
-        age = told.values["drive_age"][row] / told.period
-        # A drive that is sampled after the IMU went on from this row as before.
+        age = record.values["drive_age"][row] / record.period
+        # If the drive is sampled after the IMU, its value is extrapolated linearly from this sample.
         whole = max(0, int(age))
         back, part = row - whole, age - whole
         rate = wheel[back] + part * (wheel[back - 1] - wheel[back])
-        excitation = told.values["excitation"][row]
-        torque = controller.step(seen["tilt"], seen["tilt_rate"], rate, told.elapsed(row), excitation)
+        excitation = record.values["excitation"][row]
+        torque = controller.step(seen["tilt"], seen["tilt_rate"], rate, record.elapsed(row), excitation)
         return {"torque": sent.resolved(torque)}
 
     return step

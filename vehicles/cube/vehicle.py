@@ -1,4 +1,4 @@
-"""The reaction-wheel cube, as the registry has it."""
+"""The reaction-wheel cube's entry in the registry."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _models() -> Models:
 
 
 def _identification() -> OwnMethods:
-    """Nothing: what works for every model works for it."""
+    """Nothing: the methods for every model work for it."""
     from estimators.identify.subject import NOTHING_OWN
 
     return NOTHING_OWN
@@ -38,7 +38,9 @@ def _recorded_loop(vehicle: CubeFile, recording: Recording) -> Loop | str:
 def _prediction() -> Prediction:
     from vehicles.cube import predicted
 
-    return Prediction(predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.UNTOLD, predicted.assumed)
+    return Prediction(
+        predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.HARDEST_TO_SEPARATE, predicted.assumed
+    )
 
 
 def _twin() -> Twin:

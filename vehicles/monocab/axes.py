@@ -32,7 +32,7 @@ NOTHING_MEASURED = GimbalMeasurement(0, NAN, NAN, NAN, NAN, NAN)
 
 
 class Gimbals:
-    """The gimbals, which precess alike, and the trim mass where there is one."""
+    """The gimbals, which precess together, and the trim mass if there is one."""
 
     def __init__(self, io: VehicleIo) -> None:
         self._io = io

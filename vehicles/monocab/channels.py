@@ -1,7 +1,7 @@
 """What is recorded of a MONOCAB.
 
-Roll is positive when the right side goes down (a right-handed turn about x); precession is positive when its rate gives
-a positive roll torque, so the torque balance reads
+Roll is positive when the right side goes down (a right-handed rotation about x); precession is positive when its rate
+gives a positive roll torque, so the torque balance reads
 
     inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession' + disturbances
 """
@@ -18,12 +18,12 @@ CHANNELS = ChannelTable(
             "roll angle of the cabin from the roll filter, 0 upright, positive right side down",
             leans=True,
         ),
-        Channel("roll_rate", "rad/s", "roll rate: gyro about x less its estimated bias"),
-        Channel("roll_std", "rad", "standard deviation of roll as the roll filter sees it"),
+        Channel("roll_rate", "rad/s", "roll rate: gyro about x minus its estimated bias"),
+        Channel("roll_std", "rad", "standard deviation of roll as estimated by the roll filter"),
         Channel(
             "gyro_bias_std",
             "rad/s",
-            "standard deviation of the gyro's bias about x as the roll filter sees it",
+            "standard deviation of the gyro's bias about x as estimated by the roll filter",
             newer=True,
         ),
         Channel("pitch", "rad", "pitch angle from the roll filter, positive nose down", leans=True),
@@ -42,7 +42,7 @@ CHANNELS = ChannelTable(
         SETPOINT_AGE,
         DRIVE_AGE,
         Channel(
-            "roll_reference", "rad", "reference of the roll controller, with the excitation where it is injected there"
+            "roll_reference", "rad", "reference of the roll controller, with the excitation if it is injected there"
         ),
         EXCITATION,
         PHASE,

@@ -1,4 +1,4 @@
-"""What the vehicle file of a MONOCAB holds beyond the sections that all vehicles share."""
+"""Content of the vehicle file of a MONOCAB beyond the sections that all vehicles share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vehicles.sections import (
 
 
 class MonocabLimits(LimitsSection):
-    """Of roll, of the gimbals and of the trim mass."""
+    """Limits of roll, gimbals and trim mass."""
 
     roll_deg: Positive
     roll_rate_deg: Positive
@@ -37,9 +37,11 @@ class MonocabLimits(LimitsSection):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.support_deg >= self.roll_deg:
-            raise ValueError("support_deg must be below roll_deg, or resting on a support is a fault")
+            raise ValueError("support_deg must be below roll_deg, or resting on a support would be a fault")
         if self.precession_budget_deg >= self.precession_deg:
-            raise ValueError("precession_budget_deg must be below precession_deg, or a run cannot end in order")
+            raise ValueError(
+                "precession_budget_deg must be below precession_deg, or a run cannot end in an orderly way"
+            )
         if self.precession_deg >= 90:
             raise ValueError("precession_deg must be below 90: there the gyro has no roll torque left")
         return self
@@ -65,7 +67,7 @@ class MonocabCad(ParametersSection):
     trim_mass: ParameterEntry
     trim_height: ParameterEntry
     gimbal_inertia: ParameterEntry | None = None
-    """Of both gimbals with their rotors, about the precession axes; for the apparent inertia alone."""
+    """Of both gimbals with their rotors, about the precession axes; for the apparent inertia only."""
 
 
 class MonocabController(ControllerSection):

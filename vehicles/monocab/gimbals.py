@@ -1,21 +1,22 @@
 """The MONOCAB's gimbals alone: from the rate setpoint to the precession rate that their drives report.
 
-What a command meets on its way (delay, lag, dead band, gain) shows here, and nothing of the vehicle does, so that each
-of the two can be judged for itself. Three speed loops, all with speed_loop_lag T as what they lag behind a ramp:
+Effects on the path of the command (delay, lag, dead band, gain) are visible here, and those of the vehicle are not, so
+that each of the two can be judged separately. Three speed loops, all with the lag T = speed_loop_lag behind a ramp:
 
     MONOCAB_GIMBALS               PI by the symmetric optimum, 1 / (1 + T s + T^2 s^2 / 2 + T^3 s^3 / 8)
     MONOCAB_GIMBALS_LAG           one lag, 1 / (1 + T s)
     MONOCAB_GIMBALS_SECOND_ORDER  underdamped, 1 / (1 + T s + (T s / 2 D)^2)
 
-A vehicle that rolls turns its gimbals: the reaction, angular momentum x roll rate over the gimbals' inertia. The roll
-rate is a state that the gyro measures, not an input: the controller answers to the gyro's noise, so that noise taken
-for motion would be blamed on the setpoint, whose gain came out 5 % too small. How the vehicle rolls is told by
-roll_gain, roll_stiffness and an acceleration that wanders, and so does not depend on what is unknown of it. Gyro and
-drives are not read at the same instant: where the vehicle swings at 5 Hz, 1.6 ms between them are 5 % of its rate.
+A vehicle that rolls turns its gimbals: the reaction is angular momentum x roll rate over the gimbals' inertia. The roll
+rate is a state that the gyro measures, not an input: the controller responds to the gyro's noise, so that noise
+mistaken for motion would be attributed to the setpoint, whose gain came out 5 % too small. The roll motion is described
+by roll_gain, roll_stiffness and a randomly drifting acceleration, so that it is independent of the vehicle's unknowns.
+Gyro and drives are not sampled at the same instant: if the vehicle swings at 5 Hz, 1.6 ms between them are 5 % of its
+rate.
 
-Drives in a velocity mode follow their setpoint by a ramp (6048h and 604Ah of CiA 402). `ramp_share` is how much of a
-ramp of 30 rad/s^2 there is, 0 for none; a steeper one takes proportionally less, as long as a step is over within its
-row.
+Drives in a velocity mode follow their setpoint by a ramp (6048h and 604Ah of CiA 402). `ramp_share` is the share of a
+ramp of 30 rad/s^2, 0 for none; a steeper ramp has a proportionally smaller share, as long as a step is completed within
+its sample.
 Source: Kessler, Regelungstechnik 6 (1958) 395 and 432; Leonhard, Control of Electrical Drives (2001), section 4.
 """
 
@@ -39,7 +40,7 @@ _PARAMETERS = (
         "1/s",
         60.0,
         std=60.0,
-        meaning="angular momentum over the gimbals' inertia; 0 where the drives do not feel it",
+        meaning="angular momentum over the gimbals' inertia; 0 if it does not affect the drives",
     ),
     Parameter("roll_gain", "1/s", 2.2, std=0.4, meaning="angular momentum over the vehicle's inertia"),
     Parameter(
@@ -58,7 +59,7 @@ _PARAMETERS = (
         lower=-0.02,
         upper=0.02,
         estimated=False,
-        meaning="how much later than its row, or earlier than the drives, the gyro is read",
+        meaning="how much later than its sample, or earlier than the drives, the gyro is read",
     ),
     Parameter("ramp_share", "1", 0.0, std=1.0, lower=-1.0, upper=3.0, meaning="of a ramp of 30 rad/s^2 in the drives"),
     Parameter(
@@ -68,7 +69,7 @@ _PARAMETERS = (
         std=0.002,
         lower=-0.006,
         upper=0.006,
-        meaning="how much later than its row a setpoint begins to act: no more than the cycles of bus and drive",
+        meaning="how much later than its sample a setpoint begins to act: no more than the cycles of bus and drive",
     ),
 )
 _ROLL = (
@@ -85,7 +86,7 @@ _ROLL = (
         "roll_stiffness * roll_rate",
         initial_std=0.3,
         process_noise=0.2,
-        meaning="but for the gyroscopic torque",
+        meaning="without the gyroscopic torque",
     ),
 )
 
@@ -117,7 +118,7 @@ def _model(name: str, title: str, servo: tuple[State, ...], *more: Parameter) ->
                 delays=("setpoint_offset",),
                 ramp_of=COMMAND,
                 ramp=30.0,
-                meaning="by which the drives' ramp is behind the setpoint",
+                meaning="by which the drives' ramp lags behind the setpoint",
             ),
         ),
         outputs=(
@@ -147,7 +148,7 @@ MONOCAB_GIMBALS = _model(
             f"({_ACTING} - precession_rate) / speed_loop_lag - ({_UNDER_LOAD})",
             initial_std=0.3,
             process_noise=0.25,
-            meaning="prefiltered setpoint less rate, and its integral over speed_loop_lag",
+            meaning="prefiltered setpoint minus rate, and its integral over speed_loop_lag",
         ),
     ),
     Parameter("gimbal_drag", "1/s", 0.5, std=0.5, meaning="of bearings, chains and gears, over the gimbals' inertia"),
@@ -181,7 +182,7 @@ MONOCAB_GIMBALS_SECOND_ORDER = _model(
             " * 4 * damping_ratio ** 2 / speed_loop_lag",
             initial_std=10.0,
             process_noise=1.0,
-            meaning="of the gimbals, but for the reaction",
+            meaning="of the gimbals, without the reaction",
         ),
     ),
     Parameter("damping_ratio", "1", 0.7, std=0.2, lower=0.2, upper=0.9, meaning="of the closed speed loops"),

@@ -12,7 +12,7 @@ from vehicles.monocab.control.linear_model import MonocabParameters
 from vehicles.monocab.control.rise import Lowering, RiseFromRest, lowering_side, lowering_travel
 
 CENTRE_RATE = 0.08
-"""rad/s: 264 N m at 3300 N m s, a quarter of what would lift the vehicle off the support."""
+"""rad/s: 264 N m at 3300 N m s, a quarter of the torque that would lift the vehicle off the support."""
 
 CENTRED = 0.005
 """rad of precession that counts as the middle."""
@@ -53,7 +53,7 @@ class GimbalHandling:
         return self._lowering is not None and self._lowering.done
 
     def centre(self, drives: GimbalMeasurement) -> Command | None:
-        """Slowly, so that the torque stays well below what would lift the vehicle off its support."""
+        """Slowly, so that the torque stays well below the one that would lift the vehicle off its support."""
         if abs(drives.precession) < CENTRED:
             return None
         return Command(State.OPERATION_ENABLED, max(-CENTRE_RATE, min(CENTRE_RATE, -2.0 * drives.precession)))

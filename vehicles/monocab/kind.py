@@ -1,4 +1,4 @@
-"""The MONOCAB as the shared code sees it: what is measured, recorded and watched, and how its controller is made."""
+"""The MONOCAB as the shared code sees it: what is measured, recorded and monitored, and its pilot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.monocab.axes import GimbalMeasurement, Gimbals
@@ -22,7 +22,7 @@ from vehicles.sections import REST
 
 
 class MonocabCode(StrEnum):
-    """What of a MONOCAB is beyond its bound, for programs."""
+    """The quantity of a MONOCAB that exceeds its bound, for programs."""
 
     ROLL = "roll"
     ROLL_RATE = "roll_rate"
@@ -39,19 +39,21 @@ RATE_MARGIN = 1.5
 
 
 def bounds(vehicle: MonocabFile) -> tuple[Bound, ...]:
-    """What is watched of roll, gimbals and trim mass."""
+    """The bounds of roll, gimbals and trim mass."""
     limits = vehicle.limits
     precession, budget = radians(limits.precession_deg), radians(limits.precession_budget_deg)
     return (
         Bound(MonocabCode.ROLL, "roll", "angle", radians(limits.roll_deg), DEGREES, When.ALWAYS),
-        Bound(MonocabCode.ROLL_RATE, "roll rate", "rate", radians(limits.roll_rate_deg), DEGREES_A_SECOND, When.ALWAYS),
+        Bound(
+            MonocabCode.ROLL_RATE, "roll rate", "rate", radians(limits.roll_rate_deg), DEGREES_PER_SECOND, When.ALWAYS
+        ),
         Bound(MonocabCode.PRECESSION, "precession angle", "axes.precession", precession, DEGREES),
         Bound(
             MonocabCode.PRECESSION_RATE,
             "precession rate",
             "axes.precession_rate",
             RATE_MARGIN * limits.precession_rate,
-            DEGREES_A_SECOND,
+            DEGREES_PER_SECOND,
         ),
         Bound(
             MonocabCode.GIMBAL_MISMATCH,
@@ -87,7 +89,7 @@ class GimbalPilot:
     design: RollDesign
 
     def handling(self, excitation: Excitation) -> GimbalHandling:
-        """The step sets its own rate of rising; the other experiments take a sure one."""
+        """The step sets its own rate of rising; the other experiments use one with a margin."""
         vehicle, parameters = self.vehicle, self.design.parameters
         by_step = excitation.at == REST and excitation.peak > 0.0
         rate = excitation.peak if by_step else rise_rate(parameters, vehicle.support)
@@ -148,7 +150,7 @@ class Monocab:
     def interlocks(self, drives: GimbalMeasurement) -> list[str]:
         mismatch = degrees(drives.gimbal_mismatch)
         if mismatch > 0.5 * self._vehicle.limits.gimbal_mismatch_deg:
-            return [f"The gimbals differ by {mismatch:.1f} deg: turn them alike."]
+            return [f"The gimbals differ by {mismatch:.1f} deg: turn them to the same angle."]
         return []
 
     def pilot(self) -> GimbalPilot:

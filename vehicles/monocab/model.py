@@ -2,17 +2,17 @@
 
     inertia roll'' = gravity_stiffness roll + angular_momentum precession' + trim_mass (g y - trim_height y'') + effects
 
-MONOCAB_ROLL takes the measured motion of gimbals and trim mass as its inputs: equation (3), for identification, since
+MONOCAB_ROLL has the measured motion of gimbals and trim mass as its inputs: equation (3), for identification, since
 neither the speed loops nor their coupling to roll matter then. MONOCAB_REDUCED is equation (2): the precession rate
 follows its setpoint with `speed_loop_lag`. MONOCAB_FULL is (1), with the trim mass and the precession angle.
 
-The roll filter's error is no white noise but the gyro's, integrated, and a slow correction; so each model has it as a
-state, `roll_error`, which has no part in the motion, and what is left of the gyro's bias as `rate_error`. The two fade
-together, as in a filter with a proportional and an integral gain, whose values here are those in motion, where the
-filter trusts the accelerometer less than at rest. Without that, an error that is left from the rise would count as
-white, and estimates would scatter by a fifth more than they say. From row to
-row the recorded roll is the integrated roll rate to 1e-6 rad, which says nothing about the vehicle but all about the
-filter: 1e-5 rad are put down as its noise, so that no fit builds on it.
+The roll filter's error is not white: it is the gyro's integrated noise and a slow correction. So each model has it as a
+state, `roll_error`, which does not affect the motion, and the remaining bias of the gyro as `rate_error`. The two decay
+together, as in a filter with a proportional and an integral gain, whose values here are those in motion, when the
+filter trusts the accelerometer less than at rest. Without these states, an error that remains from the rise would be
+treated as white, and estimates would scatter by a fifth more than their stated deviation. From sample to sample the
+recorded roll equals the integrated roll rate to 1e-6 rad, which is a property of the filter and not of the vehicle:
+1e-5 rad are stated as its noise, so that no fit relies on it.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ _RATE_ERROR = State(
     initial_std=2e-4,
     process_noise=1.3e-5,
     noise_known=True,
-    meaning="what the roll filter has not learned of the gyro's bias",
+    meaning="remaining error of the roll filter's estimate of the gyro bias",
 )
 _OUTPUTS = (
     Output("roll", "rad", "roll + roll_error", noise=1e-5, noise_known=True),
@@ -103,7 +103,7 @@ _IMU = Sensor(
     rate="roll_rate",
     angle_scale=0.02,
     rate_scale=0.05,
-    # The filter's own: of the bias' variance the share that the angle's, (1.98e-3 rad)^2 all along, is worth a second.
+    # The filter's own gains: the integral one is the bias' variance over the angle's, which is always (1.98e-3 rad)^2.
     filter=Filter(proportional=2.36, integral="2.55e5 * gyro_bias_std ** 2", smoothing=1.0, lever=0.9 / GRAVITY),
 )
 
@@ -112,7 +112,7 @@ _BIAS_STD = Input(
     "gyro_bias_std",
     "rad/s",
     usual=6.9e-4,
-    meaning="of the gyro's bias, as the roll filter sees it: how fast it still learns",
+    meaning="of the gyro's bias, as estimated by the roll filter: how fast it still learns",
 )
 
 
@@ -163,7 +163,7 @@ MONOCAB_ROLL = Model(
     outputs=_OUTPUTS,
     base_parameters=(
         *_PARAMETERS,
-        _offset("drive_offset", "how much later than their time stamps say the drives' values were true"),
+        _offset("drive_offset", "how much later than their time stamps the drives' values were valid"),
         *_FILTER,
     ),
     joints=(_joint("trim_position", "trim_rate_slope"),),
@@ -200,7 +200,7 @@ MONOCAB_REDUCED = Model(
     base_parameters=(
         *_PARAMETERS,
         _LAG,
-        _offset("setpoint_offset", "how much later than its row a setpoint begins to act"),
+        _offset("setpoint_offset", "how much later than its sample a setpoint begins to act"),
         *_FILTER,
     ),
     joints=(_joint("trim_position", "trim_rate_slope"),),
@@ -246,7 +246,7 @@ MONOCAB_FULL = Model(
     base_parameters=(
         *_PARAMETERS,
         _LAG,
-        _offset("setpoint_offset", "how much later than its row a setpoint begins to act"),
+        _offset("setpoint_offset", "how much later than its sample a setpoint begins to act"),
         *_FILTER,
     ),
     joints=(_joint("trim_position", _TRIM_ACCELERATION),),

@@ -26,11 +26,11 @@ GIVES = frozenset(
         "trim_rate_setpoint",
     }
 )
-"""Inputs of a model that the loop gives."""
+"""Inputs of a model that the loop provides."""
 
 
 def predictor(vehicle: MonocabFile) -> Callable[[str], Experiment]:
-    """Makes the experiment of this name, as predicted. It raises ExcitationError where that cannot be played."""
+    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
     gains = design(vehicle)
     return lambda name: _experiment(name, vehicle.experiments[name], vehicle, gains)
 
@@ -67,7 +67,7 @@ def _experiment(name: str, section: ExperimentSection, vehicle: MonocabFile, gai
 
 
 def _loop(vehicle: MonocabFile, gains: RollDesign, excitation: Excitation) -> Controller:
-    """The vehicle's controller with the excitation in it, and the gimbals of models whose input is their motion."""
+    """The vehicle's controller with the excitation in it, and the gimbals, for models whose input is their motion."""
     controller = RollController.from_design(gains, vehicle)
     on_reference = excitation.on_reference
     period = vehicle.period

@@ -1,11 +1,11 @@
 """What closed the loop while a recording was made: the vehicle's controller, the excitation, and its gimbals' drives.
 
-The controller is run over the recorded measurements first (vehicles.recorded), once with the excitation on the roll
+The controller is first replayed on the recorded measurements (vehicles.recorded), once with the excitation on the roll
 reference and once on its output.
 
-The drives' speed loops are as the recording shows them (estimators.methods.drive_lag), for models to which the gimbals'
-motion is an input. A setpoint that acts later than one control cycle after its row is a delay, and no property of a
-drive: it is left out here, for the model to have it.
+For models to which the gimbals' motion is an input, the drives' speed loops are those identified from the recording
+(estimators.methods.drive_lag). If a setpoint acts later than one control cycle after its sample, this is a delay and
+not a property of the drive: it is left out here, and belongs to the model.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COMPARED = ("roll", "precession_rate")
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """The gimbals' rate and angle at the instants of the rows, and the rows by which a setpoint is on its way."""
+    """The gimbals' rate and angle at the sampling instants, and the delay of a setpoint in samples."""
 
     rate: list[float]
     precession: list[float]
@@ -49,45 +49,45 @@ class _Motion:
 
 
 def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
-    """The loop of `recording` from the first row of its excitation on, or why it is not known, in words."""
+    """The loop of `recording` from the first sample of its excitation on, or why it is not known, in words."""
     time = recording.time
     period = float(np.median(np.diff(time))) if len(time) > 1 else vehicle.period
-    told = recorded(recording, (*MEASURED, SETPOINT), since=Phase.SETTLE, period=period)
-    if isinstance(told, str):
-        return told
+    record = recorded(recording, (*MEASURED, SETPOINT), since=Phase.SETTLE, period=period)
+    if isinstance(record, str):
+        return record
     held = (recording["phase"] >= Phase.SETTLE) & (recording["phase"] <= Phase.FADE)
     age = recording["drive_age"]
     sent = recording.values.get("setpoint_age", np.zeros(len(recording)))[held]
     if not (sent <= 0.0).all():
-        return "the recording does not say when its setpoints left, or before they were computed: setpoint_age"
+        return "setpoint_age is unknown, or positive as if setpoints had left before they were computed"
     try:
         gains = design(vehicle)
         at = entered_at(
             ("roll_reference", CONTROLLER_OUTPUT),
-            lambda at: [_replayed(vehicle, gains, told, at, told.last)[1]],
-            told,
+            lambda at: [_replayed(vehicle, gains, record, at, record.last)[1]],
+            record,
             (SETPOINT,),
         )
         if at is None:
             return f"the controller of {vehicle.vehicle.id}'s vehicle file does not give the recorded setpoints"
         drives = drive_lag([recording]).parameters
     except UprightError as error:
-        return f"the loop cannot be made: {error}"
+        return f"the loop cannot be reconstructed: {error}"
     unknown = next((each.reason for each in drives.values() if each.value is None), None)
     if unknown is not None:
-        return f"the speed loop of the gimbals' drives does not show: {unknown}"
+        return f"the speed loop of the gimbals' drives cannot be identified: {unknown}"
     lag, offset, reaction = (float(each.value or 0.0) for each in drives.values())
-    whole, offset = divmod(-float(np.median(sent)) + min(max(offset, 0.0), told.period), told.period)
+    whole, offset = divmod(-float(np.median(sent)) + min(max(offset, 0.0), record.period), record.period)
     motion = _Motion(
         rate=np.interp(time, time - age, recording["precession_rate"]).tolist(),
         precession=np.interp(time, time - age, recording["precession"]).tolist(),
         late=int(whole),
     )
-    drive = partial(SpeedLoopSteps, lag, offset, reaction, told.period)
+    drive = partial(SpeedLoopSteps, lag, offset, reaction, record.period)
     return Loop(
-        begins=told.time[told.first],
-        ends=told.time[told.last],
-        controller=partial(_loop, vehicle, gains, told, at, drive, motion),
+        begins=record.time[record.first],
+        ends=record.time[record.last],
+        controller=partial(_loop, vehicle, gains, record, at, drive, motion),
         needs=frozenset({"roll", "roll_rate"}),
         gives=frozenset({"precession_rate_setpoint", "precession_rate", "precession"}),
         channels=COMPARED,
@@ -95,19 +95,19 @@ def recorded_loop(vehicle: MonocabFile, recording: Recording) -> Loop | str:
 
 
 def _replayed(
-    vehicle: MonocabFile, gains: RollDesign, told: Recorded, at: str, until: int
+    vehicle: MonocabFile, gains: RollDesign, record: Recorded, at: str, until: int
 ) -> tuple[RollController, list[float]]:
-    """The controller before row `until`, run over the recorded measurements, and the setpoints it gave."""
+    """The controller before sample `until`, replayed on the recorded measurements, and its setpoints."""
     controller = RollController.from_design(gains, vehicle)
-    controller.reset(told.values[SETPOINT][told.held])
-    measured = [told.values[name] for name in MEASURED]
-    rows = range(told.held + 1, until)
-    return controller, [_step(controller, told, at, row, *(each[row] for each in measured)) for row in rows]
+    controller.reset(record.values[SETPOINT][record.held])
+    measured = [record.values[name] for name in MEASURED]
+    rows = range(record.held + 1, until)
+    return controller, [_step(controller, record, at, row, *(each[row] for each in measured)) for row in rows]
 
 
 def _step(
     controller: RollController,
-    told: Recorded,
+    record: Recorded,
     at: str,
     row: int,
     roll: float,
@@ -115,9 +115,9 @@ def _step(
     rate: float,
     precession: float,
 ) -> float:
-    value = told.values["excitation"][row]
+    value = record.values["excitation"][row]
     on_reference = is_reference(at)
-    dt = told.time[row] - told.time[row - 1]
+    dt = record.time[row] - record.time[row - 1]
     reference, output = (value, 0.0) if on_reference else (0.0, value)
     return controller.step(roll, roll_rate, rate, precession, reference, dt, output)
 
@@ -125,35 +125,35 @@ def _step(
 def _loop(
     vehicle: MonocabFile,
     gains: RollDesign,
-    told: Recorded,
+    record: Recorded,
     at: str,
     make_drive: partial[SpeedLoopSteps],
     motion: _Motion,
 ) -> Controller:
-    """The controller and the drives as they were at the first excited row."""
-    controller, _ = _replayed(vehicle, gains, told, at, told.first)
-    sent, rolled = told.values[SETPOINT], told.values["roll_rate"]
-    begin = max(0, told.first - round(RUN_IN / told.period))
+    """The controller and the drives in their state at the first excited sample."""
+    controller, _ = _replayed(vehicle, gains, record, at, record.first)
+    sent, rolled = record.values[SETPOINT], record.values["roll_rate"]
+    begin = max(0, record.first - round(RUN_IN / record.period))
     drive = make_drive(setpoint=sent[begin])
     under_way = deque([sent[begin]] * motion.late)
-    for row in range(begin, told.first):
+    for row in range(begin, record.first):
         under_way.append(sent[row])
         drive.step(under_way.popleft(), rolled[row])
-    rates, angles = motion.rate[: told.first + 1], motion.precession[: told.first + 1]
-    row = told.first - 1
+    rates, angles = motion.rate[: record.first + 1], motion.precession[: record.first + 1]
+    row = record.first - 1
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal row
         row += 1
         rates[row] = seen.get("precession_rate", rates[row])
         angles[row] = seen.get("precession", angles[row])
-        age = told.values["drive_age"][row] / told.period
-        # Drives that are sampled after the IMU went on from this row as before.
+        age = record.values["drive_age"][row] / record.period
+        # If the drives are sampled after the IMU, their values are extrapolated linearly from this sample.
         whole = max(0, int(age))
         back, part = row - whole, age - whole
         setpoint = _step(
             controller,
-            told,
+            record,
             at,
             row,
             seen["roll"],
@@ -163,9 +163,9 @@ def _loop(
         )
         under_way.append(setpoint)
         following = drive.step(under_way.popleft(), seen["roll_rate"])
-        # A model with drives of its own shows its rate; until the next row it goes on as before.
+        # A model with drives of its own gives their rate; up to the next sample it is extrapolated linearly.
         rates.append(2.0 * rates[row] - rates[row - 1] if "precession_rate" in seen else following)
-        angles.append(angles[row] + 0.5 * told.period * (rates[row] + rates[row + 1]))
+        angles.append(angles[row] + 0.5 * record.period * (rates[row] + rates[row + 1]))
         return {
             "precession_rate_setpoint": setpoint,
             "precession_rate": rates[row + 1],

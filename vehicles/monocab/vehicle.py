@@ -1,4 +1,4 @@
-"""The MONOCAB, as the registry has it."""
+"""The MONOCAB's entry in the registry."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ CHARTS = (
         "Innovation of the roll rate",
         "deg/s",
         TURN,
-        (Curve("roll_rate", "measured less predicted, one step ahead", "innovation"),),
+        (Curve("roll_rate", "measured minus predicted, one step ahead", "innovation"),),
     ),
 )
 

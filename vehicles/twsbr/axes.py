@@ -1,7 +1,7 @@
 """The robot's wheels: what their drives report, as one measurement a cycle.
 
-Angles and rates are those of the wheels against the body, as their encoders count them, positive forward. Where the
-wheels have rolled on the floor follows with the tilt: a place of  radius * (mean wheel angle + tilt).
+Angles and rates are those of the wheels relative to the body, as their encoders count them, positive forward. With the
+tilt they give the position of the wheels on the floor,  radius * (mean wheel angle + tilt).
 """
 
 from __future__ import annotations

@@ -1,22 +1,22 @@
 """The tilt controller of the balancing robot: the source paper's PID, and the lean that brings the wheels back.
 
-Inner loop, one step a control cycle, with the tilt in degrees and the motors' voltage in V (Hassan et al., section 4.1:
-gains 25, 3 and 3.5, 5 ms):
+Inner loop, one step per control cycle, with the tilt in degrees and the motors' voltage in V (Hassan et al., section
+4.1: gains 25, 3 and 3.5, 5 ms):
 
     voltage = K_p e + K_i (integral of e) + K_d tilt' + excitation,        e = tilt - reference
 
-limited to what the supply gives. The integral waits while that limit holds and it would grow further (conditional
-integration; Astroem and Haegglund, Advanced PID Control, section 3.5): a robot that gets up from its bumper is against
-the limit for most of the way, and a wound-up integral would throw it over.
+limited to the supply voltage. The integral is held while that limit is active and it would grow further (conditional
+integration; Astroem and Haegglund, Advanced PID Control, section 3.5): a robot that gets up from its bumper is at the
+limit for most of the way, and a wound-up integral would throw it over.
 
-Outer loop: the PID holds the tilt alone, so the wheels drift, and whatever shifts the balance (a load, an IMU that is
-mounted at a slant) makes the robot faster and faster until its motors have no voltage left. Leaning by `reference`
+Outer loop: the PID holds only the tilt, so the wheels drift, and any shift of the balance (a load, an IMU that is
+mounted at a slant) accelerates the robot until its motors have no voltage reserve left. Leaning by `reference`
 accelerates it by about g * reference, so that with
 
     reference = -(2 / T * speed + 1 / T^2 * place) / g
 
 the place obeys place'' + 2 / T * place' + place / T^2 = 0: both poles at -1/T, T being `wheel_return_time`. It must be
-slow against the inner loop, since the wheels first go the other way.
+slow compared with the inner loop, since the wheels first go the other way.
 
 Tilt and reference in rad, positive forward; a positive voltage drives forward, under a body that leans forward.
 """
@@ -50,8 +50,8 @@ class WheelReturn:
 class TiltController:
     """Holds the robot up: tilt and its rate in, the motors' voltage out.
 
-    `reference` is the tilt aimed at in the last step, lean included; `limited` whether the supply held the voltage
-    back.
+    `reference` is the tilt aimed at in the last step, lean included; `limited` whether the supply limited the
+    voltage.
     """
 
     __slots__ = (
@@ -80,7 +80,7 @@ class TiltController:
 
     @classmethod
     def of(cls, vehicle: TwsbrFile) -> TiltController:
-        """That of a vehicle file."""
+        """The controller of a vehicle file."""
         section = vehicle.controller
         return cls(
             section.proportional_gain,
@@ -102,8 +102,9 @@ class TiltController:
     ) -> float:
         """One cycle: the voltage, V.
 
-        `place` (m) and `speed` (m/s) are those on the floor, from where the robot got up; `reference` (rad) comes
-        without the lean; `excitation` (V) is added to the PID's output, before the limit; `dt` s since the last cycle.
+        `place` (m) and `speed` (m/s) are those on the floor, from where the robot got up; `reference` (rad) does
+        not include the lean; `excitation` (V) is added to the PID's output before the limit; `dt` s since the last
+        cycle.
         """
         reference += self._return.lean(place, speed)
         self.reference = reference

@@ -1,4 +1,4 @@
-"""What the vehicle file of a two-wheeled balancing robot holds beyond the sections that all vehicles share."""
+"""Content of the vehicle file of a two-wheeled balancing robot beyond the sections that all vehicles share."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from vehicles.sections import (
 
 
 class TwsbrLimits(LimitsSection):
-    """Of tilt, wheels and voltage. `support_deg` is the tilt at which the robot lies on a bumper."""
+    """Limits of tilt, wheels and voltage. `support_deg` is the tilt at which the robot lies on a bumper."""
 
     tilt_deg: Positive
     tilt_rate_deg: Positive
     upright_deg: Positive
     """A robot that leans further while it is balanced has fallen."""
     wheel_rate: Positive
-    """rad/s of each wheel against the body."""
+    """rad/s of each wheel relative to the body."""
     voltage: Positive
-    """V at a motor: what the supply gives."""
+    """V at a motor: that of the supply."""
     travel: Positive
     """m from where it got up: the edge of the test stand."""
     travel_budget: Positive
-    """m from where it got up, at which an experiment ends in order."""
+    """m from where it got up, at which an experiment ends in an orderly way."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.support_deg >= self.tilt_deg:
-            raise ValueError("support_deg must be below tilt_deg, or lying on a bumper is a fault")
+            raise ValueError("support_deg must be below tilt_deg, or lying on a bumper would be a fault")
         if self.upright_deg >= self.support_deg:
-            raise ValueError("upright_deg must be below support_deg, or a fallen robot is not noticed")
+            raise ValueError("upright_deg must be below support_deg, or a fallen robot would not be noticed")
         if self.travel_budget >= self.travel:
-            raise ValueError("travel_budget must be below travel, or a run cannot end in order")
+            raise ValueError("travel_budget must be below travel, or a run cannot end in an orderly way")
         return self
 
 

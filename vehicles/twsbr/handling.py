@@ -1,8 +1,8 @@
 """How the balancing robot gets up, balances and gets down.
 
-From its bumper the controller brings it up by itself: it is against the supply's limit for most of the way, while the
-wheels drive under the body. There is nothing that could lower it but gravity: its wheels are driven out from under it,
-so that it tips towards the bumper that it got up from, and then the motors get 0 V, which shorts and so brakes them.
+The controller brings it up from its bumper by itself: it is at the supply's limit for most of the way, while the wheels
+drive under the body. Only gravity can lower it: its wheels are driven out from under it, so that it tips towards the
+bumper from which it got up, and then the motors get 0 V, which shorts and so brakes them.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from vehicles.twsbr.axes import WheelMeasurement, Wheels
 from vehicles.twsbr.controller import TiltController
 
 UPRIGHT = Upright(angle=0.035, rate=0.5, time=0.2, timeout=4.0)
-"""2 deg of tilt, either way; getting up takes half a second, and coming to rest some more where the gears have play."""
+"""2 deg of tilt, either way; getting up takes half a second, and coming to rest longer if the gears have backlash."""
 TIP_VOLTAGE = 3.0
 """V that drive the wheels out from under the body."""
 TIPPED = 0.07
 """rad (4 deg) of tilt from which it falls by itself."""
 LYING_SHARE = 0.8
-"""Share of the bumpers' angle from which standing still means lying."""
+"""Share of the bumpers' angle beyond which standing still means lying."""
 LYING_RATE = 0.02
 """rad/s of tilt that count as standing still."""
 LYING_TIME = 0.2
-"""s of standing still that count as lying: a bumper throws it back a little."""
+"""s of standing still that count as lying: the robot bounces off a bumper a little."""
 
 
 class WheelHandling:
-    """Setpoints are voltages, V, alike for both motors.
+    """Setpoints are voltages, V, the same for both motors.
 
     `support` (rad) is the tilt on a bumper, `radius` (m) that of a wheel.
     """
@@ -59,7 +59,7 @@ class WheelHandling:
         return self._rising.failure
 
     def rise(self, dt: float, lean: Lean, drives: WheelMeasurement) -> Command:
-        """Balance, from the bumper; up when it has stayed upright for a moment."""
+        """Balance, from the bumper; it is up when it has stayed upright for a moment."""
         self._rising.step(dt, lean)
         return HOLD if self.failure else self.balance(dt, lean, drives, 0.0)
 

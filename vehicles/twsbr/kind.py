@@ -1,4 +1,4 @@
-"""The balancing robot as the shared code sees it: what is measured, recorded and watched, and how it is controlled."""
+"""The balancing robot as the shared code sees it: what is measured, recorded and monitored, and its pilot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.vehicle_io import VehicleIo
 from estimators.roll_filter import RollState
-from vehicles.bounds import DEGREES, DEGREES_A_SECOND, Bound, Unit, When
+from vehicles.bounds import DEGREES, DEGREES_PER_SECOND, Bound, Unit, When
 from vehicles.contract import Command, Lean
 from vehicles.excitation import Excitation
 from vehicles.twsbr.axes import WheelMeasurement, Wheels
@@ -19,7 +19,7 @@ from vehicles.twsbr.handling import WheelHandling
 
 
 class TwsbrCode(StrEnum):
-    """What of a balancing robot is beyond its bound, for programs."""
+    """The quantity of a balancing robot that exceeds its bound, for programs."""
 
     TILT = "tilt"
     TILT_RATE = "tilt_rate"
@@ -30,20 +30,20 @@ class TwsbrCode(StrEnum):
     TRAVEL_BUDGET = "travel_budget"
 
 
-VOLTS, METRES, RADIANS_A_SECOND = Unit("V"), Unit("m", digits=3), Unit("rad/s", digits=1)
+VOLTS, METRES, RADIANS_PER_SECOND = Unit("V"), Unit("m", digits=3), Unit("rad/s", digits=1)
 
 
 def bounds(vehicle: TwsbrFile) -> tuple[Bound, ...]:
-    """What is watched of tilt, wheels and voltage."""
+    """The bounds of tilt, wheels and voltage."""
     limits = vehicle.limits
     tilt, rate, upright = (radians(each) for each in (limits.tilt_deg, limits.tilt_rate_deg, limits.upright_deg))
     spin = limits.wheel_rate
     return (
         Bound(TwsbrCode.TILT, "tilt", "angle", tilt, DEGREES, When.ALWAYS),
-        Bound(TwsbrCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_A_SECOND, When.ALWAYS),
+        Bound(TwsbrCode.TILT_RATE, "tilt rate", "rate", rate, DEGREES_PER_SECOND, When.ALWAYS),
         Bound(TwsbrCode.SETPOINT, "voltage", "setpoint", limits.voltage, VOLTS),
-        Bound(TwsbrCode.WHEEL_RATE, "rate of the left wheel", "axes.left_rate", spin, RADIANS_A_SECOND),
-        Bound(TwsbrCode.WHEEL_RATE, "rate of the right wheel", "axes.right_rate", spin, RADIANS_A_SECOND),
+        Bound(TwsbrCode.WHEEL_RATE, "rate of the left wheel", "axes.left_rate", spin, RADIANS_PER_SECOND),
+        Bound(TwsbrCode.WHEEL_RATE, "rate of the right wheel", "axes.right_rate", spin, RADIANS_PER_SECOND),
         Bound(TwsbrCode.FALLEN, "tilt while balancing", "angle", upright, DEGREES, When.UPRIGHT),
         Bound(TwsbrCode.TRAVEL, "travel", "axes.travel", limits.travel, METRES, When.BALANCING),
         Bound(

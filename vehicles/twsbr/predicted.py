@@ -1,8 +1,8 @@
 """The balancing robot's experiments as the diagnosis predicts them: its controller, excitation and limits around a
 model.
 
-The drives' values are 4 ms old at the row in which the controller sees them. They are those of the slow outer loop
-alone, so a prediction takes them as those of the row itself.
+The drives' values are 4 ms old at the sample in which the controller uses them. Only the slow outer loop uses them, so
+a prediction takes them as those of the sample itself.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from vehicles.twsbr.file import TwsbrFile
 NEEDS = frozenset({"tilt", "tilt_rate", "left_wheel_angle", "right_wheel_angle", "left_wheel_rate", "right_wheel_rate"})
 """Outputs of a model that the controller needs."""
 GIVES = frozenset({"left_voltage", "right_voltage"})
-"""Inputs of a model that the loop gives."""
-UNTOLD = ("coulomb_friction@wheels", "viscous_friction@wheels")
-"""What a record that is too poor for a diagnosis tells apart the least: friction of the gears."""
+"""Inputs of a model that the loop provides."""
+HARDEST_TO_SEPARATE = ("coulomb_friction@wheels", "viscous_friction@wheels")
+"""The effects that a record too poor for a diagnosis distinguishes least: friction of the gears."""
 
 
 def assumed(model: Model) -> Model:
-    """`model` with its voltages as late as it says that they may be, where nothing has told how late they are.
+    """`model` with the delays of its voltages at one standard deviation of the model's, unless they were identified.
 
-    They are never on the motors at the instant of their row, and the controller's gains are as large as 200 Hz bear:
-    without the millisecond of the bus its loop swings from row to row.
+    They never reach the motors at the instant of their sample, and the controller's gains are as large as 200 Hz allow:
+    without the millisecond of the bus its loop oscillates from sample to sample.
     """
     late = {name for each in model.inputs if each.name in GIVES for name in each.delays}
     return model.change({name: model.parameter(name).std for name in late if model.parameter(name).value == 0.0})
 
 
 def predictor(vehicle: TwsbrFile) -> Callable[[str], Experiment]:
-    """Makes the experiment of this name, as predicted. It raises ExcitationError where that cannot be played."""
+    """A function that predicts the experiment of a name. It raises ExcitationError if its signal is impossible."""
     return lambda name: _experiment(name, vehicle.experiments[name], vehicle)
 
 

@@ -1,12 +1,13 @@
 """What closed the loop while the balancing robot was recorded: its controller, the excitation, and its drives' age.
 
-The controller is run over the recorded measurements first (vehicles.recorded), from the row on in which the robot began
-to get up, once with the excitation on the voltage and once on the tilt reference.
+The controller is first replayed on the recorded measurements (vehicles.recorded), from the sample on in which the robot
+began to get up, once with the excitation on the voltage and once on the tilt reference.
 
-A model shows its wheels at the instant of the row, and the controller saw them older by `drive_age`: they are read back
-that far. That an encoder of few counts tells a rate late, by as much as its last two edges are apart, is no part of it:
-the tilt of a right model is off by up to 1.7 times the floor for that. The wheels come back to where they were, so that
-a run may be as long as the record; with that switched off (`wheel_return_time` 0) their floor and error grow alike.
+A model gives the wheels at the sampling instant, but the controller saw values older by `drive_age`: the model's values
+are taken from that much earlier. The additional lag of the rate of an encoder of few counts, by the time between its
+last two edges, is not included: for that the tilt of a right model is off by up to 1.7 times the floor. The wheels come
+back to where they were, so that a run may be as long as the record; with that switched off (`wheel_return_time` 0)
+their floor and error grow at the same rate.
 """
 
 from __future__ import annotations
@@ -34,18 +35,18 @@ COMPARED = ("tilt", "left_wheel_angle", "right_wheel_angle")
 
 
 def recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
-    """The loop of `recording` from the first row of its excitation on, or why it is not known, in words."""
-    told = recorded(recording, (*TILT, *WHEELS, *VOLTAGES), since=Phase.RISE, period=vehicle.period)
-    if isinstance(told, str):
-        return told
+    """The loop of `recording` from the first sample of its excitation on, or why it is not known, in words."""
+    record = recorded(recording, (*TILT, *WHEELS, *VOLTAGES), since=Phase.RISE, period=vehicle.period)
+    if isinstance(record, str):
+        return record
     points = (CONTROLLER_OUTPUT, "tilt_reference")
-    at = entered_at(points, lambda at: [_replayed(vehicle, told, at, told.last)[1]], told, VOLTAGES)
+    at = entered_at(points, lambda at: [_replayed(vehicle, record, at, record.last)[1]], record, VOLTAGES)
     if at is None:
         return f"the controller of {vehicle.vehicle.id}'s vehicle file does not give the recorded voltages"
     return Loop(
-        begins=told.time[told.first],
-        ends=told.time[told.last],
-        controller=partial(_loop, vehicle, told, at),
+        begins=record.time[record.first],
+        ends=record.time[record.last],
+        controller=partial(_loop, vehicle, record, at),
         needs=frozenset((*TILT, *WHEELS)),
         gives=frozenset(VOLTAGES),
         channels=COMPARED,
@@ -55,21 +56,21 @@ def recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
     )
 
 
-def _replayed(vehicle: TwsbrFile, told: Recorded, at: str, until: int) -> tuple[TiltController, list[float]]:
-    """The controller before row `until`, run over the recorded measurements, and the voltages it gave."""
+def _replayed(vehicle: TwsbrFile, record: Recorded, at: str, until: int) -> tuple[TiltController, list[float]]:
+    """The controller before sample `until`, replayed on the recorded measurements, and its voltages."""
     controller = TiltController.of(vehicle)
-    measured = [told.values[name] for name in (*TILT, *WHEELS)]
-    rows = range(told.held + 1, until)
+    measured = [record.values[name] for name in (*TILT, *WHEELS)]
+    rows = range(record.held + 1, until)
     sent = drive_config(vehicle, vehicle.drive[0]).resolved
     return controller, [
-        sent(_step(vehicle, controller, told, at, row, *(each[row] for each in measured))) for row in rows
+        sent(_step(vehicle, controller, record, at, row, *(each[row] for each in measured))) for row in rows
     ]
 
 
 def _step(
     vehicle: TwsbrFile,
     controller: TiltController,
-    told: Recorded,
+    record: Recorded,
     at: str,
     row: int,
     tilt: float,
@@ -79,35 +80,35 @@ def _step(
     left_rate: float,
     right_rate: float,
 ) -> float:
-    value = told.values["excitation"][row]
+    value = record.values["excitation"][row]
     on_reference = is_reference(at)
     radius = vehicle.parameters.wheel_radius.value
-    origin = told.values["left_wheel_angle"][told.held] + told.values["right_wheel_angle"][told.held]
+    origin = record.values["left_wheel_angle"][record.held] + record.values["right_wheel_angle"][record.held]
     return controller.step(
         tilt,
         tilt_rate,
         radius * (0.5 * (left_angle + right_angle - origin) + tilt),
         radius * (0.5 * (left_rate + right_rate) + tilt_rate),
         value if on_reference else 0.0,
-        told.elapsed(row),
+        record.elapsed(row),
         0.0 if on_reference else value,
     )
 
 
-def _loop(vehicle: TwsbrFile, told: Recorded, at: str) -> Controller:
-    """The controller as it was at the first excited row."""
-    controller, _ = _replayed(vehicle, told, at, told.first)
-    # The wheels at the instants of the rows: as recorded, until the model shows them.
-    time, age = np.array(told.time), np.array(told.values["drive_age"])
-    wheels = {name: np.interp(time[: told.first + 1], time - age, told.values[name]).tolist() for name in WHEELS}
-    row = told.first - 1
+def _loop(vehicle: TwsbrFile, record: Recorded, at: str) -> Controller:
+    """The controller in its state at the first excited sample."""
+    controller, _ = _replayed(vehicle, record, at, record.first)
+    # The wheels at the sampling instants: as recorded, until the model gives them.
+    time, age = np.array(record.time), np.array(record.values["drive_age"])
+    wheels = {name: np.interp(time[: record.first + 1], time - age, record.values[name]).tolist() for name in WHEELS}
+    row = record.first - 1
     sent = drive_config(vehicle, vehicle.drive[0])
 
     def step(time: float, seen: Mapping[str, float]) -> Mapping[str, float]:
         nonlocal row
         row += 1
-        age = told.values["drive_age"][row] / told.period
-        # Drives that are sampled after the IMU went on from this row as before.
+        age = record.values["drive_age"][row] / record.period
+        # If the drives are sampled after the IMU, their values are extrapolated linearly from this sample.
         whole = max(0, int(age))
         back, part = row - whole, age - whole
         shown = []
@@ -117,7 +118,7 @@ def _loop(vehicle: TwsbrFile, told: Recorded, at: str) -> Controller:
             else:
                 column.append(seen[name])
             shown.append(column[back] + part * (column[back - 1] - column[back]))
-        voltage = _step(vehicle, controller, told, at, row, seen["tilt"], seen["tilt_rate"], *shown)
+        voltage = _step(vehicle, controller, record, at, row, seen["tilt"], seen["tilt_rate"], *shown)
         return dict.fromkeys(VOLTAGES, sent.resolved(voltage))
 
     return step

@@ -1,4 +1,4 @@
-"""The two-wheeled balancing robot, as the registry has it."""
+"""The two-wheeled balancing robot's entry in the registry."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _models() -> Models:
 
 
 def _identification() -> OwnMethods:
-    """Nothing: each of its equations holds several unknowns in products, which no linear regression can take apart."""
+    """Nothing: each of its equations holds products of several unknowns, which no linear regression can separate."""
     from estimators.identify.subject import NOTHING_OWN
 
     return NOTHING_OWN
@@ -38,7 +38,9 @@ def _recorded_loop(vehicle: TwsbrFile, recording: Recording) -> Loop | str:
 def _prediction() -> Prediction:
     from vehicles.twsbr import predicted
 
-    return Prediction(predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.UNTOLD, predicted.assumed)
+    return Prediction(
+        predicted.NEEDS, predicted.GIVES, predicted.predictor, predicted.HARDEST_TO_SEPARATE, predicted.assumed
+    )
 
 
 def _twin() -> Twin:

@@ -1,2 +1,2 @@
-"""How a MONOCAB is held up: linear_model, the controller designed on it (roll_design), its law (controller), and how it
-gets up from a support (rise)."""
+"""Control of a MONOCAB: linear_model, the controller designed on it (roll_design), the control law (controller), and
+getting up from a support (rise)."""

@@ -1,12 +1,12 @@
 """The roll controller of the MONOCAB: reduced LQI state feedback, and the lean that brings the gimbals back.
 
-Inner loop, one step a control cycle (gains from `models.control_design`):
+Inner loop, one step per control cycle (gains from `models.control_design`):
 
     setpoint = -(k_roll * (roll - reference) + k_rate * roll_rate + k_precession * precession_rate
                  + k_previous * setpoint before + k_integral * q) + excitation,        q' = roll - reference
 
 Outer loop: the gyroscopes give torque only while they precess, and the reduced LQI does not see the precession angle,
-so a static torque would turn the gimbals until they end. Leaning by `reference` gives, in the steady state of
+so a static torque would turn the gimbals to their stops. Leaning by `reference` gives, in the steady state of
 
     inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession' + static_torque,
 
@@ -15,9 +15,9 @@ precession' = -(gravity_stiffness * reference + static_torque) / angular_momentu
     reference = (angular_momentum / gravity_stiffness) * (2 / T * precession + 1 / T^2 * integral of precession)
 
 the precession angle obeys precession'' + (2 / T) * precession' + precession / T^2 = 0: both poles at -1/T, and a
-constant static torque has no part in it. The vehicle ends up leaning against it with the gimbals in the middle. T is
-`precession_return_time`; it must be slow against the inner loop, since a lean is reached by precessing the wrong way
-first.
+constant static torque has no influence on it. In steady state the vehicle leans against that torque with the gimbals in
+the middle. T is `precession_return_time`; it must be slow compared with the inner loop, since a lean is reached by
+precessing the wrong way first.
 
 Signs: see `vehicles.monocab.control.linear_model`. Angles in rad, rates in rad/s.
 """
@@ -33,7 +33,7 @@ from vehicles.monocab.control.roll_design import RollDesign, design_roll_control
 from vehicles.monocab.file import MonocabFile
 
 WINDUP_TIME = 0.1
-"""s in which back-calculation takes from the integral what the limits keep from the setpoint."""
+"""s, time constant with which back-calculation reduces the integral while the limits hold back the setpoint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def design(vehicle: MonocabFile, *, spread: float = 0.2) -> RollDesign:
 
 
 class PrecessionReturn:
-    """The outer loop: precession angle in, lean of the vehicle out; the lean is limited in size and in speed."""
+    """The outer loop: precession angle in, lean of the vehicle out; the lean is limited in amplitude and rate."""
 
     __slots__ = ("_integral", "_integral_gain", "_lean", "_limit", "_proportional", "_slew")
 
@@ -77,7 +77,7 @@ class PrecessionReturn:
         self._lean = 0.0
 
     def step(self, precession: float, dt: float) -> float:
-        """The lean in rad. The integral waits while the limit holds and it would grow further."""
+        """The lean in rad. The integral is held while the limit is active and it would grow further."""
         integral = self._integral + self._integral_gain * precession * dt
         wanted = self._proportional * precession + integral
         limit = self._limit
@@ -99,8 +99,8 @@ class PrecessionReturn:
 class RollController:
     """Holds the vehicle up: the state in, the precession rate setpoint out.
 
-    `reference` is the roll angle aimed at in the last step, lean included; `setpoint` what the last step gave;
-    `limited` whether the limits held it back. `lean_on` switches the outer loop; off, the vehicle is held at the
+    `reference` is the roll angle aimed at in the last step, lean included; `setpoint` the output of the last step;
+    `limited` whether the limits reduced it. `lean_on` switches the outer loop; off, the vehicle is held at the
     reference that it is given.
     """
 
@@ -144,8 +144,8 @@ class RollController:
     def reset(self, setpoint: float) -> None:
         """Take over from whoever sent `setpoint` (rad/s) last.
 
-        The setpoint goes on from there, within the acceleration limit. The integral starts empty: matched to the
-        setpoint it would hold on to the torque that lifts the vehicle, and throw it over.
+        The setpoint continues from there, within the acceleration limit. The integral starts at zero: matched to the
+        setpoint it would keep the torque that lifts the vehicle, and throw it over.
         """
         self._integral = 0.0
         self._return.reset()
@@ -166,7 +166,7 @@ class RollController:
     ) -> float:
         """One cycle: the precession rate setpoint, rad/s.
 
-        `precession_rate` and `precession` are the gimbals' as measured; `reference` (rad) comes without the lean;
+        `precession_rate` and `precession` are the gimbals' as measured; `reference` (rad) does not include the lean;
         `excitation` (rad/s) is added to the controller's output, before the limits; `dt` s since the last cycle.
         """
         if self.lean_on:

@@ -1,6 +1,6 @@
 """The MONOCAB, a cabin on one rail held up by two control moment gyroscopes: its linear model about upright.
 
-Torque balance about the rail head (roll positive right side down, precession positive where its rate gives a positive
+Torque balance about the rail head (roll positive right side down, precession positive when its rate gives a positive
 roll torque, trim mass positive to the right):
 
     inertia * roll'' = gravity_stiffness * roll + angular_momentum * precession'
@@ -10,8 +10,8 @@ roll torque, trim mass positive to the right):
 axes follow their rate setpoint with one first-order lag, `speed_loop_lag` (four times the sum of small time constants).
 
 Source: Griese et al., "Parameter identification related to vertical dynamic of a self-stabilizing monorail vehicle",
-equations (1) to (3), with the gravity term's sign set right: the torque m g z of the text is negative for a centre of
-gravity above the rail, and the stiffness is its magnitude.
+equations (1) to (3), with the sign of the gravity term corrected: the torque m g z of the text is negative for a centre
+of gravity above the rail, and the stiffness is its magnitude.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class ParameterError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class MonocabParameters:
-    """What the linear model needs to know of a vehicle, SI units.
+    """The parameters of the linear model of a vehicle, SI units.
 
     `inertia` kg m^2 is the apparent one (see `apparent_inertia`); `gravity_stiffness` N m/rad; `angular_momentum` N m s
     of both flywheels together; `speed_loop_lag` s; `trim_mass` kg; `trim_height` m above the rail head.
-    Raises ParameterError where a value is not finite or, but for `trim_height`, not positive.
+    Raises ParameterError if a value is not finite or, except for `trim_height`, not positive.
     """
 
     inertia: float
@@ -61,7 +61,7 @@ class MonocabParameters:
 
     @classmethod
     def from_values(cls, values: Mapping[str, float]) -> MonocabParameters:
-        """From a mapping of names to values; names the model does not know are left alone. Raises ParameterError."""
+        """From a mapping of names to values; names the model does not have are ignored. Raises ParameterError."""
         for field in fields(cls):
             if field.name not in values:
                 raise ParameterError(field.name, "missing")
@@ -76,8 +76,8 @@ class MonocabParameters:
 def reduced_model(parameters: MonocabParameters) -> StateSpace:
     """The model the roll controller is designed on: trim mass at rest, precession angle left out. Equation (2).
 
-    The precession angle is not controllable beside the roll angle: with roll at rest the gyroscopes can only give the
-    torque that a static disturbance asks of them.
+    The precession angle is not controllable independently of the roll angle: with roll at rest the gyroscopes can only
+    give the torque that balances a static disturbance.
     """
     inertia, lag = parameters.inertia, parameters.speed_loop_lag
     return StateSpace(
@@ -123,9 +123,9 @@ def full_model(parameters: MonocabParameters) -> StateSpace:
 
 
 def apparent_inertia(inertia: float, angular_momentum: float, speed_loop_lag: float, gimbal_inertia: float) -> float:
-    """The roll inertia, kg m^2, that the torque balance shows when the gimbals' speed loop is not ideally stiff.
+    """The roll inertia, kg m^2, that appears in the torque balance when the gimbals' speed loop is not ideally stiff.
 
-    Rolling precesses the gimbals a little against their speed loop, which looks like extra inertia:
+    Rolling makes the gimbals precess a little against their speed loop, which acts like additional inertia:
     inertia + 8 tau^2 L^2 / gimbal_inertia, tau being a quarter of the speed loop's lag (s) and `gimbal_inertia`
     (kg m^2) that of both gimbals together. Section II of the paper.
     """

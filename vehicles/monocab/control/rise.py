@@ -1,13 +1,13 @@
 """Getting up from a support, and down onto one again.
 
-Each is a small state object that is stepped once a control cycle and gives the precession rate setpoint; neither does
+Each is a small state object that is stepped once per control cycle and gives the precession rate setpoint; neither does
 I/O nor reads a clock. Signs: see `vehicles.monocab.control.linear_model`; the support on the right is at positive roll.
 
-What they cost in precession follows from the balance of angular momentum between two states at rest:
+Their cost in precession follows from the balance of angular momentum between two states at rest:
 
     angular_momentum * (change of precession) = -gravity_stiffness * (integral of roll over the time off the support)
 
-so both getting up from and going down onto the right support turn the gimbals towards minus.
+so both getting up from and going down onto the right support turn the gimbals in the negative direction.
 """
 
 from __future__ import annotations
@@ -21,44 +21,44 @@ from vehicles.monocab.control.linear_model import MonocabParameters
 LIFT_OFF = 0.005
 """rad (0.3 deg) of roll away from rest that count as lifted off."""
 LIFT_OFF_TIMEOUT = 1.0
-"""s; a step that lifts the vehicle at all does so sooner, and after it the gimbals have little travel left."""
+"""s; a sufficient step lifts the vehicle sooner, and after this time the gimbals have little travel left."""
 UPRIGHT_TIMEOUT = 1.5
 """s from the start of the step; twice what it should take, and still within the precession budget."""
 LEAD = 0.15
-"""s before it passes upright that the controller takes over: what it needs to catch the vehicle."""
+"""s before the vehicle passes upright at which the controller takes over: the time that it needs to catch it."""
 
 LOWERING_TIME = 1.5
 """s. Quick, because holding the vehicle near its support costs a steady precession."""
 OVERSHOOT = 1.05
-"""Where the lowering reference ends, over the support's angle: reaches a support that sits a little lower."""
+"""End of the lowering reference over the support's angle: it reaches a support that sits a little lower."""
 CONTACT_SHARE = 0.8
-"""Share of the support's angle from which standing still means resting on it."""
+"""Share of the support's angle beyond which standing still means resting on it."""
 CONTACT_RATE = 0.02
 """rad/s of roll that count as standing still."""
 CONTACT_TIME = 0.06
 """s of standing still that count as contact."""
 CONTACT_TIMEOUT = 1.0
-"""s after the reference has ended; then the vehicle is let go where it is, a fraction of a degree above its support."""
+"""s after the reference has ended; then the vehicle is released, a fraction of a degree above its support."""
 
 RELEASE = 2.0
-"""rad/s^2 at which the setpoint runs to zero once a support carries the vehicle."""
+"""rad/s^2 at which the setpoint is ramped to zero once a support carries the vehicle."""
 
 
 def rise_rate(parameters: MonocabParameters, support: float, margin: float = 1.6) -> float:
-    """The precession rate (rad/s) of a step that gets the vehicle up: `margin` times what would just hold it.
+    """The precession rate (rad/s) of a step that gets the vehicle up: `margin` times the rate that would just hold it.
 
-    `support` (rad) is the roll angle at rest. The margin covers CAD values that are off, and a static torque.
+    `support` (rad) is the roll angle at rest. The margin covers errors of the CAD values, and a static torque.
     """
     return margin * parameters.gravity_stiffness * abs(support) / parameters.angular_momentum
 
 
 def lowering_travel(parameters: MonocabParameters, support: float) -> float:
-    """The precession (rad, positive) that going down onto a support at `support` rad takes on the way."""
+    """The precession (rad, positive) that going down onto a support at `support` rad takes."""
     return parameters.gravity_stiffness * abs(support) * LOWERING_TIME / (2.0 * parameters.angular_momentum)
 
 
 def lowering_side(origin: float, precession: float, travel: float, budget: float) -> float:
-    """The side to go down to, +1.0 right or -1.0 left: `origin`, unless that would overdraw the precession budget.
+    """The side to go down to, +1.0 right or -1.0 left: `origin`, unless that would exceed the precession budget.
 
     `travel` is that of `lowering_travel`; `precession`, `travel` and `budget` in rad.
     """
@@ -68,7 +68,7 @@ def lowering_side(origin: float, precession: float, travel: float, budget: float
 
 
 class RiseState(Enum):
-    """Where a rise from rest is."""
+    """The stage of a rise from rest."""
 
     LIFTING = "lifting"
     RELEASING = "releasing"
@@ -86,7 +86,7 @@ class RiseFromRest:
     __slots__ = ("_acceleration", "_elapsed", "_lifted", "_rate", "_reason", "_rest", "_side", "setpoint", "state")
 
     def __init__(self, rate: float, *, acceleration: float) -> None:
-        """`rate` is the size of the step in rad/s, `acceleration` the limit of the setpoint's in rad/s^2."""
+        """`rate` is the amplitude of the step in rad/s, `acceleration` the limit of the setpoint's in rad/s^2."""
         self._rate = rate
         self._acceleration = acceleration
         self._side = 0.0
@@ -104,11 +104,11 @@ class RiseFromRest:
 
     @property
     def failure(self) -> str:
-        """Why the vehicle did not get up, in words; empty while it may still."""
+        """Why the vehicle did not get up, in words; empty while it still may."""
         return self._reason if self.state is RiseState.FAILED else ""
 
     def step(self, dt: float, roll: float, roll_rate: float) -> float:
-        """One cycle: the precession rate setpoint, rad/s. The first one tells the side that the vehicle rests on."""
+        """One cycle: the precession rate setpoint, rad/s. The first one sets the side that the vehicle rests on."""
         if self.state is RiseState.LIFTING:
             if self._side == 0.0:
                 self._side = copysign(1.0, roll)
@@ -143,7 +143,7 @@ class RiseFromRest:
 
 
 class LoweringState(Enum):
-    """Where a lowering is."""
+    """The stage of a lowering."""
 
     GUIDED = "guided"
     RELEASING = "releasing"
@@ -151,10 +151,10 @@ class LoweringState(Enum):
 
 
 class Lowering:
-    """From upright onto a support: guided there by the controller, then let go.
+    """From upright onto a support: guided there by the controller, then released.
 
     GUIDED: the controller follows `reference`, half a cosine from where it was to just beyond the support, without
-    leaning for the gimbals' sake. RELEASING: the support carries, and the setpoint runs to zero. AT_REST: `done`.
+    the lean that returns the gimbals. RELEASING: the support carries, the setpoint is ramped to zero. AT_REST: `done`.
     """
 
     __slots__ = ("_controller", "_elapsed", "_end", "_setpoint", "_start", "_still", "_support", "reference", "state")

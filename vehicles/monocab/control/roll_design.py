@@ -1,4 +1,4 @@
-"""The reduced LQI of a MONOCAB, designed on its linear model and judged at every corner of its uncertain parameters.
+"""The reduced LQI of a MONOCAB, designed on its linear model and checked at every corner of its uncertain parameters.
 
 Source: Griese et al., section II; the design itself is models.control_design.
 """
@@ -12,12 +12,12 @@ from models.control_design import CheckedDesign, LqiWeights, StateSpace, checked
 from vehicles.monocab.control.linear_model import MonocabParameters, reduced_model
 
 UNCERTAIN = ("inertia", "gravity_stiffness", "speed_loop_lag")
-"""Parameters whose CAD values are not to be trusted; the angular momentum is known from the flywheels' speed."""
+"""Parameters whose CAD values are uncertain; the angular momentum is known from the flywheels' speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class RollDesign(CheckedDesign):
-    """A roll controller with what is known about it, and the `parameters` that it was designed for."""
+    """A roll controller with its checks, and the `parameters` for which it was designed."""
 
     parameters: MonocabParameters
 

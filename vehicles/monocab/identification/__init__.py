@@ -1,2 +1,2 @@
-"""What an identification has for a MONOCAB alone: balance_rows and torque_balance are its recursive regressions,
-roll_prediction measures a fit, apparent_inertia follows from inertia and speed loops; own hands all of them over."""
+"""Identification methods for a MONOCAB only: balance_rows and torque_balance are its recursive regressions,
+roll_prediction measures a fit, apparent_inertia follows from inertia and speed loops; own collects all of them."""

@@ -1,11 +1,11 @@
-"""The apparent inertia: what the torque balance shows where the precession rate is known by its setpoint alone.
+"""The apparent inertia: that of the torque balance if only the setpoint of the precession rate is known.
 
     apparent inertia = inertia + 8 tau^2 angular_momentum^2 / gimbal_inertia,    tau = speed_loop_lag / 4
 
-Rolling precesses the gimbals a little against their speed loops, which looks like extra inertia (Griese et al., section
-II). An estimate that takes the measured precession rate gives the mechanical inertia; a controller and the reduced
-model see the apparent one. Two ways to it, kg m^2: by the formula, from CAD values of the gimbals, or from the reaction
-that `drive_lag` measures, which needs none: inertia + angular_momentum * roll_reaction.
+Rolling makes the gimbals precess a little against their speed loops, which acts like additional inertia (Griese et al.,
+section II). An estimate that uses the measured precession rate gives the mechanical inertia; a controller and the
+reduced model see the apparent one. It is obtained in two ways, kg m^2: by the formula, from CAD values of the gimbals,
+or from the reaction that `drive_lag` measures, without CAD values: inertia + angular_momentum * roll_reaction.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def apparent_inertia_estimate(
     """The apparent inertia by the formula, from an estimate of the mechanical `inertia` and one of `speed_loop_lag`.
 
     `angular_momentum` (N m s) and `gimbal_inertia` (kg m^2, both gimbals with their rotors) are value and standard
-    deviation. To first order in the deviations, which are taken as independent. Where inertia or lag is not known,
-    neither is this, and the reason is theirs.
+    deviation. To first order in the deviations, which are taken as independent. If inertia or lag is not known,
+    neither is the apparent inertia, for the same reason.
 
-    Raises EstimationError where a value is not positive or a deviation negative.
+    Raises EstimationError if a value is not positive or a deviation negative.
     """
     for name, (value, std) in (("angular_momentum", angular_momentum), ("gimbal_inertia", gimbal_inertia)):
         if not (0.0 < value < math.inf and 0.0 <= std < math.inf):

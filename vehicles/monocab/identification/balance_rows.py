@@ -1,4 +1,4 @@
-"""From control cycles to rows of the MONOCAB's torque balance, all signals through one state-variable filter.
+"""From control cycles to rows of the MONOCAB's torque balance, with all signals filtered by one state-variable filter.
 
     angular_momentum * precession' + trim torque = inertia * roll'' - gravity_stiffness * roll - static_torque
     trim torque = trim_mass * g * trim_position - trim_mass * trim_height * trim_position''
@@ -6,18 +6,18 @@
 A row holds the filtered left side and the filtered regressors of the right side. roll'' is the filtered derivative of
 the roll rate; the constant is the filter's step response.
 
-Alignment. The drives are sampled before the IMU, or after one that is late; `drive_age` says by how much, and the drive
-signals are brought to the IMU's instant. What is left of a misalignment, a fraction of a sample, is for the user of a
-row to fit along as a nuisance: shifting the drive signals by `drive_time_offset` adds
-angular_momentum * precession'' * offset, linear in it. It takes up whatever else goes with precession'', so it is no
-property of the vehicle and no measure of its drives.
+Alignment. The drives are sampled before the IMU, or after it if the IMU is late; `drive_age` states by how much, and
+the drive signals are shifted to the IMU's instant. The user of a row fits the remaining misalignment, a fraction of a
+sample, as a nuisance parameter: shifting the drive signals by `drive_time_offset` adds
+angular_momentum * precession'' * offset, linear in it. The offset absorbs everything else that is proportional to
+precession'', so it is neither a property of the vehicle nor a measurement of its drives.
 
 Validity. Only a free vehicle obeys the balance: |roll| must be less than the support angle by a margin. The filter
-restarts whenever the vehicle gets free and after every gap, and is exact from that moment on. Rows without instruments
-take nothing but what was on the bus (BALANCE_CHANNELS); excitation and setpoint are read for the instruments alone.
+restarts whenever the vehicle becomes free and after every gap, and is exact from that moment on. Rows without
+instruments use only what was on the bus (BALANCE_CHANNELS); excitation and setpoint are used for the instruments only.
 
-Signs as in telemetry.channels, SI units. Source: Griese et al., section III-B, equation (6), with the gravity term's
-sign set right and the static torque added.
+Signs as in telemetry.channels, SI units. Source: Griese et al., section III-B, equation (6), with the sign of the
+gravity term corrected and the static torque added.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ BALANCE_CHANNELS = ChannelTable(
         "drive_age",
     )
 )
-"""What a row is made of."""
+"""The channels that a row is computed from."""
 
 INSTRUMENT_CHANNELS = ChannelTable(
     MONOCAB[MONOCAB.index_of(name)] for name in (*BALANCE_CHANNELS.names, "excitation", "precession_rate_setpoint")
 )
-"""What a row with instruments is made of."""
+"""The channels that a row with instruments is computed from."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterConfig:
     """How the balance's signals are filtered.
 
-    `bandwidth` rad/s and `order` of the state-variable filter: above what the vehicle is excited with, below where the
-    differentiated gyro noise takes over. `support_margin` rad: free is |roll| < support - margin.
+    `bandwidth` rad/s and `order` of the state-variable filter: above the frequencies of the excitation, below those at
+    which differentiated gyro noise dominates. `support_margin` rad: free is |roll| < support - margin.
     """
 
     bandwidth: float = 2.0 * np.pi * 5.0
@@ -73,20 +73,20 @@ class FilterConfig:
 
     @property
     def stride(self) -> float:
-        """s between rows: ten a period of the bandwidth; in between nothing new happens."""
+        """s between rows: ten per period of the bandwidth; more would add no information."""
         return 0.2 * np.pi / self.bandwidth
 
     @property
     def longest_gap(self) -> float:
-        """s over which a straight line between two samples stands for the signal."""
+        """s over which the signal may be interpolated linearly between two samples."""
         return 1.0 / self.bandwidth
 
 
 @dataclass(frozen=True, slots=True)
 class BalanceRow:
-    """One row: `output` (N m) = `regressors` (4,) . parameters, see REGRESSORS; `begins` where it follows no other row.
+    """One row: `output` (N m) = `regressors` (4,) . parameters, see REGRESSORS; `begins` if it follows no other row.
 
-    `instruments` are what filters make of the injected excitation, and the constant: (INSTRUMENTS,), or ().
+    `instruments` are filtered signals of the injected excitation, and the constant: (INSTRUMENTS,), or ().
     """
 
     timestamp_ns: int
@@ -101,7 +101,7 @@ class BalanceRows:
 
     `parameters` needs angular_momentum, trim_mass, trim_height; `support` is the roll angle, rad, at which the supports
     carry. With `instruments` a cycle of unknown excitation is an unknown cycle.
-    Raises EstimationError where a parameter is missing or the support angle leaves no free range.
+    Raises EstimationError if a parameter is missing or the support angle leaves no free range.
     """
 
     INSTRUMENTS = InstrumentBank.COUNT + 1
@@ -154,7 +154,7 @@ class BalanceRows:
         """s of free motion so far."""
 
     def update(self, frame: Frame) -> BalanceRow | None:
-        """The row that this cycle completes, if any. Cycles on the support, out of order or unknown are passed over."""
+        """The row that this cycle completes, if any. Cycles on the support, out of order or unknown are ignored."""
         values = frame.values
         roll, rate, speed, trim, trim_rate, age, *injected = [values[place] for place in self._places]
         now = frame.timestamp_ns
@@ -211,7 +211,7 @@ class BalanceRows:
         samples = list(self._recent)
         later = next((place for place, sample in enumerate(samples) if sample[0] >= drive_time), 0)
         if later == 0 or drive_time < samples[later - 1][0]:
-            return  # the drive values are older than any IMU sample there is
+            return  # the drive values are older than all available IMU samples
         (early, *before), (late, *after) = samples[later - 1], samples[later]
         share = (drive_time - early) / (late - early)
         self._imu.start([a + share * (b - a) for a, b in zip(before, after, strict=True)])

@@ -1,4 +1,4 @@
-"""What an identification has for a MONOCAB beside what works for every model (estimators.identify.subject)."""
+"""Identification methods for a MONOCAB in addition to those for every model (estimators.identify.subject)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from vehicles.monocab.identification.balance_rows import BALANCE_CHANNELS, INSTR
 from vehicles.monocab.model import MODELS
 
 HORIZON = 0.5
-"""s ahead that a fit is measured."""
+"""s, horizon at which a fit is measured."""
 MEASURED = ("roll", "roll_rate")
 BALANCED = frozenset({"inertia", "gravity_stiffness"})
 
 GIMBALS = {"setpoint": "precession_rate_setpoint", "rate": "precession_rate", "body_rate": "roll_rate"}
-"""The channels of the gimbals' speed loops, as `estimators.drive_lag` is told them."""
+"""The channels of the gimbals' speed loops, as arguments of `estimators.drive_lag`."""
 
 
 def drive_lag(recordings: Sequence[Recording]) -> Estimate:
@@ -37,8 +37,8 @@ def _regression(
 
 
 def _prediction(subject: Subject, recordings: Sequence[Recording]) -> Prediction | None:
-    """Roll and roll rate, half a second ahead of the measured state, in closed form: of a shipped model with no more
-    than a static torque; None for any other, or where the recordings do not have what it takes."""
+    """Roll and roll rate, half a second ahead of the measured state, in closed form: for a shipped model with no more
+    than a static torque; None for any other, or if the recordings lack what it needs."""
     from vehicles.monocab.identification.roll_prediction import free_motion, predict, sensor_noise
 
     support, model = subject.support, subject.model
@@ -47,15 +47,15 @@ def _prediction(subject: Subject, recordings: Sequence[Recording]) -> Prediction
     if support is None or not (plain and shipped and {each.name for each in model.parameters} >= BALANCED):
         return None
     try:
-        stretches = [stretch for recording in recordings for stretch in free_motion(recording, support)]
-        noise = sensor_noise(stretches)
+        segments = [segment for recording in recordings for segment in free_motion(recording, support)]
+        noise = sensor_noise(segments)
     except UprightError:
         return None
 
     def percent(values: Values) -> dict[str, float]:
         if not values.keys() >= BALANCED:
             return {}
-        prediction = predict(stretches, {**subject.values, **values}, HORIZON, noise)
+        prediction = predict(segments, {**subject.values, **values}, HORIZON, noise)
         return {} if prediction is None else {channel: prediction.fit_percent(channel) for channel in MEASURED}
 
     return Prediction(HORIZON, percent)
@@ -66,7 +66,7 @@ def _apparent_inertia(
     best: Mapping[str, ParameterEstimate],
     vehicle: Mapping[str, tuple[float, float]],
 ) -> dict[str, ParameterEstimate]:
-    """The apparent inertia beside the mechanical one of the best method: as measured, and by the formula."""
+    """The apparent inertia in addition to the mechanical one of the best method: as measured, and by the formula."""
     from vehicles.monocab.identification.apparent_inertia import apparent_inertia_estimate, measured_apparent_inertia
 
     if "inertia" not in best or not {"speed_loop_lag", "roll_reaction"} <= drives.keys():

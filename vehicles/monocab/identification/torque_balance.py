@@ -2,17 +2,18 @@
 
     angular_momentum * precession' + trim torque = inertia * roll'' - gravity_stiffness * roll - static_torque
 
-The left side is known: the angular momentum anchors the scale, and its uncertainty is added to the result. What a row
-of the regression is, and when the vehicle obeys it, is in vehicles.monocab.identification.balance_rows.
+The left side is known: the angular momentum fixes the scale, and its uncertainty is added to the result. The rows of
+the regression, and when the vehicle obeys them, are in vehicles.monocab.identification.balance_rows.
 
-Two forms. Plain least squares is biased where noise on roll'' is not small against roll'' (the paper's finding); the
-instrumental-variable form replaces the regressors by what follows from the injected excitation alone, so that neither
-sensor noise nor a disturbance in the closed loop can bias it. It needs an injected excitation that is known instant by
-instant; the plain form needs only motion, and only what was on the bus: a raw log alone gives the same numbers bit for
-bit.
+Two forms. Plain least squares is biased if noise on roll'' is not small compared with roll'' (the paper's finding); the
+instrumental-variable form replaces the regressors by signals that follow from the injected excitation only, so that
+neither sensor noise nor a disturbance in the closed loop can bias it. It needs an injected excitation that is known at
+every instant; the plain form needs only motion, and only what was on the bus: a raw log alone gives the same numbers
+bit for bit.
 
-`drive_time_offset` is given along with the three, but it is a nuisance: fitted so that a misalignment of a fraction of
-a sample does not bias them. It is no parameter of the vehicle, no model takes it, and it need not be identifiable.
+`drive_time_offset` is given along with the three, but it is a nuisance parameter: fitted so that a misalignment of a
+fraction of a sample does not bias them. It is not a parameter of the vehicle, no model uses it, and it need not be
+identifiable.
 
 Source: Griese et al., section III-B, equations (6) and (7).
 """
@@ -41,11 +42,11 @@ TERMS = dict(
     )
 )
 NUISANCE = "drive_time_offset"
-"""The one result that is no parameter of the vehicle, see above."""
+"""The only result that is not a parameter of the vehicle, see above."""
 
 
 class Method(StrEnum):
-    """The two forms, by the names the results go under."""
+    """The two forms, by the names of their results."""
 
     PLAIN = "recursive_least_squares"
     INSTRUMENTAL = "recursive_instrumental_variables"
@@ -53,17 +54,17 @@ class Method(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalanceConfig:
-    """Settings of the regression; none depends on the values that are sought.
+    """Settings of the regression; none depends on the values to be estimated.
 
-    `correlation_time` s: how long the residual can stay alike, a few times that of the roll filter's corrections.
-    `memory` s: time constant of forgetting. `asked_share`: each term of the balance is to move by this share of the
-    gravity torque at the support, RMS, by itself. `shortest_span` s of free motion before a result is given.
+    `correlation_time` s: how long the residual can be correlated, a few times that of the roll filter's corrections.
+    `memory` s: time constant of forgetting. `required_share`: each term of the balance must move independently by this
+    share of the gravity torque at the support, RMS. `shortest_span` s of free motion before a result is given.
     """
 
     filter: FilterConfig = field(default_factory=FilterConfig)
     correlation_time: float = 4.0
     memory: float = np.inf
-    asked_share: float = 0.02
+    required_share: float = 0.02
     shortest_span: float = 0.4
 
 
@@ -71,9 +72,9 @@ class TorqueBalance:
     """Estimator of inertia, gravity stiffness and static torque from the control cycles of a MONOCAB.
 
     `parameters` needs angular_momentum, trim_mass, trim_height, and inertia and gravity_stiffness as start values (they
-    scale what counts as excitation and, with forgetting, bound the result). `deviations` are their standard deviations
-    where known. `support` is the roll angle, rad, at which the supports carry.
-    Raises EstimationError where a parameter is missing or not positive, or the support angle leaves no free range.
+    scale the required excitation and, with forgetting, bound the result). `deviations` are their standard deviations,
+    if known. `support` is the roll angle, rad, at which the supports carry.
+    Raises EstimationError if a parameter is missing or not positive, or the support angle leaves no free range.
     """
 
     def __init__(
@@ -98,9 +99,9 @@ class TorqueBalance:
         self._momentum_share = deviations.get("angular_momentum", 0.0) / parameters["angular_momentum"]
         inertia, stiffness = parameters["inertia"], parameters["gravity_stiffness"]
         heaviest = stiffness * support
-        asked = config.asked_share * heaviest
-        # The constant and the nuisance need not move much: they are told apart from the rest, that is enough.
-        self._asked = np.array([asked / inertia, asked / stiffness, 0.1, 0.1 * asked])
+        required = config.required_share * heaviest
+        # The constant and the nuisance need not move much: it is enough that they are distinguished from the rest.
+        self._required = np.array([required / inertia, required / stiffness, 0.1, 0.1 * required])
         prior = None
         if config.memory < np.inf:
             spread = [deviations.get("inertia", 0.3 * inertia), deviations.get("gravity_stiffness", 0.3 * stiffness)]
@@ -127,7 +128,7 @@ class TorqueBalance:
         self._regression.reset()
 
     def update(self, frame: Frame) -> None:
-        """Take one control cycle; those on the support, out of order or with unknown values are passed over."""
+        """Take one control cycle; those on the support, out of order or with unknown values are ignored."""
         row = self._rows.update(frame)
         if row is None:
             return
@@ -152,7 +153,7 @@ class TorqueBalance:
             lacking = Status.MISSING_CHANNEL
             reason = (
                 f"the excitation is unknown in {unknown} of {cycles} control cycles, and this form needs it: it is not "
-                f"on the bus, so a raw log does not hold it; keep the .arrow beside it, or use {Method.PLAIN.value}"
+                f"on the bus, so a raw log does not contain it; keep the .arrow beside it, or use {Method.PLAIN.value}"
             )
         else:
             lacking = Status.TOO_FEW_SAMPLES
@@ -163,20 +164,23 @@ class TorqueBalance:
 
     def _parameter(self, place: int, name: str, solution: Solution) -> ParameterEstimate:
         unit = UNITS[name]
-        coverage = 100.0 * min(1.0, float(solution.movement[place] / self._asked[place]))
+        coverage = 100.0 * min(1.0, float(solution.movement[place] / self._required[place]))
         if coverage < 100.0:
             means = "with the injected excitation" if self._regression.instruments else "independently of the rest"
-            reason = f"{TERMS[name]} moves {means} at {coverage:.0f} % of what is needed: excite it stronger or wider"
+            reason = (
+                f"{TERMS[name]} moves {means} at {coverage:.0f} % of what is needed: "
+                "use a stronger or broader excitation"
+            )
             return ParameterEstimate(None, None, unit, Status.TOO_LITTLE_EXCITATION, coverage, reason)
         value, variance = float(solution.values[place]), float(solution.covariance[place, place])
         if name in ("inertia", "gravity_stiffness") and value <= 0.0:
             reason = f"{name} comes out as {value:.4g} {unit}, which no vehicle has: check the sensors' signs and axes"
             return ParameterEstimate(None, None, unit, Status.IMPLAUSIBLE, coverage, reason)
         if name != NUISANCE:
-            # The balance gives its parameters in units of the angular momentum, whose uncertainty is theirs too.
+            # The balance gives its parameters in units of the angular momentum, whose uncertainty applies to them, too.
             variance += (value * self._momentum_share) ** 2
         if not 0.0 <= variance < np.inf:
-            reason = f"how sure {name} is cannot be told from {solution.samples:.0f} rows: go on for longer"
+            reason = f"the deviation of {name} cannot be determined from {solution.samples:.0f} rows: record for longer"
             return ParameterEstimate(None, None, unit, Status.TOO_FEW_SAMPLES, coverage, reason)
         return ParameterEstimate(value, float(np.sqrt(variance)), unit, Status.OK, coverage)
 
