@@ -65,7 +65,7 @@ def estimate(recordings: dict[str, Recording], profiled: Sequence[str] | None = 
 
 
 def percents(found: Estimation) -> dict[str, list[dict[str, float]]]:
-    """Percent of each channel predicted HORIZON ahead, by experiment, with table 1, the complete and the reduced fit."""
+    """Percent of each channel predicted HORIZON ahead by table 1, complete and reduced fit, for each experiment."""
     complete, reduced = found.complete.fit, found.reduced
     fits: list[tuple[Fit, dict[str, float]]] = [(reduced, TABLE_1), (complete, {}), (reduced, {})]
     return {

@@ -28,7 +28,7 @@ def usual_disturbance(vehicle: VehicleFile) -> Disturbance:
     return registry.of(vehicle.vehicle.kind).twin().truth.registry.disturbance
 
 
-def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
+def requested_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
     """The random disturbance of a virtual vehicle that a person starts with `hide`. Raises UnknownEffectError."""
     hidden = registry.of(vehicle.vehicle.kind).twin().truth.registry
     return parse_disturbance(hide, hidden, usual_disturbance(vehicle))[1]

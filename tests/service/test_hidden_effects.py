@@ -633,8 +633,8 @@ def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
     [
         (["--sizes", "two"], "no positive numbers"),
         (["--noise", "0"], "no positive numbers"),
-        (["--excitations", "multisin"], "is none of hold"),
-        (["--baseline", "sindy"], "is none of differentiate_sindy"),
+        (["--excitations", "multisin"], "is not one of hold"),
+        (["--baseline", "sindy"], "is not one of differentiate_sindy"),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(arguments: list[str], what: str) -> None:
