@@ -183,7 +183,7 @@ class Observer:
             case "state" if self._mqtt is not None:
                 self._mqtt.retain("state", message["state"])
             case "progress" | "event" as topic if self._mqtt is not None:
-                self._mqtt.tell(topic, message)
+                self._mqtt.publish(topic, message)
             case "health":
                 self._telemetry.health(message["health"])
             case "reply" if self._mqtt is not None:
@@ -322,14 +322,14 @@ class Observer:
             self._published = diagnosis
             self._mqtt.retain("diagnosis", diagnosis)
             for text in self._news.of(diagnosis):
-                self._mqtt.tell("event", {"severity": "warning", "code": "missing_effect", "text": text})
+                self._mqtt.publish("event", {"severity": "warning", "code": "missing_effect", "text": text})
 
     def _complain(self, code: str, text: str) -> None:
         """To the log, the broker and, with the next report, to control."""
         logging.getLogger(__name__).error("%s", text)
         self._trouble = text
         if self._mqtt is not None:
-            self._mqtt.tell("event", {"severity": "error", "code": code, "text": text})
+            self._mqtt.publish("event", {"severity": "error", "code": code, "text": text})
 
     def _forward(self, command: dict[str, Any]) -> bool:
         """Called in the thread of MQTT: a packet is whole, whoever sends another one at the same time."""

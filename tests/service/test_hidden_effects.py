@@ -129,7 +129,7 @@ def test_a_level_is_the_multiple_of_what_can_be_seen() -> None:
     }
     assert found == {1.0, -1.0}
     for unseen in ({}, {"coulomb_friction": float("inf")}, {"coulomb_friction": float("nan")}):
-        with pytest.raises(NotDetectableError, match="coulomb_friction cannot be seen with multisine"):
+        with pytest.raises(NotDetectableError, match="coulomb_friction is not detectable with multisine"):
             levels(CASE, unseen)
 
 

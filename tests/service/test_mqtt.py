@@ -205,7 +205,7 @@ async def test_queues_are_bounded_without_a_broker() -> None:
     assert config is not None
     publisher = MqttPublisher(config)
     for i in range(3 * MOST_EVENTS):
-        publisher.tell("event", {"number": i})
+        publisher.publish("event", {"number": i})
         publisher.telemetry(b"{}")
     assert publisher.statistics.dropped == 2 * MOST_EVENTS + 3 * MOST_EVENTS
     publisher.statistics.connected = True
