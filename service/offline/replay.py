@@ -46,8 +46,8 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
-    """The recording with the channel AGE. If it is missing, as in recordings by others, it is set to zero: the drives are
-    then assumed to be sampled together with the other channels.
+    """The recording with the channel AGE. If it is missing, as in recordings by others, it is set to zero: the drives
+    are then assumed to be sampled together with the other channels.
 
     A recording without any channel of the vehicle is of another machine, and is not changed.
     """

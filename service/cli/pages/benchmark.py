@@ -53,22 +53,14 @@ def _rows(summary: Summary) -> Iterator[Row]:
         yield f"  with disturbance {name}", "", lambda merit, name=name: merit.right_by_disturbance.get(name), True  # type: ignore[misc]
     yield "  verdict unknown", "", lambda merit: merit.seen_unknown, True
     for name in keys(lambda merit: merit.seen_unknown_by_disturbance):
-        yield (
-            f"    with disturbance {name}",
-            "",
-            lambda merit, name=name: merit.seen_unknown_by_disturbance.get(name),
-            True,
-        )  # type: ignore[misc]
+        title = f"    with disturbance {name}"
+        yield title, "", lambda merit, name=name: merit.seen_unknown_by_disturbance.get(name), True  # type: ignore[misc]
     yield "false alarms", "<= 1 %", lambda merit: merit.false_alarms_all, True
     for name in keys(lambda merit: merit.false_alarms):
         yield f"  with {name}", "", lambda merit, name=name: merit.false_alarms.get(name), True  # type: ignore[misc]
     for name in keys(lambda merit: merit.false_alarms_by_disturbance):
-        yield (
-            f"  with disturbance {name}",
-            "",
-            lambda merit, name=name: merit.false_alarms_by_disturbance.get(name),
-            True,
-        )  # type: ignore[misc]
+        title = f"  with disturbance {name}"
+        yield title, "", lambda merit, name=name: merit.false_alarms_by_disturbance.get(name), True  # type: ignore[misc]
     yield "records with a false name", "<= 1 %", lambda merit: merit.false_names, True
     yield "  not called negligible", "<= 1 %", lambda merit: merit.false_names_that_matter, True
     yield "not in the catalogue: verdict unknown", ">= 90 %", lambda merit: merit.unlisted_unknown, True
