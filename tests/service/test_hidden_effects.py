@@ -631,8 +631,8 @@ def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["--sizes", "two"], "no positive numbers"),
-        (["--noise", "0"], "no positive numbers"),
+        (["--sizes", "two"], "list of positive numbers"),
+        (["--noise", "0"], "list of positive numbers"),
         (["--excitations", "multisin"], "is not one of hold"),
         (["--baseline", "sindy"], "is not one of differentiate_sindy"),
     ],
