@@ -218,7 +218,7 @@ def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp
     save(record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0), path)
     first = json.loads(upright(path, *EFFECTS, *UNHURRIED, "--json"))
     assert first["verdict"] == "unknown"
-    assert "viscous_friction shows in late.arrow since" in first["reason"]
+    assert "viscous_friction sets in at" in first["reason"]
     begin = first["reason"].rsplit("--from ", 1)[1].rstrip(".")
     rest = json.loads(upright(path, *EFFECTS, "--from", begin, "--json"))
     assert rest["verdict"] == "missing_effect"
