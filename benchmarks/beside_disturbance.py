@@ -1,13 +1,13 @@
-"""Does a random disturbance swallow an effect? Each of the catalogue, beside 0, 1 and 3 times what it does itself.
+"""Is each effect still found beside a random torque? With 0, 1 and 3 times the RMS torque of the effect itself.
 
-`python benchmarks/beside_disturbance.py --times 0,1,3 --seed 7` hides each effect in the virtual MONOCAB, at the size
-of `upright demo --hide EFFECT`. What the model without it takes for a random torque is the effect's own RMS; the
-vehicle is then shaken by so many times that, with a correlation time of `--time` s, and the record diagnosed as
-`upright diagnose` does.
+`python benchmarks/beside_disturbance.py --times 0,1,3 --seed 7` hides each effect of the catalogue in the virtual
+MONOCAB, with the amplitude of `upright demo --hide EFFECT`. The RMS of the random torque that a model without the
+effect estimates is called the effect's own RMS. The vehicle is then disturbed by a random torque of each of these
+multiples, with a correlation time of `--time` s, and the record is diagnosed as by `upright diagnose`.
 
-right: its name is the first, or tied with it. seen beside others: it is a later one. wrong: other names alone are
-found. Where nothing has a name it is the verdict; `adequate` is what is said of an effect that is less than the record
-shows beside so much.
+Answers: "right": the effect is named first, or tied with the first. "seen beside others": it is named later. "wrong":
+only other effects are named. If no effect is named, the answer is the verdict; `adequate` means that the effect is
+below what the record can show beside this disturbance.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from vehicles import registry
 from vehicles.file import load
 
 LEARNED = "gyro_bias"
-"""The roll filter has learned it before the vehicle moves: nothing of it is in the recording."""
+"""The roll filter has estimated it before the vehicle moves, so the recording contains nothing of it."""
 LEVELS = {"end_stop": "end_stop=0.05", "backlash": "backlash=0.02"}
-"""At full size the buffers stop the vehicle before its support does, and with that much play the gimbals rattle."""
+"""At level 1 the buffers stop the vehicle before its support does, and the gimbals rattle in their backlash."""
 VEHICLE = "monocab"
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What was said of `effect` beside a disturbance of `times` its own RMS, `rms` N m."""
+    """The diagnosis of `effect` beside a disturbance of `times` its own RMS, `rms` N m."""
 
     effect: str
     times: float
@@ -50,7 +50,7 @@ class Answer:
 
 
 def said(found: Diagnosis, effect: str) -> str:
-    """What `found` is an answer of, in one of the words of the module."""
+    """The answer of `found` if `effect` is hidden, as in the module's docstring."""
     names = [{each.effect, *each.tied_with} for each in found.findings]
     if names and effect in names[0]:
         return "right"
@@ -60,7 +60,7 @@ def said(found: Diagnosis, effect: str) -> str:
 
 
 def tried(effect: str, times: Sequence[float], seed: int, duration: float, correlation_time: float) -> list[Answer]:
-    """One effect beside each of the disturbances."""
+    """The diagnoses of one effect beside each of the disturbances."""
     vehicle = load(VEHICLE)
     cad, hide = vehicle.parameters, LEVELS.get(effect, effect)
     model = Bench().nominal
@@ -84,12 +84,12 @@ def tried(effect: str, times: Sequence[float], seed: int, duration: float, corre
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", default="0,1,3", help="RMS of the disturbance over the effect's own")
+    parser.add_argument("--times", default="0,1,3", help="RMS of the disturbance as multiples of the effect's own")
     parser.add_argument("--time", type=float, default=0.3, help="s: the disturbance's correlation time")
-    parser.add_argument("--seed", type=int, default=7, help="of the first record of each effect")
-    parser.add_argument("--duration", type=float, default=30.0, help="s of multisine")
-    parser.add_argument("--effects", help="those alone, with commas between")
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--seed", type=int, default=7, help="seed of the first record of each effect")
+    parser.add_argument("--duration", type=float, default=30.0, help="s, length of the multisine")
+    parser.add_argument("--effects", help="only these effects, separated by commas")
+    parser.add_argument("--jobs", type=int, default=2, help="number of processes")
     chosen = parser.parse_args()
     times = [float(each) for each in chosen.times.split(",")]
     effects = chosen.effects.split(",") if chosen.effects else sorted(HIDDEN.keys() - {LEARNED})
@@ -99,8 +99,8 @@ def main() -> None:
         for number, each in enumerate(pool.map(one, effects), start=1):
             answers += each
             for line in each:
-                told = f"{line.effect:24} {line.times:g} x, {line.rms:8.3g} N m  {line.said:18} {line.names}"
-                print(told, flush=True)
+                text = f"{line.effect:24} {line.times:g} x, {line.rms:8.3g} N m  {line.said:18} {line.names}"
+                print(text, flush=True)
             print(f"\r{number} of {len(effects)}", end="\r", file=sys.stderr, flush=True)
     print()
     for each in times:

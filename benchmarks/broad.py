@@ -1,17 +1,17 @@
-"""The roll filter against optical ground truth, beside VQF in the same run: `python benchmarks/broad.py [TRIAL]...`
+"""Compare the roll filter and VQF with optical ground truth, in one run: `python benchmarks/broad.py [TRIAL]...`
 
 Each BROAD trial (Laidig et al., Data 6(7), 2021) is encoded as the CAN frames of an LPMS-IG1, replayed through
-`drivers.imu` and the roll filter with the setting that ships in vehicles/monocab/vehicle.toml, and scored as BROAD
-does: RMS of the inclination error, the angle between the estimated and the true up vector, over the movement phase
-where there is ground truth. VQF (6-D: gyro and accelerometer) runs on the readings themselves.
+`drivers.imu` and the roll filter with the settings of vehicles/monocab/vehicle.toml, and scored as in BROAD: RMS of the
+inclination error, the angle between the estimated and the true up vector, over the samples of the movement phase that
+have ground truth. VQF (6-D: gyro and accelerometer) gets the readings directly.
 
-VQF takes a gyro reading for the mean over the interval that ends at it; the roll filter takes it for the rate at one
-instant, which then lies half an interval back. So its estimate is carried over that half interval with the last rate,
-and both are compared with the truth of the same row.
+VQF takes a gyro reading as the mean over the interval that ends at it. The roll filter takes it as the instantaneous
+rate, which here lies half an interval back. So the filter's estimate is extrapolated over that half interval with the
+last rate, and both are compared with the truth of the same sample.
 
-This IMU lags the optics by 4.1 ms, measured from the two angular rates with no filter in between, and on fast motion
-that is most of every filter's error. The columns `corrected` compare with the truth of the time that each estimate
-belongs to, and show what is left.
+This IMU lags the optical system by 4.1 ms, measured from the two angular rates without any filter. On fast motion this
+lag is most of every filter's error. The columns `corrected` compare each estimate with the truth at the time that it
+belongs to, and show the remaining error.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Score:
 
 
 def read_trial(path: Path) -> Trial:
-    """Read a BROAD trial; one without a movement mark counts as a whole."""
+    """Read a BROAD trial. If it does not mark the movement phase, all samples count."""
     with h5py.File(path) as file:
         quaternion = np.asarray(file["opt_quat"], dtype=float)
         movement = np.asarray(file["movement"], dtype=bool) if "movement" in file else np.ones(len(quaternion), bool)
@@ -106,7 +106,7 @@ def inclination_rmse(trial: Trial, up: Array, latency: float) -> float:
 
 
 def shipped_filter(rate: float) -> RollFilterConfig:
-    """The setting of vehicles/monocab/vehicle.toml, on an IMU held in the hand: no lever arm."""
+    """The settings of vehicles/monocab/vehicle.toml for a hand-held IMU, without a lever arm."""
     table = tomllib.loads((ROOT / "vehicles" / "monocab" / "vehicle.toml").read_text())["imu"]["filter"]
     return RollFilterConfig(rate=rate, **table)
 
@@ -129,14 +129,14 @@ def replay(trial: Trial, config: ImuConfig) -> Array:
 
 
 def score(path: Path, *, int16: bool) -> Score:
-    """Run one trial through VQF and upright, in float32 and, if wanted, in 16-bit frames."""
+    """Run one trial through VQF and upright, with float32 frames and, if `int16`, with 16-bit frames too."""
     trial = read_trial(path)
     peer = up_vector(vqf.VQF(1.0 / trial.rate).updateBatch(trial.angular_rate, trial.acceleration)["quat6D"])
     ours = replay(trial, _imu(trial.rate, "float32"))
-    coarse = _to_row(trial, replay(trial, _imu(trial.rate, "int16"))) if int16 else None
+    coarse = _to_sample(trial, replay(trial, _imu(trial.rate, "int16"))) if int16 else None
     return Score(
         trial=trial.name,
-        upright=inclination_rmse(trial, _to_row(trial, ours), 0.0),
+        upright=inclination_rmse(trial, _to_sample(trial, ours), 0.0),
         upright_int16=None if coarse is None else inclination_rmse(trial, coarse, 0.0),
         upright_corrected=inclination_rmse(trial, ours, MEASURED_LATENCY),
         vqf=inclination_rmse(trial, peer, 0.0),
@@ -144,8 +144,8 @@ def score(path: Path, *, int16: bool) -> Score:
     )
 
 
-def _to_row(trial: Trial, up: Array) -> Array:
-    """Carry `up` (N, 3) half an interval on with the last rate: u' = u x w."""
+def _to_sample(trial: Trial, up: Array) -> Array:
+    """Extrapolate `up` (N, 3) by half an interval with the last rate: u' = u x w."""
     return up + 0.5 / trial.rate * np.cross(up, trial.angular_rate)
 
 
@@ -169,7 +169,7 @@ def _samples(trial: Trial) -> Iterator[ImuSample]:
 
 
 def table(scores: Sequence[Score]) -> Table:
-    """Inclination RMSE in degrees, one row a trial."""
+    """Inclination RMSE in degrees, one row per trial."""
     result = Table(title="BROAD: inclination RMSE, deg")
     result.add_column("trial")
     for name in ("upright", "VQF", "ratio", "upright int16", "upright corrected", "VQF corrected", "ratio"):

@@ -1,4 +1,4 @@
-"""How long a sample takes to the screen."""
+"""Measure the time from a sample to the screen."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DELAYS = """seconds => new Promise((resolve) => {
     if (now - begin < 1000 * seconds) requestAnimationFrame(each); else resolve(delays);
   });
 })"""
-"""ms from the newest sample of a picture to the beginning of the picture after it: by then it is on the screen."""
+"""ms from the newest sample of a frame to the beginning of the next frame: by then it is on the screen."""
 
 
 def latency() -> None:
@@ -37,18 +37,18 @@ def latency() -> None:
         page = opened(stack.enter_context(browser()), address)
         live(page)
         page.wait_for_timeout(3000)
-        tell_delays("at rest", page)
+        print_delays("at rest", page)
         page.click("#tab-experiments")
         page.click("[data-experiment=multisine]:enabled")
         page.click("#tab-live")
         until(place, lambda status: status["phase"] == "excite")
-        tell_delays("multisine, with live estimates", page)
+        print_delays("multisine, with live estimates", page)
         status = until(place, lambda status: status["mode"] == "disarmed")
         silence, words = status["lease"]["longest_silence"], status["reason"] or "ended as planned"
         print(f"its lease of 300 ms: {words}; longest silence {1e3 * silence:.0f} ms")
 
 
-def tell_delays(what: str, page: Page) -> None:
+def print_delays(what: str, page: Page) -> None:
     delays = page.evaluate(DELAYS, 15.0)
     p50, p90, p99 = np.quantile(delays, (0.5, 0.9, 0.99))
     own = page.get_attribute("#latency", "data-ms")

@@ -1,4 +1,4 @@
-"""What the measurements of the dashboard are made with: mosquitto, the page's server, Chromium, the daemon."""
+"""The parts for the measurements of the dashboard: mosquitto, the page's server, Chromium, the daemon."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def free_port() -> int:
 
 @contextmanager
 def broker(folder: Path) -> Iterator[tuple[int, int, int]]:
-    """mosquitto as it is shipped, but for passwords and limits; its ports for MQTT and websockets, and its process."""
+    """mosquitto as shipped, without passwords and limits: its ports for MQTT and websockets, and its process."""
     plain, websocket = free_port(), free_port()
     (folder / "mosquitto.conf").write_text(
         f"allow_anonymous true\nlistener {plain} 127.0.0.1\nlistener {websocket} 127.0.0.1\nprotocol websockets\n"
@@ -50,7 +50,7 @@ def broker(folder: Path) -> Iterator[tuple[int, int, int]]:
 
 @contextmanager
 def server(vehicle: VehicleFile, folder: Path, websocket: int) -> Iterator[str]:
-    """The dashboard's server in a thread; the page's address."""
+    """The dashboard's server in a thread: the page's address."""
     place = socket.create_server(("127.0.0.1", 0))
     application = Dashboard(Settings(vehicle, folder, f"ws://127.0.0.1:{websocket}")).app
     running = uvicorn.Server(uvicorn.Config(application, log_level="warning", access_log=False))
@@ -66,7 +66,7 @@ def server(vehicle: VehicleFile, folder: Path, websocket: int) -> Iterator[str]:
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Debian's Chromium, without a window."""
+    """Debian's Chromium, headless."""
     with sync_playwright() as playwright:
         made = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox"] if os.geteuid() == 0 else []
@@ -78,7 +78,7 @@ def browser() -> Iterator[Browser]:
 
 
 def opened(browser: Browser, address: str, script: str = "") -> Page:
-    """The page in a context of its own, as if it were another person's."""
+    """The page in a browser context of its own, like that of another user."""
     page = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
     page.add_init_script(script)
     page.goto(address)
@@ -86,13 +86,13 @@ def opened(browser: Browser, address: str, script: str = "") -> Page:
 
 
 def live(page: Page) -> None:
-    """Wait until the page hears the vehicle, if with a delay where the machine has too much to do."""
+    """Wait until the page receives data of the vehicle, even if late because the machine is busy."""
     expect(page.locator("#link")).to_have_text(re.compile("^(live|late)"), timeout=60_000)
 
 
 @contextmanager
 def daemon(folder: Path, *options: str, vehicle: str = "monocab") -> Iterator[tuple[Path, int]]:
-    """`upright serve`, once it is ready; its socket and process."""
+    """`upright serve`, once it is ready: its socket and process."""
     place = folder / "s.sock"
     words = [*UPRIGHT, "serve", vehicle, "--data", str(folder), "--socket", str(place), *options]
     with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
@@ -104,7 +104,7 @@ def daemon(folder: Path, *options: str, vehicle: str = "monocab") -> Iterator[tu
 
 
 def until(place: Path, what: Callable[[dict[str, Any]], bool], limit: float = 90.0) -> dict[str, Any]:
-    """The daemon's status, once `what` is true of it."""
+    """The daemon's status, once `what` returns True for it."""
     end = time.monotonic() + limit
     while time.monotonic() < end:
         with suppress(ApiError):

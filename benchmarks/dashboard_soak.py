@@ -1,4 +1,4 @@
-"""Four hours of telemetry as fast as the page takes them, and what the page weighs and draws after them."""
+"""Four hours of telemetry as fast as the page accepts them; then the page's memory and frame rate."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from dashboard_parts import broker, browser, opened, server
-from dashboard_story import Story, Teller
+from dashboard_story import Publisher, Story
 from playwright.sync_api import Browser, Page
 
 from vehicles.file import load
 
 HOURS = 4.0
 AHEAD = 20.0
-"""s of data that the page may be behind what is sent; of more the broker would drop some."""
+"""s of data by which the page may be behind. With more, the broker would drop messages."""
 SETTLED = 20.0
-"""s in a view before it is looked at: what the view before has left is collected by then."""
+"""s in a view before it is measured: by then the garbage of the previous view is collected."""
 VIEWS = ("live", "experiments", "identify", "gap", "recordings")
 
 PICTURES = """seconds => new Promise((resolve) => {
@@ -29,7 +29,7 @@ PICTURES = """seconds => new Promise((resolve) => {
     else resolve([1000 * count / (now - begin), longest]);
   });
 })"""
-"""Pictures a second, and the longest time between two of them, ms."""
+"""Frames per second, and the longest time between two of them, ms."""
 
 
 def soak(hours: float) -> None:
@@ -39,33 +39,38 @@ def soak(hours: float) -> None:
         plain, websocket, _ = stack.enter_context(broker(folder))
         address = stack.enter_context(server(vehicle, folder, websocket))
         chromium = stack.enter_context(browser())
-        teller = Teller(vehicle, plain, time.time())
-        stack.callback(teller.close)
-        story = teller.story
-        began, told = time.monotonic(), 0.0
-        print(f"{'':24}{'resident':>12}{'collected':>12}{'unshared':>12}{'heap':>12}   pictures/s, longest gap")
+        publisher = Publisher(vehicle, plain, time.time())
+        stack.callback(publisher.close)
+        story = publisher.story
+        began, reported = time.monotonic(), 0.0
+        print(f"{'':24}{'resident':>12}{'collected':>12}{'unshared':>12}{'heap':>12}   frames/s, longest gap")
         blank = chromium.new_context().new_page()
-        say("an empty page", chromium, blank, lambda: None)
+        report("an empty page", chromium, blank, lambda: None)
         blank.context.close()
-        # Time goes faster in the data than on the wall, which the page would take for a link that cannot keep up.
+        # The data's time runs faster than the wall clock. The page would conclude that the link cannot keep up.
         page = opened(chromium, address, "Date.now = () => 0")
-        teller.steady(5.0)
-        say("at the beginning", chromium, page, lambda: teller.steady(10.0))
+        publisher.steady(5.0)
+        report("at the beginning", chromium, page, lambda: publisher.steady(10.0))
         lasted = time.monotonic()
         while story.time < 3600.0 * hours:
-            hurry(teller, page, 5.0)
-            if story.time - told > 3600.0:
-                told = story.time
+            hurry(publisher, page, 5.0)
+            if story.time - reported > 3600.0:
+                reported = story.time
                 pace = story.time / (time.monotonic() - lasted)
-                say(f"in hour {told / 3600.0:.0f}, {pace:.0f} x", chromium, page, lambda: hurry(teller, page, 8.0))
-        teller.steady(SETTLED)
+                report(
+                    f"in hour {reported / 3600.0:.0f}, {pace:.0f} x",
+                    chromium,
+                    page,
+                    lambda: hurry(publisher, page, 8.0),
+                )
+        publisher.steady(SETTLED)
         for view in VIEWS:
             page.click(f"#tab-{view}")
-            say(f"afterwards, {view}", chromium, page, lambda: teller.steady(SETTLED))
+            report(f"afterwards, {view}", chromium, page, lambda: publisher.steady(SETTLED))
         page.click("#tab-live")
-        teller.steady(2.0)
+        publisher.steady(2.0)
         page.wait_for_timeout(1000)
-        assert story.time - shown(page, story) < 0.2, "the page has lost the end"
+        assert story.time - shown(page, story) < 0.2, "the page has lost the end of the data"
         counted = page.get_attribute("#ignored", "data-count")
         lasted = time.monotonic() - began
         print(f"{story.time / 3600.0:.2f} h of data in {lasted:.0f} s; messages ignored by the page: {counted or 0}")
@@ -77,19 +82,19 @@ def shown(page: Page, story: Story) -> float:
     return 0.0 if time_shown is None else float(time_shown) - story.begin_ns * 1e-9
 
 
-def hurry(teller: Teller, page: Page, seconds: float) -> None:
-    """The story as fast as the page takes it."""
+def hurry(publisher: Publisher, page: Page, seconds: float) -> None:
+    """Publish the story as fast as the page accepts it."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        teller.burst(50)
+        publisher.burst(50)
         limit = time.monotonic() + 30.0
-        while teller.story.time - shown(page, teller.story) > AHEAD:
-            assert time.monotonic() < limit, "the page has lost some of it"
+        while publisher.story.time - shown(page, publisher.story) > AHEAD:
+            assert time.monotonic() < limit, "the page has lost data"
             time.sleep(0.02)
 
 
-def say(what: str, browser: Browser, page: Page, meanwhile: Callable[[], None]) -> None:
-    """A line about the page while `meanwhile` runs, for 6 s at least: as it is then, and after a collection."""
+def report(what: str, browser: Browser, page: Page, meanwhile: Callable[[], None]) -> None:
+    """Print a line about the page while `meanwhile` runs, for 6 s at least: as it is, and after a collection."""
     page.evaluate(f"() => {{ window.pictures = ({PICTURES})(5.0); }}")
     meanwhile()
     rate, gap = page.evaluate("window.pictures")
@@ -103,7 +108,7 @@ def say(what: str, browser: Browser, page: Page, meanwhile: Callable[[], None]) 
 
 
 def renderer_memory(browser: Browser) -> tuple[float, float]:
-    """Resident and unshared memory of the largest renderer, MB: that of the page."""
+    """Resident and unshared memory of the largest renderer, which is that of the page, MB."""
     processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
     found = []
     for process in processes:

@@ -1,4 +1,4 @@
-"""A vehicle that is excited for hours: what it publishes, in the format of the service, by the data's own time."""
+"""The messages of a vehicle that is excited for hours, in the format of the service, with time stamps of the data."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STATE = {
 
 
 class Story:
-    """A vehicle that is excited for hours: what it publishes, in the format of the service, by the data's own time."""
+    """The messages of a vehicle that is excited for hours, in the format of the service."""
 
     def __init__(self, vehicle: VehicleFile, begin: float) -> None:
         self.rate = vehicle.control.rate
@@ -39,7 +39,7 @@ class Story:
         return self.cycles / self.rate
 
     def next(self) -> Iterator[tuple[str, bytes]]:
-        """The next 50 ms: topics and payloads."""
+        """Topics and payloads of the next 50 ms."""
         period_ns, frames = 1e9 / self.rate, []
         for _ in range(round(self.rate / 20)):
             phase = 2.0 * pi * 0.7 * self.time
@@ -79,8 +79,8 @@ class Story:
         return {"adequate": False, "verdict": "missing_effect", "findings": [finding], "seconds": round(self.time)}
 
 
-class Teller:
-    """A client that publishes the story of the vehicle at a broker of this machine."""
+class Publisher:
+    """A client that publishes the story of the vehicle at a broker on this machine."""
 
     def __init__(self, vehicle: VehicleFile, port: int, begin: float) -> None:
         self.story = Story(vehicle, begin)
@@ -89,26 +89,26 @@ class Teller:
         self._client.max_queued_messages_set(0)
         self._client.connect("127.0.0.1", port)
         self._client.loop_start()
-        self._tell("status", b"online", retain=True)
-        self._tell("state", json.dumps(STATE).encode(), retain=True)
+        self._publish("status", b"online", retain=True)
+        self._publish("state", json.dumps(STATE).encode(), retain=True)
 
     def close(self) -> None:
         self._client.loop_stop()
 
     def steady(self, seconds: float) -> None:
-        """At the pace of the wall's clock."""
+        """Publish `seconds` of the story in real time."""
         begin, first = time.monotonic(), self.story.time
         while self.story.time - first < seconds:
             for message in self.story.next():
-                self._tell(*message)
+                self._publish(*message)
             time.sleep(max(0.0, begin + self.story.time - first - time.monotonic()))
 
     def burst(self, batches: int) -> None:
-        """So many at once; returns when they are on their way."""
+        """Publish so many batches at once; return when they are sent."""
         for _ in range(batches):
             for message in self.story.next():
-                last = self._tell(*message)
+                last = self._publish(*message)
         last.wait_for_publish(60.0)
 
-    def _tell(self, topic: str, payload: bytes, *, retain: bool = False) -> mqtt.MQTTMessageInfo:
+    def _publish(self, topic: str, payload: bytes, *, retain: bool = False) -> mqtt.MQTTMessageInfo:
         return self._client.publish(f"{self._topic}/{topic}", payload, retain=retain)

@@ -1,9 +1,9 @@
-"""What watching does to the control loop: pages attached to its broker, or to one that it knows nothing of.
+"""Measure how watching pages affect the control loop: attached to its broker, or to one unrelated to it.
 
-People watch from machines of their own. Here the browsers and all that belongs to them have one core, and the daemon,
-its broker and the vehicle another. What both share all the same (memory, caches, the clock of the cores) is taken out
-by the control: as many pages of the same kind, drawing the same on the same core, attached to a broker on that core to
-which another process tells a vehicle's story. The daemon and its broker have nothing to do with those.
+Users watch from machines of their own. Here the browsers and their server have one core, and the daemon, its broker and
+the vehicle another. The control group removes the influence of the resources that both still share (memory, caches, the
+clock of the cores): the same number of pages, drawing the same on the same core, attached to a broker on that core to
+which another process publishes the data of a vehicle. They have nothing to do with the daemon and its broker.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 import can
 import numpy as np
 from dashboard_parts import UPRIGHT, broker, browser, daemon, live, opened, server, until
-from dashboard_story import Teller
+from dashboard_story import Publisher
 from scipy.stats import t as student
 
 from drivers.bus_address import connect
@@ -40,7 +40,7 @@ COMPARED = ((KINDS[1], KINDS[0]), (KINDS[2], KINDS[0]), (KINDS[3], KINDS[0]), (K
 
 @contextmanager
 def on(core: int) -> Iterator[None]:
-    """Processes and threads that are started inside stay on this core."""
+    """Processes and threads that are started within this context stay on this core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {core})
     try:
@@ -51,11 +51,11 @@ def on(core: int) -> Iterator[None]:
 
 @contextmanager
 def as_hardware() -> Iterator[None]:
-    """Processes that are started inside go before all others: an IMU and drives do not wait for the vehicle's PC."""
+    """Processes started within this context have real-time priority: an IMU and drives do not wait for the PC."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     except PermissionError:
-        print("the vehicle has no real-time priority (run as root): what it is late looks like the daemon's")
+        print("the vehicle has no real-time priority (run as root): its delays are counted as the daemon's")
     try:
         yield
     finally:
@@ -63,7 +63,7 @@ def as_hardware() -> Iterator[None]:
 
 
 class Turnaround:
-    """Times from the last frame of an IMU set to the first frame that control sends, both as the kernel stamps them."""
+    """Times from the last frame of an IMU set to the first frame that control sends, by the kernel's time stamps."""
 
     def __init__(self, vehicle: VehicleFile) -> None:
         self.trigger = imu_config(vehicle).can_ids[-1]
@@ -74,12 +74,12 @@ class Turnaround:
         self._bus.shutdown()
 
     def measure(self, seconds: float) -> tuple[list[float], int]:
-        """ms of each cycle, and how many were not answered before the next one."""
+        """The time of each cycle, ms, and how many were not answered before the next one."""
         found, open_since, missed = [], 0.0, 0
         begin, end = time.time(), time.monotonic() + seconds
         while time.monotonic() < end:
             message: can.Message | None = self._bus.recv(0.5)
-            if message is None or message.timestamp < begin:  # it had been waiting to be read
+            if message is None or message.timestamp < begin:  # an old frame from the receive queue
                 continue
             if message.arbitration_id == self.trigger:
                 missed += open_since > 0.0
@@ -92,8 +92,8 @@ class Turnaround:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One measurement: median and 99 % of the turnaround, ms; cycles that the loop missed, % of all; processor time of
-    daemon and broker, s/s."""
+    """One measurement: median and 99 % quantile of the turnaround, ms; cycles that the loop missed, %; processor time
+    of daemon and broker, s/s."""
 
     median: float
     slow: float
@@ -102,7 +102,7 @@ class Block:
 
 
 def processor_time(root: int) -> float:
-    """s that a process and those it started have used."""
+    """CPU time of a process and its descendants, s."""
     parents, used = {}, {}
     for folder in Path("/proc").iterdir():
         if folder.name.isdecimal():
@@ -118,11 +118,11 @@ def processor_time(root: int) -> float:
     return sum(used.get(process, 0.0) for process in family)
 
 
-def tell_story(port: int) -> None:
-    """The vehicle of the pages elsewhere, at its real rate; for a process of its own."""
-    teller = Teller(load("monocab"), port, time.time())
+def publish_story(port: int) -> None:
+    """Publish the data that the pages elsewhere show, in real time; run in a process of its own."""
+    publisher = Publisher(load("monocab"), port, time.time())
     while True:
-        teller.steady(60.0)
+        publisher.steady(60.0)
 
 
 def watchers(rounds: int) -> None:
@@ -175,22 +175,22 @@ def watchers(rounds: int) -> None:
             )
             return Block(float(median), float(slow), 100.0 * missed / (BLOCK * vehicle.control.rate), used)
 
-        # Each round in an order of its own, so that what drifts does not look like a kind; the seed is any.
+        # Each round has an order of its own, so that a drift does not look like a difference; the seed is arbitrary.
         orders = np.random.default_rng(1)
         blocks = [{kind: block(kind) for kind in orders.permutation(KINDS).tolist()} for _ in range(rounds)]
     compare(blocks)
 
 
 def compare(rounds: list[dict[str, Block]]) -> None:
-    """What differs within a round, with the 95 % interval of Student's distribution over the rounds: ratios of times by
-    their geometric mean, and missed cycles, of which there may be none, by their difference."""
+    """Print the differences within a round, with the 95 % interval of Student's distribution over the rounds: the
+    geometric mean of the ratios of times, and the difference of missed cycles, since those may be zero."""
     for what, beside in COMPARED:
         for name, label in (("median", "median"), ("slow", "99 %")):
             ratios = np.log([getattr(each[what], name) / getattr(each[beside], name) for each in rounds])
             low, centre, high = np.exp(interval(ratios))
             print(f"{what:13} over {beside:13} {label:6}: {centre:.2f} x, 95 % interval {low:.2f} to {high:.2f}")
         low, centre, high = interval(np.array([each[what].missed - each[beside].missed for each in rounds]))
-        print(f"{what:13} less {beside:13} missed: {centre:+.2f} % of the cycles, {low:+.2f} to {high:+.2f}")
+        print(f"{what:13} minus {beside:13} missed: {centre:+.2f} % of the cycles, {low:+.2f} to {high:+.2f}")
     for process in rounds[0][KINDS[0]].used:
         used = {kind: 100.0 * float(np.mean([each[kind].used[process] for each in rounds])) for kind in KINDS}
         print(f"{process}, % of a core:", ", ".join(f"{kind} {each:.1f}" for kind, each in used.items()))

@@ -1,17 +1,18 @@
-"""What does the diagnosis decide, and by which numbers? A net of some 300 cases under every change of its code.
+"""What does the diagnosis decide, and by which numbers? A regression test of some 300 cases for changes of its code.
 
-    python benchmarks/decisions.py record TABLE     diagnose every case and keep what was decided: an hour or two
+    python benchmarks/decisions.py record TABLE     diagnose every case and write the decisions: an hour or two
     python benchmarks/decisions.py replay TABLE     decide again from the numbers in the table, in seconds
-    python benchmarks/decisions.py diff OLD NEW     cases that have another verdict or other names, and by which numbers
-    python benchmarks/decisions.py summary TABLE    right names, false names, unknown and adequate, class by class
+    python benchmarks/decisions.py diff OLD NEW     cases whose verdict or names differ
+    python benchmarks/decisions.py summary TABLE    right names, false names, unknown and adequate, by class
 
-A case is a record with nothing missing, with one effect, two, or one that no catalogue has, shaken and still, of both
-vehicles; a MONOCAB of another simulator; bodies that swing freely; the measured records in ../shared, where they are
-there. All follows from its name, and no case knows a clock: each is diagnosed for as long as it takes. A table holds
-one line of JSON a case, compressed where its name ends in .xz: the verdict, the names, and of every effect that got a
-fit the numbers that decided about it (diagnosis.gates.Tried) with the reason for which it was refused.
+The cases are records of both vehicles with nothing missing, with one effect, with two, or with one that is not in the
+catalogue, with and without a random disturbance; records of a MONOCAB of another simulator; bodies that swing freely;
+and the measured records in ../shared, if they are there. A case is defined by its name. There is no time limit: each
+diagnosis takes as long as it needs. A table has one line of JSON per case, compressed if the file's name ends in .xz:
+the verdict, the names, and for every effect that was fitted the numbers that decided about it (diagnosis.gates.Tried)
+and the reason why it was rejected.
 
-`record` goes on where it was when it was ended. `--only WORDS` takes the cases whose name has one of these, `--every N`
+`record` resumes where it was interrupted. `--only WORDS` takes the cases whose name contains one of these, `--every N`
 each N-th of them.
 """
 
@@ -54,11 +55,11 @@ SHARED = HERE.parents[1] / "shared"
 Line = dict[str, Any]
 
 SEED = 300
-"""Of all cases; nothing was decided on it."""
+"""Seed of all cases. No setting of the diagnosis was chosen with it."""
 SHAKEN = "disturbance=5,0.3"
-"""N m RMS and s: the middle of what is drawn for `upright benchmark hidden-effects`."""
+"""N m RMS and s: the middle of the range drawn from in `upright benchmark hidden-effects`."""
 LOUDER = 4.0
-"""Times the level of a still record with which an effect is hidden beside it: so much less 30 s show there
+"""Factor on the level of a hidden effect if a disturbance acts: 30 s show that much less there
 (docs/measurements/diagnosis.md, while the vehicle runs)."""
 LEVELS: Mapping[str, float] = {
     "static_torque": -0.027,
@@ -93,14 +94,15 @@ LEVELS: Mapping[str, float] = {
     "test_varying_stiffness": 0.037,
     "test_patchy_damping": 0.11,
 }
-"""Twice what 30 s of multisine just show where nothing shakes, as levels of the virtual MONOCAB's effects: those of
-`upright benchmark hidden-effects --sizes 2 --excitations multisine --seeds 1 --first 66 --disturbance none`."""
+"""Twice the minimum detectable effect of 30 s of multisine without a disturbance, as levels of the virtual MONOCAB's
+effects: those of `upright benchmark hidden-effects --sizes 2 --excitations multisine --seeds 1 --first 66
+--disturbance none`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """`hidden`: what is missing, by names of the catalogue; `unlisted`: it has no name there. `diagnosed` makes the
-    record and diagnoses it."""
+    """`hidden`: names of the effects that the model lacks; `unlisted`: the catalogue does not have them. `diagnosed`
+    simulates or reads the record and diagnoses it."""
 
     name: str
     hidden: tuple[str, ...]
@@ -109,7 +111,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """All of them, class by class; those whose records are not there are left out."""
+    """All cases, class by class. Those whose records are not there are left out."""
     yield from _monocabs()
     yield from _robots()
     yield from _of_others()
@@ -131,14 +133,14 @@ def _monocabs() -> Iterator[Case]:
 
 
 def bare(model: Model) -> Model:
-    """`model` without the effects that identification assumes: these are to be found."""
+    """`model` without the effects that identification assumes: the diagnosis has to find these."""
     for each in model.effects:
         model = model.remove(each.name)
     return model
 
 
 DEMO: Mapping[str, float] = {"backlash": 0.02, "load_dependent_friction": 0.05, "gyro_bias": 1.0}
-"""Levels, where that of the demo stops the vehicle."""
+"""Levels of effects that stop the vehicle at the level of the demo."""
 
 
 def _monocab(name: str, levels: Mapping[str, float], shaken: bool, seed: int) -> Case:
@@ -153,7 +155,7 @@ def _monocab(name: str, levels: Mapping[str, float], shaken: bool, seed: int) ->
 
 
 AS_NAMED: Mapping[str, str] = {"slope": "static_torque@travel"}
-"""What the catalogue calls an effect of the virtual robot."""
+"""The catalogue's name of an effect of the virtual robot, if it differs."""
 
 
 def _robots() -> Iterator[Case]:
@@ -218,7 +220,7 @@ def _measured_diagnosed(case: measured_verdicts.Case) -> Callable[[], Diagnosis]
 
 
 def line_of(case: Case) -> Line:
-    """What came out of a case. One that cannot be recorded or diagnosed says why."""
+    """The result of a case, or the reason if it cannot be recorded or diagnosed."""
     about: Line = {"case": case.name, "hidden": list(case.hidden), "unlisted": case.unlisted}
     try:
         found = case.diagnosed()
@@ -252,13 +254,13 @@ def _round_line(decided: Round) -> Line:
 
 
 def _tried_line(tried: Tried) -> Line:
-    """Its numbers; the effect is found again by its name."""
+    """The numbers of `tried`. The effect itself is left out: its name identifies it."""
     own = {name: getattr(tried, name) for name in Tried.__slots__ if name not in ("effect", "held_out")}
     return {**own, "held_out": asdict(tried.held_out) if tried.held_out else None}
 
 
 def _short(value: Any) -> Any:
-    """Numbers to six digits."""
+    """`value` with numbers rounded to six significant digits."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, dict):
@@ -267,13 +269,13 @@ def _short(value: Any) -> Any:
 
 
 def read_table(path: Path) -> dict[str, Line]:
-    """Case to line."""
+    """The lines of a table by case."""
     with lzma.open(path, "rt", encoding="utf-8") if path.suffix == ".xz" else path.open(encoding="utf-8") as file:
         return {line["case"]: line for line in map(json.loads, file)}
 
 
 def _round_of(line: Mapping[str, Any]) -> Round:
-    """As it was before anything was decided."""
+    """The round of `line` before anything was decided."""
     tried = tuple(gated(_tried_of(each), line["tries"]) for each in line["tried"])
     return Round(tuple(line["beside"]), line["tries"], tried, line["p_value"])
 
@@ -287,26 +289,26 @@ def _tried_of(line: Mapping[str, Any]) -> Tried:
 
 
 def _without_kin(name: str) -> Effect:
-    """An effect that no catalogue has, and that is easily confused with none."""
+    """An effect that is not in the catalogue and is not declared confusable with any other."""
     return replace(next(iter(CATALOGUE.values())), name=name, family=Family.STRUCTURE, confused_with=())
 
 
 def decided_again(line: Line) -> list[tuple[str, str]]:
-    """Rounds of a case that are decided otherwise now than in its line, and how."""
+    """Rounds of a case that the current code decides differently from its line, and how."""
     found = []
     for each in line["rounds"]:
         again, lacking = _again(each)
         before, now = [each["named"], *each["tied_with"]], [again.named, *again.tied_with]
         if before != now or lacking:
             beside = " beside " + " and ".join(each["beside"]) if each["beside"] else ""
-            told = f"{' = '.join(before) or 'none'} is now {' = '.join(now) or 'none'}"
-            asks = f", and asks held-out data about {', '.join(lacking)}" if lacking else ""
-            found.append((line["case"] + beside, told + asks))
+            change = f"{' = '.join(before) or 'none'} is now {' = '.join(now) or 'none'}"
+            needs = f", and needs held-out data about {', '.join(lacking)}" if lacking else ""
+            found.append((line["case"] + beside, change + needs))
     return found
 
 
 def _again(line: Line) -> tuple[Round, list[str]]:
-    """The round of `line` decided now, and of which effects it asks held-out data that were not asked then."""
+    """The round of `line` decided now, and the effects whose held-out results it needs but `line` does not have."""
     known = {each["name"]: each for each in line["tried"]}
     lacking: list[str] = []
 
@@ -320,7 +322,7 @@ def _again(line: Line) -> tuple[Round, list[str]]:
 
 
 def kind_of(line: Line) -> str:
-    """What a case is counted among."""
+    """The kind among which a case is counted."""
     group = line["case"].split(" ")[0]
     how = " ".join(word for word in ("still", "shaken") if f" {word} " in line["case"])
     count = "unlisted" if line["unlisted"] else ("nothing", "one", "two")[min(2, len(line["hidden"]))]
@@ -328,8 +330,8 @@ def kind_of(line: Line) -> str:
 
 
 def right(line: Line) -> bool:
-    """Whether all that is hidden is named, the one alone first or tied with one other; an effect of no catalogue is
-    unknown, and nothing is adequate."""
+    """Whether all hidden effects are named; a single one has to be the first, alone or tied with one other. With an
+    effect outside the catalogue, `unknown` is right; with nothing hidden, `adequate` is."""
     names = [set(each) for each in line["named"]]
     if line["unlisted"]:
         return bool(line["verdict"] == Verdict.UNKNOWN.value)
@@ -341,10 +343,10 @@ def right(line: Line) -> bool:
 
 
 def false_names(line: Line) -> int:
-    """Names of which none is of what is hidden; one that is hidden outside the catalogue has none that is right."""
+    """Number of findings that name no hidden effect. For a hidden effect outside the catalogue every name is false."""
     hidden = set() if line["unlisted"] else set(line["hidden"])
-    sure = line["verdict"] == Verdict.MISSING_EFFECT.value
-    return sum(not hidden & set(each) for each in line["named"]) if sure or not line["unlisted"] else 0
+    missing = line["verdict"] == Verdict.MISSING_EFFECT.value
+    return sum(not hidden & set(each) for each in line["named"]) if missing or not line["unlisted"] else 0
 
 
 def summary(lines: Iterable[Line]) -> Iterator[str]:
@@ -359,7 +361,7 @@ def summary(lines: Iterable[Line]) -> Iterator[str]:
 
 
 def difference(old: Mapping[str, Line], new: Mapping[str, Line]) -> Iterator[str]:
-    """What is other in the cases of both, a line each."""
+    """The differences between two tables, a line per case."""
     for name in old:
         if name not in new:
             yield f"{name}: only in the old table"
@@ -378,8 +380,8 @@ def _names(line: Line) -> str:
 
 
 def recorded(path: Path, words: Sequence[str], every: int, processes: int) -> None:
-    """Writes the table of those cases whose name has one of `words`, the first and each so-many-th after it, going on
-    where `path`.part was."""
+    """Write the table of the cases whose name contains one of `words`, the first and each `every`-th after it. Cases in
+    `path`.part are taken from there."""
     part = path.with_name(f"{path.name}.part")
     done = read_table(part) if part.exists() else {}
     names = [each.name for each in cases() if not words or any(word in each.name for word in words)][::every]
@@ -409,8 +411,10 @@ def main() -> None:
         one = verbs.add_parser(verb)
         one.add_argument("table", type=Path)
         if verb == "record":
-            one.add_argument("--only", nargs="*", default=[], metavar="WORD", help="of the names of cases")
-            one.add_argument("--every", type=int, default=1, metavar="N", help="the first and each N-th after it")
+            one.add_argument(
+                "--only", nargs="*", default=[], metavar="WORD", help="only cases whose name contains one of these"
+            )
+            one.add_argument("--every", type=int, default=1, metavar="N", help="the first case and each N-th after it")
             one.add_argument("--processes", type=int, default=2)
     two = verbs.add_parser("diff")
     two.add_argument("old", type=Path)
@@ -423,7 +427,7 @@ def main() -> None:
         others = [each for line in table.values() for each in decided_again(line)]
         rounds = sum(len(line["rounds"]) for line in table.values())
         print(*(f"{name}: {how}" for name, how in others), sep="\n")
-        print(f"{len(others)} of {rounds} rounds of {len(table)} cases are decided otherwise")
+        print(f"{len(others)} of {rounds} rounds of {len(table)} cases are decided differently")
     elif given.verb == "summary":
         print(*summary(read_table(given.table).values()), sep="\n")
     else:

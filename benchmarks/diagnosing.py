@@ -1,14 +1,14 @@
 """How long does a diagnosis take? `python benchmarks/diagnosing.py`
 
-A minute of sine sweep on the virtual vehicle at 200 Hz, with viscous friction hidden in it, against the whole
-catalogue, its code compiled. Told are wall clock and CPU seconds of
+A minute of sine sweep of the virtual vehicle at 200 Hz with viscous friction hidden in it is diagnosed with the whole
+catalogue, after compilation. The program prints the wall clock and CPU seconds of
 
-    first answer       data read and looked at, the model fitted, every effect scored: sizes and p-values
-    diagnosis          all of it: quick and full fits, unseen data, what is left
+    first answer       data read and checked, the model fitted, score test of every effect: amplitudes and p-values
+    diagnosis          all of it: quick and full fits, held-out data, the remaining error
     exhaustive search  what an expert would script: an output-error fit with each effect, ranked by BIC
 
-and the ratio of the last to the first two, by the clock. Wanted: a first answer within 1 s, all within 10 s, on two
-cores.
+and the ratio of the last to the first two in wall clock time. Required on two cores: a first answer within 1 s, the
+diagnosis within 10 s.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ MODEL = with_values(
 RATE = 200
 """Hz."""
 FREE = 8.0
-"""s after the start from which on the vehicle is free and excited."""
+"""s from the start until the vehicle is off its support and excited."""
 
 
 def minute() -> Recording:
-    """60 s of free motion."""
+    """A recording of 60 s of free motion."""
     slower = VEHICLE.model_copy(update={"control": VEHICLE.control.model_copy(update={"rate": RATE})})
     return record(slower, "sweep", hide=["viscous_friction"], seed=1, duration=60.0).between(FREE, FREE + 60.0)
 
 
 def main() -> None:
     recording = minute()
-    print(f"{recording.duration:.0f} s of sweep, {len(recording)} rows, {recording.rate:.0f} Hz")
+    print(f"{recording.duration:.0f} s of sweep, {len(recording)} samples, {recording.rate:.0f} Hz")
 
     def first_answer() -> str:
         check(MODEL, [recording], VEHICLE.support)
@@ -65,7 +65,7 @@ def main() -> None:
         found = diagnose(MODEL, [recording], support=VEHICLE.support)
         return f"{found.verdict}: {', '.join(each.effect for each in found.findings)}"
 
-    first_answer(), whole()  # compiled from here on
+    first_answer(), whole()  # compiles the code
     seconds = {}
     for name, work in (("first answer", first_answer), ("diagnosis", whole), ("exhaustive search", _search(recording))):
         seconds[name] = _timed(name, work)

@@ -1,9 +1,9 @@
-"""How often do the ± of the random disturbance hold, and is it as large as is said?
+"""How often do the intervals of the random disturbance contain the truth, and are its estimates unbiased?
 
-`python benchmarks/disturbance_intervals.py --records 140 --first 9000` records virtual MONOCABs that lack nothing, each
-as far off its vehicle file as that says, shaken by a random torque that is drawn anew (2 to 20 N m RMS, 0.05 to 3 s, as
-in `upright benchmark hidden-effects`), fits each and counts the 95 % intervals of RMS and correlation time that hold
-the true number.
+`python benchmarks/disturbance_intervals.py --records 140 --first 9000` records virtual MONOCABs of which the model
+lacks nothing, with parameters drawn within the uncertainty of the vehicle file, disturbed by a random torque that is
+drawn for each (2 to 20 N m RMS, 0.05 to 3 s, as in `upright benchmark hidden-effects`). It fits each recording and
+counts the 95 % intervals of RMS and correlation time that contain the true value.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from service.hidden_effects.vehicles import drawn
 from vehicles.file import load
 
 EDGES = (0.0, 0.2, 1.0, np.inf)
-"""s: correlation times are told apart by these."""
+"""s: limits of the classes of correlation times."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """A number of the disturbance: what is true, what was told, and its standard deviation."""
+class Estimated:
+    """A number of the disturbance: the true value, the estimate, and its standard deviation."""
 
     true: float
     value: float
@@ -39,21 +39,21 @@ class Told:
 
     @property
     def off(self) -> float:
-        """Standard deviations."""
+        """The error in standard deviations."""
         return (self.value - self.true) / self.std
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Both numbers of one record; None of what it did not show."""
+    """Both numbers of one record; None if the record does not show the disturbance."""
 
     correlation_time: float
-    rms: Told | None
-    time: Told | None
+    rms: Estimated | None
+    time: Estimated | None
 
 
 def tried(number: int, excitation: str, duration: float) -> Record:
-    """The record with this number."""
+    """The estimates from the record with this number."""
     bench, case = Bench(duration=duration, disturbances=drawn_for("monocab")), Case((), 0.0, 1.0, excitation, number)
     vehicle = drawn(case.seed("vehicle"))
     true, _ = disturbance_of(case, bench, vehicle)
@@ -61,18 +61,18 @@ def tried(number: int, excitation: str, duration: float) -> Record:
     recording = bench.record(excitation, {}, case.noise, duration, case.seed(), vehicle, true)
     found = prediction_error(bench.nominal, [recording], support=load("monocab").support).disturbance[0]
 
-    def told(true: float, value: float | None, std: float | None) -> Told | None:
-        return None if value is None or std is None else Told(true, value, std)
+    def estimated(true: float, value: float | None, std: float | None) -> Estimated | None:
+        return None if value is None or std is None else Estimated(true, value, std)
 
     return Record(
         true.correlation_time,
-        told(true.rms, found.std, found.std_error),
-        told(true.correlation_time, found.correlation_time, found.correlation_time_error),
+        estimated(true.rms, found.std, found.std_error),
+        estimated(true.correlation_time, found.correlation_time, found.correlation_time_error),
     )
 
 
 def table(records: Sequence[Record]) -> str:
-    """How many intervals hold, how far off the middle one is and how much they scatter, by correlation time."""
+    """Coverage of the intervals, and mean and standard deviation of the normalised errors, by correlation time."""
     lines = ["correlation time  records  shown   RMS holds  mean  std    time holds  mean  std"]
     groups = [*pairwise(EDGES), (EDGES[0], EDGES[-1])]
     for low, high in groups:
@@ -85,8 +85,8 @@ def table(records: Sequence[Record]) -> str:
     return "\n".join(lines)
 
 
-def _held(records: Sequence[Record], which: Callable[[Record], Told | None]) -> str:
-    off = np.array([told.off for told in map(which, records) if told is not None])
+def _held(records: Sequence[Record], which: Callable[[Record], Estimated | None]) -> str:
+    off = np.array([each.off for each in map(which, records) if each is not None])
     if not len(off):
         return f"{'-':>9}"
     return f"{100.0 * np.mean(np.abs(off) < WITHIN_95):7.0f} % {np.mean(off):5.2f} {np.std(off):4.2f}"
@@ -94,11 +94,13 @@ def _held(records: Sequence[Record], which: Callable[[Record], Told | None]) -> 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--records", type=int, default=140, help="how many")
-    parser.add_argument("--first", type=int, default=9000, help="number of the first: another one, other draws")
-    parser.add_argument("--excitation", default="multisine", help="as of `upright simulate`")
-    parser.add_argument("--duration", type=float, default=30.0, help="s of the experiment")
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--records", type=int, default=140, help="number of records")
+    parser.add_argument(
+        "--first", type=int, default=9000, help="number of the first record: other numbers give other draws"
+    )
+    parser.add_argument("--excitation", default="multisine", help="an experiment of the vehicle file")
+    parser.add_argument("--duration", type=float, default=30.0, help="s, length of the experiment")
+    parser.add_argument("--jobs", type=int, default=2, help="number of processes")
     chosen = parser.parse_args()
     numbers = range(chosen.first, chosen.first + chosen.records)
     one = partial(tried, excitation=chosen.excitation, duration=chosen.duration)

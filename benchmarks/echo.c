@@ -1,4 +1,4 @@
-/* The least that answers an IMU frame set: waits for its last frame, sends a setpoint frame.  echo IFACE TRIGGER REPLY */
+/* The minimal responder to an IMU frame set: waits for its last frame, sends a setpoint.  echo IFACE TRIGGER REPLY */
 #include <linux/can.h>
 #include <linux/can/raw.h>
 #include <net/if.h>

@@ -1,4 +1,4 @@
-"""The least Python that answers an IMU frame set: a blocking read, a blocking write.  echo.py IFACE TRIGGER REPLY"""
+"""The minimal responder to an IMU frame set in Python: blocking read, blocking write.  echo.py IFACE TRIGGER REPLY"""
 
 from __future__ import annotations
 

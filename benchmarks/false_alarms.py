@@ -1,13 +1,13 @@
-"""How often is an effect found where nothing is missing? `python benchmarks/false_alarms.py --runs 60`
+"""How often is an effect found if nothing is missing? `python benchmarks/false_alarms.py --runs 60`
 
-Clean recordings of virtual vehicles, each with other sensor noise, shaken by a random torque and, of the MONOCAB, as
-far off its vehicle file as that says of itself, are scored for the whole catalogue. The smallest p-value of a recording
-knows that all effects were looked at: where nothing is missing it is uniform, below 0.01 once in a hundred recordings.
-Told is how often it is below some levels, with the 95 % interval (Wilson). With `--named` each is diagnosed as a whole,
-and told is how many get a name, and how many are refused as telling nothing: what the score test lets through has to
-hold on held-out data as well. That takes ten times as long. `--disturbance` is that of `upright benchmark
-hidden-effects`: RMS,CORRELATION_TIME in multiples of the sensor floor and s, or none; drawn anew for each recording
-where it is not given.
+The score test of the whole catalogue is applied to clean recordings of virtual vehicles. Each has its own sensor noise
+and is disturbed by a random torque; the MONOCAB's parameters are drawn within the uncertainty of its vehicle file. The
+smallest p-value of a recording is corrected for the number of effects: if nothing is missing it is uniform, below 0.01
+once in a hundred recordings. The program prints how often it is below some levels, with the 95 % interval (Wilson).
+With `--named` it runs the whole diagnosis of each recording instead, and prints how many get a name and how many are
+rejected for insufficient data: effects that pass the score test have to hold on held-out data as well. That takes ten
+times as long. `--disturbance` is that of `upright benchmark hidden-effects`: RMS,CORRELATION_TIME in multiples of the
+sensor floor and s, or none; if it is not given, it is drawn for each recording.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from vehicles.registry import nominal_model
 
 LEVELS = (0.01, 0.05, 0.2, 0.5)
 EXPERIMENTS = {"monocab": "multisine", "twsbr": "square"}
-"""What is recorded where nothing else is asked for."""
+"""The experiment of each vehicle if `--experiment` is not given."""
 
 
 def bare(name: str) -> Model:
@@ -49,7 +49,7 @@ def bare(name: str) -> Model:
 
 
 def clean(name: str, experiment: str, disturbances: Disturbances | None, seed: int) -> Recording:
-    """A recording with nothing missing: of the MONOCAB that this seed draws, or of another vehicle as it is."""
+    """A recording with nothing missing: of the MONOCAB drawn with this seed, or of another vehicle as it is."""
     if name != "monocab":
         return record(name, experiment, hide=shaken(disturbances, registry.of(name).twin().truth, seed), seed=seed)
     vehicle = drawn(seed)
@@ -58,7 +58,7 @@ def clean(name: str, experiment: str, disturbances: Disturbances | None, seed: i
 
 
 def shaken(disturbances: Disturbances | None, truth: Truth, seed: int) -> list[str]:
-    """What to hide for the disturbance of this seed."""
+    """The values of `--hide` for the disturbance of this seed."""
     if disturbances is None:
         return []
     found = disturbances.of(seed, partial(sensor_floor, truth, ImuNode()))
@@ -76,18 +76,18 @@ def smallest(name: str, experiment: str, disturbances: Disturbances | None, seed
 
 
 def named(name: str, experiment: str, disturbances: Disturbances | None, seed: int) -> str:
-    """What the diagnosis of one clean recording says is missing, or its verdict; empty where it is adequate."""
+    """The effects that the diagnosis of one clean recording names, or its verdict; empty if it is adequate."""
     recording = clean(name, experiment, disturbances, seed)
     found = diagnose(bare(name), [recording], support=load(name).support)
     names = " and ".join(each.effect for each in found.findings)
     return "" if found.verdict is Verdict.ADEQUATE else names or found.verdict.value
 
 
-def told(experiment: str, found: dict[int, str]) -> None:
-    """Prints how many of the recordings (by seed) have a name, are unknown, or were refused as telling nothing."""
+def print_named(experiment: str, found: dict[int, str]) -> None:
+    """Print how many of the recordings (by seed) have a name, are unknown, or were rejected for insufficient data."""
     refused = sum(names == Verdict.INSUFFICIENT_DATA for names in found.values())
     wrong = {seed: names for seed, names in found.items() if names and names != Verdict.INSUFFICIENT_DATA}
-    line = f"{experiment}: {len(found)} recordings, refused {refused}"
+    line = f"{experiment}: {len(found)} recordings, rejected {refused}"
     if refused < len(found):
         line += f", of the others not adequate {share(len(wrong), len(found) - refused)}"
     print(line, flush=True)
@@ -96,7 +96,7 @@ def told(experiment: str, found: dict[int, str]) -> None:
 
 
 def share(count: int, of: int) -> str:
-    """In percent, with its interval."""
+    """The share in percent, with its interval."""
     interval = binomtest(count, of).proportion_ci(0.95, method="wilson")
     return f"{100.0 * count / of:5.1f} %  ({100.0 * interval.low:.1f} to {100.0 * interval.high:.1f})"
 
@@ -106,8 +106,10 @@ def main() -> None:
     parser.add_argument("--vehicle", choices=list(EXPERIMENTS), default="monocab", help="monocab by default")
     parser.add_argument("--runs", type=int, default=60, help="seeds FIRST to FIRST + RUNS - 1")
     parser.add_argument("--first", type=int, default=0, help="the first seed; 0 by default")
-    parser.add_argument("--named", action="store_true", help="diagnose each as a whole, and count what gets a name")
-    parser.add_argument("--experiment", action="append", help="may be given several times; else multisine, or square")
+    parser.add_argument("--named", action="store_true", help="run the whole diagnosis, and count named effects")
+    parser.add_argument(
+        "--experiment", action="append", help="may be given several times; default: multisine or square"
+    )
     parser.add_argument(
         "--disturbance", help="random torque: RMS,CORRELATION_TIME in sensor floors and s, or none; drawn by default"
     )
@@ -123,7 +125,7 @@ def main() -> None:
         with ProcessPoolExecutor(arguments.processes) as pool:
             if arguments.named:
                 names = pool.map(partial(named, arguments.vehicle, experiment, disturbances), seeds)
-                told(experiment, dict(zip(seeds, names, strict=True)))
+                print_named(experiment, dict(zip(seeds, names, strict=True)))
                 continue
             found = list(pool.map(partial(smallest, arguments.vehicle, experiment, disturbances), seeds))
         print(f"{experiment}: {len(found)} recordings")

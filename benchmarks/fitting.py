@@ -1,27 +1,27 @@
-"""How fast models are compiled, passed over and fitted: `python benchmarks/fitting.py [--json FILE]`
+"""How fast are models compiled, simulated and fitted? `python benchmarks/fitting.py [--json FILE]`
 
 Three things are timed, all in one run:
 
-    passes     one pass over 60 s at 200 Hz (12,000 rows) with all sensitivities
-    fits       prediction error and output error on such a record, beside SciPy's least_squares over solve_ivp and
-               beside CasADi, from the same start, 15 % off, to the same estimates
+    passes     one pass over 60 s at 200 Hz (12,000 samples) with all sensitivities
+    fits       prediction error and output error on such a record, compared with SciPy's least_squares over solve_ivp
+               and with CasADi, from the same start values, 15 % off, to the same estimates
     compiling  the whole catalogue of effects, the first time and in later processes
 
-The plant of the fits is a pendulum with damping and dry friction, driven through a motor with a lag: three states, five
-parameters, and three initial states that are fitted, too. Its record is made by solve_ivp (DOP853, tolerance 1e-10,
-from one held command to the next), with noise. The peers:
+The plant of the fits is a pendulum with damping and dry friction, driven by a motor with a lag. It has three states,
+five parameters, and three initial states that are fitted, too. Its record is simulated by solve_ivp (DOP853, tolerance
+1e-10, restarted at each change of the held command), with noise added. The peers:
 
-    solve_ivp  the usual way: the state's slope in plain Python, RK45 or LSODA, whichever is faster here, at a relative
-               tolerance of 1e-6, with a Jacobian by finite differences
+    solve_ivp  the usual way: the state derivative in plain Python, RK45 or LSODA, whichever is faster here, with a
+               relative tolerance of 1e-6, and a Jacobian by finite differences
     CasADi     the same Runge-Kutta steps by mapaccum of an expanded function, symbolic Jacobian, Gauss-Newton: by IPOPT
                as in its own example of system identification, and in a plain loop; on its virtual machine and compiled
-               (JIT). Also what its example does not do: the variational equations written out by hand, so that one
-               mapaccum carries the sensitivities on, as upright's loops do
+               (JIT). Also, which its example does not do, with the variational equations written by hand, so that one
+               mapaccum integrates the sensitivities, as upright's loops do
 
-Peers are told the channels' noise; upright estimates it, and standard deviations. Its output error, which does what its
-peers do, allows for correlated errors in these, which takes half of its time; its prediction error finds the gain of a
-Kalman filter besides, by parameters and noise, and how well half a second is predicted. Times are of the wall, of
-compiling also of the CPU. OPENBLAS_NUM_THREADS=1 is fair to all: no method needs more.
+The peers are given the channels' noise; upright estimates it, and standard deviations. Its output error, the
+counterpart of the peers, allows for correlated errors in the standard deviations, which takes half of its time. Its
+prediction error also estimates the gain of a Kalman filter from parameters and noise, and the fit half a second ahead.
+Times are wall clock times, for compiling also CPU times. OPENBLAS_NUM_THREADS=1 is fair to all: no method needs more.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ INITIAL_STD = np.array([1e-3, 1e-2, 1e-2])
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """One pass over 12,000 rows, ms."""
+    """One pass over 12,000 samples, ms."""
 
     what: str
     states: int
@@ -80,13 +80,13 @@ class Pass:
     milliseconds: float
 
     @property
-    def microseconds_a_row(self) -> float:
+    def microseconds_per_sample(self) -> float:
         return 1e3 * self.milliseconds / ROWS
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """One way of fitting: s to build and compile, s of the fit itself, what it found."""
+    """One way of fitting: s to build and compile, s of the fit itself, and the estimates."""
 
     what: str
     build: float
@@ -98,7 +98,7 @@ class Fit:
 
 
 def small_model() -> Model:
-    """The reduced MONOCAB without what its roll filter adds: three states; effects make it fifteen parameters."""
+    """The reduced MONOCAB without the states of its roll filter: three states; with effects fifteen parameters."""
     model = library.get("monocab_reduced")
     model = replace(
         model,
@@ -122,7 +122,7 @@ def full_model() -> Model:
 
 
 def passes() -> list[Pass]:
-    """As prediction error does them: with a gain that keeps the unstable plant upright."""
+    """Passes as in a prediction-error fit: with a gain that stabilises the prediction of the unstable plant."""
     small, full = small_model(), full_model()
     fifteen = [parameter.name for parameter in small.parameters][:15]
     few = [
@@ -156,13 +156,13 @@ def _pass(what: str, model: Model, names: list[str]) -> Pass:
     start = np.zeros(len(kernel.states))
     run = kernel.run(data, kernel.vector(), start, gain=gain, active=active)
     if not (np.isfinite(run.predicted).all() and np.isfinite(run.sensitivity).all()):
-        raise ArithmeticError(f"{what}: the pass runs away")
+        raise ArithmeticError(f"{what}: the pass diverges")
     seconds = least(lambda: kernel.run(data, kernel.vector(), start, gain=gain, active=active), 50)
     return Pass(what, len(kernel.states), len(kernel.parameters), len(active), 1e3 * seconds)
 
 
 def least(work: Callable[[], Any], runs: int) -> float:
-    """s of the fastest of several runs."""
+    """Time of the fastest of several runs, s."""
     best = math.inf
     for _ in range(runs):
         began = time.perf_counter()
@@ -175,7 +175,7 @@ def least(work: Callable[[], Any], runs: int) -> float:
 
 
 def pendulum() -> Model:
-    """inertia rate' = torque - damping rate - gravity sin(angle) - friction tanh(rate / 0.05); torque lags behind."""
+    """inertia rate' = torque - damping rate - gravity sin(angle) - friction tanh(rate / 0.05); the torque has a lag."""
     scales = {"force_scale": 1.0, "coordinate_scale": 0.5, "rate_scale": 2.0, "smooth_rate": FRICTION_RATE}
     load = f"torque - damping * rate - gravity * sin(angle) - friction * tanh(rate / {FRICTION_RATE})"
     units = {"inertia": "kg m^2", "damping": "N m s/rad", "gravity": "N m", "friction": "N m", "lag": "s"}
@@ -201,7 +201,7 @@ def pendulum() -> Model:
 
 
 def slope(values: Mapping[str, float], state: Any, command: float) -> tuple[float, float, float]:
-    """The same in plain Python."""
+    """The state derivative of the pendulum in plain Python."""
     angle, rate, torque = state
     force = torque - values["damping"] * rate - values["gravity"] * math.sin(angle)
     force -= values["friction"] * math.tanh(rate / FRICTION_RATE)
@@ -209,7 +209,7 @@ def slope(values: Mapping[str, float], state: Any, command: float) -> tuple[floa
 
 
 def recording() -> Recording:
-    """The true pendulum, 60 s at 200 Hz: a multisine that is held from row to row."""
+    """The true pendulum, 60 s at 200 Hz, driven by a multisine that is held over each sample."""
     source = np.random.default_rng(7)
     frequencies = np.geomspace(0.1, 8.0, 14)
     command = np.sum(0.14 * np.sin(2.0 * np.pi * np.outer(TIME, frequencies) + source.uniform(0, 6.28, 14)), axis=1)
@@ -231,7 +231,7 @@ def recording() -> Recording:
 
 
 def fits() -> list[Fit]:
-    """Every way to the estimates, upright first."""
+    """All ways of fitting, upright first."""
     record = recording()
     measured = np.column_stack((record["angle"], record["rate"]))
     names, guess = list(TRUTH), np.array([*START.values(), *measured[0], 0.0])
@@ -281,7 +281,7 @@ def _solve_ivp(command: Array, measured: Array, guess: Array, names: list[str]) 
 
 
 def _casadi_step(sensitivities: bool) -> ca.Function:
-    """One row of classical Runge-Kutta, expanded; with the variational equations where asked."""
+    """One step of classical Runge-Kutta, expanded, with the variational equations if `sensitivities`."""
     x, p, u = ca.SX.sym("x", 3), ca.SX.sym("p", 5), ca.SX.sym("u")
     inertia, damping, gravity, friction, lag = ca.vertsplit(p)
     angle, rate, torque = ca.vertsplit(x)
@@ -342,7 +342,7 @@ def _casadi(command: Array, measured: Array, guess: Array, names: list[str]) -> 
             e, J = function(V)
             if plain:
                 J = J.full()
-            else:  # of the states by unscaled unknowns, column after column
+            else:  # derivatives of the states by the unscaled unknowns, column after column
                 rows = -(J.full().reshape(8, 3, ROWS)[:, :2] / NOISE[:, None] * scale[:, None, None])
                 own = np.hstack((np.zeros((3, 5)), np.diag(scale[5:] / INITIAL_STD)))
                 J = np.vstack((rows.transpose(2, 1, 0).reshape(-1, 8), own))
@@ -357,7 +357,7 @@ def _casadi(command: Array, measured: Array, guess: Array, names: list[str]) -> 
 def _gauss_newton(
     step: Callable[[Array], Array], V: Array, scale: Array, names: list[str]
 ) -> tuple[float, dict[str, float]]:
-    """s, and what is found by full steps: this problem needs no damping, which favours whoever does without."""
+    """Time in s, and estimates by full steps: this problem needs no damping, which favours methods without it."""
     began = time.perf_counter()
     for _ in range(30):
         moved = step(V)
@@ -408,7 +408,7 @@ print(json.dumps({"wall": took[0], "cpu": took[1], "told": told, "there": there}
 
 
 def compiling() -> dict[str, Any]:
-    """The whole catalogue in a new process with an empty cache, and in later ones; `import numba` beside it."""
+    """The whole catalogue in a new process with an empty cache, and in later ones; `import numba` for comparison."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "UPRIGHT_CACHE": folder}
         first = _process(COMPILE, environment)
@@ -428,16 +428,16 @@ def _process(code: str, environment: dict[str, str]) -> dict[str, Any]:
     return {**json.loads(done.stdout), "process_wall": time.perf_counter() - began, "process_cpu": cpu}
 
 
-# --- what is printed
+# --- output
 
 
 def _show_passes(found: list[Pass]) -> Table:
-    table = Table(title="One pass over 60 s at 200 Hz: 12,000 rows", title_justify="left")
-    for heading in ("", "states", "parameters", "columns", "ms", "us a row"):
+    table = Table(title="One pass over 60 s at 200 Hz: 12,000 samples", title_justify="left")
+    for heading in ("", "states", "parameters", "columns", "ms", "us per sample"):
         table.add_column(heading, justify="right" if heading else "left")
     for each in found:
         counts = (str(each.states), str(each.parameters), str(each.columns))
-        table.add_row(each.what, *counts, f"{each.milliseconds:.2f}", f"{each.microseconds_a_row:.3f}")
+        table.add_row(each.what, *counts, f"{each.milliseconds:.2f}", f"{each.microseconds_per_sample:.3f}")
     return table
 
 
@@ -475,7 +475,7 @@ def difference(one: Fit, other: Fit) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--json", metavar="FILE", help="write the figures to FILE, too")
+    parser.add_argument("--json", metavar="FILE", help="also write the figures to FILE")
     arguments = parser.parse_args()
     console = Console(width=None if sys.stdout.isatty() else 150)
     all_passes = passes()
@@ -483,7 +483,7 @@ def main() -> None:
     all_fits = fits()
     console.print(_show_fits(all_fits))
     apart = [each.what for each in all_fits if difference(each, all_fits[0]) > 1e-3]
-    console.print("All agree to three digits." if not apart else f"Not the same estimates: {', '.join(apart)}")
+    console.print("All agree to three digits." if not apart else f"Different estimates: {', '.join(apart)}")
     compiled = compiling()
     console.print(_show_compiling(compiled))
     if arguments.json:

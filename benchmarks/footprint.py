@@ -1,9 +1,9 @@
-"""What upright costs before it does anything: CPU of `--help`, time until the daemon answers, memory of its processes.
+"""Measure the idle cost of upright: CPU time of `--help`, time until the daemon answers, memory of its processes.
 
     .venv/bin/python benchmarks/footprint.py
 
-Peers in the same run: `python -c pass` for the help, and a process that only imports what the control process cannot do
-without (numpy, scipy, filterpy, canopen, python-can without the asammdf that it looks for) for the memory.
+Peers in the same run: `python -c pass` for the help; for the memory, a process that only imports the libraries that the
+control process needs (numpy, scipy, filterpy, canopen, python-can without the optional asammdf).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RUNS = 5
 
 
 def cpu_of(command: list[str]) -> float:
-    """s of CPU, the least of several runs."""
+    """CPU time in s, the minimum of several runs."""
     least = float("inf")
     for _ in range(RUNS):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -78,11 +78,11 @@ def main() -> None:
                     break
                 time.sleep(0.05)
             ready = time.monotonic() - begin
-            print(f"daemon            answers after {answered:.1f} s, the vehicle is ready after {ready:.1f} s")
+            print(f"daemon            answers after {answered:.1f} s, vehicle ready after {ready:.1f} s")
             control = memory_of(daemon.pid)
-            print(f"control process   {control:.0f} MB ({control / imports:.2f} x its libraries alone)")
+            print(f"control process   {control:.0f} MB ({control / imports:.2f} x its libraries only)")
             for child in children_of(daemon.pid):
-                print(f"  and a helper    {memory_of(child):.0f} MB")
+                print(f"  child process   {memory_of(child):.0f} MB")
             daemon.terminate()
             daemon.wait()
             vehicle.terminate()

@@ -1,11 +1,12 @@
-"""What does a diagnosis say of swings that die away? `python benchmarks/free_decays.py [NAME ...]`
+"""What does a diagnosis find in free decays? `python benchmarks/free_decays.py [NAME ...]`
 
-Bodies that swing or coast freely, apart from the models: they really stick, and others look at them. Each meets a model
-without friction whose inertia is 10 % off, as `upright diagnose` would meet it. Told are the verdict, the effects
-with their sizes, what sensors err by, how far the one-step errors are over the floor, and seconds.
+Bodies that swing or coast freely are simulated independently of the models: with true sticking, and with other sensors.
+Each record is diagnosed, as by `upright diagnose`, with a model without friction whose inertia is 10 % off. The program
+prints the verdict, the effects with their amplitudes, the sensor errors, the energy of the one-step errors over the
+noise floor, and seconds.
 
 inertia angle'' = torque - stiffness sin(angle) - viscous angle' - dry friction, semi-implicit steps, with Karnopp's
-friction: a body whose rate would turn within a step rests where the force on it is less than the dry friction.
+friction: a body whose rate would change its sign within a step sticks if the force on it is below the dry friction.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def nothing(time: float) -> float:
 
 @dataclass(frozen=True)
 class Body:
-    """SI units; `begin` is where it is let go, rad. Recorded for `span` s at `rate` Hz."""
+    """SI units. It is released at the angle `begin`, rad, and recorded for `span` s at `rate` Hz."""
 
     inertia: float = 0.02
     stiffness: float = 0.8
@@ -45,7 +46,7 @@ class Body:
     torque: Callable[[float], float] = nothing
 
     def course(self) -> tuple[Array, Array]:
-        """Time and angle of each row."""
+        """Time and angle of each sample."""
         finer = max(4, round(4000.0 / self.rate))
         step, angle, speed, rows = 1.0 / self.rate / finer, self.begin, 0.0, []
         for row in range(round(self.span * self.rate)):
@@ -63,7 +64,7 @@ class Body:
         return np.arange(len(rows)) / self.rate, np.array(rows)
 
     def by_encoder(self, counts: int, *, torque_noise: float = 0.0, seed: int = 0) -> Recording:
-        """Angle in `counts` a turn, and the torque, with white noise (N m) of its reading."""
+        """Angle by an encoder of `counts` per turn, and the torque, with white noise (N m) in its measurement."""
         time, angle = self.course()
         count = 2.0 * np.pi / counts
         torque = np.array([self.torque(each) for each in time.tolist()])
@@ -71,8 +72,8 @@ class Body:
         return _table(time, {"position": np.round(angle / count) * count, "torque": torque})
 
     def by_camera(self, *, noise: float, jitter: float, late: float, rate: float, seed: int) -> Recording:
-        """White noise, rad; each picture is taken `late` s before its time stamp, give or take `jitter` s, and the
-        stamps are no more regular."""
+        """White noise, rad; each picture is taken `late` s before its time stamp, with a jitter of `jitter` s. The time
+        stamps have the same jitter."""
         random = np.random.default_rng(seed)
         time, angle = self.course()
         stamps = np.arange(0.1, time[-1] - 0.1, 1.0 / rate)
@@ -82,7 +83,7 @@ class Body:
         return _table(stamps, {"position": seen, "torque": np.zeros(len(stamps))})
 
     def model(self, noise: float, force: float) -> Model:
-        """Without friction, its inertia 10 % off; `force` is typical at the joint, N m."""
+        """A model without friction whose inertia is 10 % off; `force` is a typical one at the joint, N m."""
         return Model(
             name="swing",
             title="A body that swings",
@@ -117,7 +118,7 @@ class Body:
 
 
 def pushed(time: float) -> float:
-    """N m: a push every six seconds, to and fro."""
+    """N m: a push every six seconds, in alternating directions."""
     return 0.05 * (-1.0) ** int(time // 6.0) if time % 6.0 < 0.6 else 0.0
 
 
@@ -128,7 +129,7 @@ def _table(time: Array, values: dict[str, Array]) -> Recording:
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A body, what sees it, and what is said to be known: the sensor's noise, rad, and the typical force, N m."""
+    """A body, how it is recorded, and what the model is given: the sensor's noise, rad, and a typical force, N m."""
 
     body: Body
     seen: Callable[[Body], Recording]
@@ -159,7 +160,7 @@ SWINGS: Mapping[str, Swing] = {
 }
 
 
-def _told(found: Diagnosis) -> str:
+def _summary(found: Diagnosis) -> str:
     effects = []
     for each in found.findings:
         sizes = [
@@ -175,13 +176,13 @@ def _told(found: Diagnosis) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SWINGS)}; all by default")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(SWINGS)}; default: all")
     for name in parser.parse_args().names or SWINGS:
         swing = SWINGS[name]
         began = stopwatch()
         found = diagnose(swing.body.model(swing.noise, swing.force), [swing.seen(swing.body)])
         hidden = f"dry {swing.body.dry:g} N m, viscous {swing.body.viscous:g} N m s"
-        print(f"{name} ({hidden}): {_told(found)}; {stopwatch() - began:.0f} s", flush=True)
+        print(f"{name} ({hidden}): {_summary(found)}; {stopwatch() - began:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

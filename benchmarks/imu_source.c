@@ -1,7 +1,7 @@
 /* A virtual LPMS-IG1 at rest: the frame sets of vehicles/monocab/vehicle.toml, at an exact rate.  imu_source IFACE RATE
  *
- * CANopen ids 18Ah, 28Ah, 38Ah; two 32-bit floats a frame: acceleration xyz in g, angular rate xyz in deg/s. The last
- * bits are noise, as a reading that never changes is taken for that of a stuck sensor. */
+ * CANopen ids 18Ah, 28Ah, 38Ah; two 32-bit floats per frame: acceleration xyz in g, angular rate xyz in deg/s. The last
+ * bits are noise, because a reading that never changes is detected as a stuck sensor. */
 #define _GNU_SOURCE
 #include <linux/can.h>
 #include <linux/can/raw.h>

@@ -1,20 +1,20 @@
-"""What the live diagnosis costs, how soon it names an effect, and how often one that is not there.
+"""Measure the cost of the live diagnosis, its delay until it names an effect, and its false alarms.
 
-`python benchmarks/live_diagnosis.py` prints, on recordings of the virtual vehicle that are fed cycle by cycle:
+`python benchmarks/live_diagnosis.py` prints, for recordings of the virtual vehicle that are fed in cycle by cycle:
 
-- cost: processor time a sample of the diagnosis beside that of the recursion that it looks over, in one run, the best
+- cost: processor time per sample of the diagnosis and of the recursive estimator that it monitors, in one run, the best
   of several;
 - false alarms: recordings with nothing missing in which any effect is named at any time, 95 % interval (Wilson), and
   false names per hour of running, 95 % interval (Poisson);
-- seconds: an effect of some multiple of the size that the 30 s of the same excitation after its onset would just show
-  sets in during the run; told are the seconds until a name is given, whether it is the right one, first or tied, and
-  when it was first tied with one other at most. With `--rise` the size is what 30 s from the first row on would just
-  show: the rise from the support, which is over when the effect sets in, shows some effects that nothing shows later.
-  In brackets is what multiple it is of the other size.
+- seconds: an effect sets in during the run. Its amplitude is a multiple of the minimum detectable effect of the 30 s of
+  the same excitation after the onset. Printed are the seconds until an effect is named, whether it is the right one,
+  first or tied, and when it was first tied with at most one other. With `--rise` the amplitude is a multiple of the
+  minimum detectable effect of 30 s from the first sample on: the rise from the support, which is over at the onset,
+  shows some effects that are not identifiable later. The number in brackets is the multiple of the other minimum.
 
-`--disturbance RMS,CORRELATION_TIME` (N m, s) shakes every vehicle; by default nothing does.
+`--disturbance RMS,CORRELATION_TIME` (N m, s) disturbs every vehicle; by default there is no disturbance.
 
-No threshold was chosen on the seeds that are told here: that was done on seeds from 5000 on.
+No threshold was chosen on the seeds used here: that was done on seeds from 5000 on.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from vehicles.registry import nominal_model
 VEHICLE = load("monocab")
 REPEATS = 5
 ONSET = 30.0
-"""s after the drives started at which an effect sets in."""
+"""Time at which an effect sets in, s after the drives started."""
 
 
 def live() -> LiveDiagnosis:
@@ -60,7 +60,8 @@ def live() -> LiveDiagnosis:
 def course(
     recording: Recording, diagnosis: LiveDiagnosis, begin: float = 0.0
 ) -> Iterator[tuple[float, tuple[LiveFinding, ...]]]:
-    """What is named, and when, s from the first row on: whenever that changes. What was before `begin` is left out."""
+    """The findings and their time (s from the first sample) whenever the named effects change. Samples before `begin`
+    are left out."""
     named: tuple[tuple[str, ...], ...] = ()
     for frame in recording.frames(MONOCAB):
         if (frame.timestamp_ns - recording.timestamp_ns[0]) * 1e-9 < begin:
@@ -74,7 +75,7 @@ def course(
 
 
 def cost(recording: Recording) -> tuple[float, float]:
-    """us a sample: of the diagnosis, of the recursion; the least of each, as others may use the computer."""
+    """us per sample of the diagnosis and of the recursive estimator: minima, as other processes may be running."""
     own, recursion = zip(*(cost_once(recording) for _ in range(REPEATS)), strict=True)
     return min(own), min(recursion)
 
@@ -100,7 +101,7 @@ def cost_once(recording: Recording) -> tuple[float, float]:
 
 
 def detectable(excitation: str, begin: float, shaken: list[str]) -> dict[str, float]:
-    """The size of each effect that 30 s of a recording from `begin` on would just show."""
+    """The minimum detectable amplitude of each effect in 30 s of a recording from `begin` on."""
     diagnosis = live()
     clean = record("monocab", excitation, hide=shaken, seed=1000, duration=begin + 30.0)
     for _ in course(clean, diagnosis, begin):
@@ -109,25 +110,27 @@ def detectable(excitation: str, begin: float, shaken: list[str]) -> dict[str, fl
 
 
 def onset_of(recording: Recording) -> float:
-    """s from the first row on."""
+    """Time of the onset, s from the first sample on."""
     begin = (int(recording.metadata.get("start_ns", START_NS)) - START_NS) * 1e-9
     return BOOT_TIME + ONSET - begin
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--excitation", action="append", help="may be given several times; multisine by default")
-    parser.add_argument("--clean", type=int, default=20, help="recordings with nothing missing, of each excitation")
-    parser.add_argument("--size", type=float, default=3.0, help="of the effects, in detectable sizes")
-    parser.add_argument("--seeds", type=int, default=1, help="recordings of each effect")
+    parser.add_argument("--excitation", action="append", help="may be given several times; default: multisine")
+    parser.add_argument("--clean", type=int, default=20, help="recordings with nothing missing per excitation")
+    parser.add_argument("--size", type=float, default=3.0, help="of the effects, in minimum detectable ones")
+    parser.add_argument("--seeds", type=int, default=1, help="recordings per effect")
     parser.add_argument("--disturbance", default="none", help="RMS,CORRELATION_TIME in N m and s of a random torque")
-    parser.add_argument("--rise", action="store_true", help="detectable from the first row on, not from the onset on")
+    parser.add_argument("--rise", action="store_true", help="minimum detectable from the first sample on")
     arguments = parser.parse_args()
     shaken = [] if arguments.disturbance == "none" else [f"disturbance={arguments.disturbance}"]
     for excitation in arguments.excitation or ["multisine"]:
         clean = record("monocab", excitation, hide=shaken, seed=1000, duration=60.0)
         own, recursion = cost(clean)
-        print(f"{excitation}, 60 s: {own:.1f} us a sample, {own / recursion:.2f} of the recursion's {recursion:.1f} us")
+        print(
+            f"{excitation}, 60 s: {own:.1f} us per sample, {own / recursion:.2f} of the estimator's {recursion:.1f} us"
+        )
         alarms, names, hours = [], 0, 0.0
         for seed in range(arguments.clean):
             recording = record("monocab", excitation, hide=shaken, seed=seed)
@@ -138,11 +141,11 @@ def main() -> None:
                 print(f"  seed {seed}: {', '.join(sorted(alarm))}")
         if alarms:
             interval = binomtest(sum(alarms), len(alarms)).proportion_ci(0.95, method="wilson")
-            told = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
+            share = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
             least, most = 0.5 * chi2.ppf(0.025, 2 * names) if names else 0.0, 0.5 * chi2.ppf(0.975, 2 * names + 2)
             print(
-                f"  false alarms: {sum(alarms)} of {len(alarms)} ({told}); {names} names in {hours:.2f} h of running, "
-                f"{names / hours:.1f} an hour ({least / hours:.1f} to {most / hours:.1f})"
+                f"  false alarms: {sum(alarms)} of {len(alarms)} ({share}); {names} names in {hours:.2f} h of running, "
+                f"{names / hours:.1f} per hour ({least / hours:.1f} to {most / hours:.1f})"
             )
         if arguments.seeds < 1:
             continue
@@ -161,33 +164,33 @@ def main() -> None:
                 hide = [*shaken, f"{name}={level:.4g}@{ONSET:g}"]
                 recording = record("monocab", excitation, hide=hide, seed=2000 + seed, duration=50.0)
                 begin = onset_of(recording)
-                first, told = float("inf"), "nothing"
+                first, text = float("inf"), "nothing"
                 correct = alone = float("inf")
                 for second, found in course(recording, live()):
                     names = [each.effect for each in found[:1]] + [
                         tied for each in found[:1] for tied in each.tied_with
                     ]
                     if second > begin and names and first == float("inf"):
-                        first, told = second - begin, " = ".join(names)
+                        first, text = second - begin, " = ".join(names)
                     if second > begin and name in names:
                         correct = min(correct, second - begin)
                         if len(names) <= 2:
                             alone = min(alone, second - begin)
                 waits.append(correct)
                 sharp.append(alone)
-                right += name in told.split(" = ")
-                wrong += told != "nothing" and name not in told.split(" = ")
+                right += name in text.split(" = ")
+                wrong += text != "nothing" and name not in text.split(" = ")
                 beside = f"{arguments.size * sizes[asked] / others[asked]:.1f}" if asked in others else "-"
                 print(
-                    f"  {name} {level:.3g} ({beside}): first named after {first:.1f} s: {told}; rightly after "
-                    f"{correct:.1f} s, tied with one at most after {alone:.1f} s",
+                    f"  {name} {level:.3g} ({beside}): first name after {first:.1f} s: {text}; right name after "
+                    f"{correct:.1f} s, tied with at most one after {alone:.1f} s",
                     flush=True,
                 )
         print(
-            f"  of {len(waits)} right at first {right} ({100 * right / len(waits):.0f} %), wrong {wrong}; rightly "
-            f"at some time {int(np.sum(np.isfinite(waits)))}, after {np.median(waits):.1f} s (median)"
+            f"  of {len(waits)}: first name right {right} ({100 * right / len(waits):.0f} %), wrong {wrong}; right "
+            f"name at some time {int(np.sum(np.isfinite(waits)))}, after {np.median(waits):.1f} s (median)"
         )
-        print(f"  within 5 s {sum(wait <= 5.0 for wait in waits)}; tied with one at most: {np.median(sharp):.1f} s")
+        print(f"  within 5 s {sum(wait <= 5.0 for wait in waits)}; tied with at most one: {np.median(sharp):.1f} s")
 
 
 if __name__ == "__main__":

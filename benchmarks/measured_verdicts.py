@@ -1,17 +1,17 @@
-"""What does a diagnosis say of records that others made? `python benchmarks/measured_verdicts.py [NAME ...]`
+"""What does a diagnosis find in recordings by others? `python benchmarks/measured_verdicts.py [NAME ...]`
 
-Each record meets a model that lacks what its authors or anybody's eyes see, twice: with a random disturbance at each
-joint (models.random.disturbance), as all models have it, and without, in the time that `upright diagnose` takes. Told
-are the verdict, the effects, how far the one-step errors are over the floor before and after, and seconds by the clock.
-`--json FILE` keeps the figures.
+The model of each record lacks a known effect of the plant. The record is diagnosed twice within the time budget of
+`upright diagnose`: with a random disturbance at each joint (models.random.disturbance), as all models have it, and
+without. The program prints the verdict, the effects, the energy of the one-step errors over the noise floor before and
+after, and seconds of wall clock time. `--json FILE` writes the figures.
 
-    shaken     a MONOCAB of another simulator, pushed by a random torque; the name says what else is hidden
-    emps       a positioning axis without its dry friction, measured; the rate at which friction turns is 1 or 10 mm/s
-    disk       a motor with an unbalanced disk without its friction, measured
-    drone      an arm with a propeller, thrust and gravity alone, measured
+    shaken     a MONOCAB of another simulator with a random torque; the name says what else is hidden
+    emps       a positioning axis, modelled without dry friction, measured; friction is smoothed over 1 or 10 mm/s
+    disk       a motor with an unbalanced disk, modelled without friction, measured
+    drone      an arm with a propeller, modelled with thrust and gravity only, measured
     swing      a pendulum that swings freely on its motor, measured
-    silverbox  a circuit that is a mass on a hardening spring, without the hardening, measured
-    bouc_wen   an oscillator with hysteresis, without the hysteresis, simulated by its authors
+    silverbox  a circuit like a mass on a hardening spring, modelled without the hardening, measured
+    bouc_wen   an oscillator with hysteresis, modelled without it, simulated by its authors
 
 The folder of the records is ../shared beside the project, or that of `--shared`. Those that are not there are left out.
 """
@@ -42,12 +42,12 @@ from vehicles.registry import nominal_model
 
 HERE = Path(__file__).parent
 ROWS = 8192
-"""Of the silverbox and of the hysteretic oscillator: 900 and 380 periods of their resonance."""
+"""Number of samples of the silverbox and of the hysteretic oscillator: 900 and 380 periods of their resonance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A `model` that lacks something, and the `record` that tells."""
+    """A `model` that lacks the effects `hidden`, and the `record` to be diagnosed with it."""
 
     name: str
     hidden: str
@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a diagnosis said, in `seconds`; energies over the floor `before` and `after` what was found."""
+    """The result of a diagnosis that took `seconds`; error energy over the floor `before` and `after` the findings."""
 
     name: str
     hidden: str
@@ -80,13 +80,13 @@ class Answer:
 
 
 def without(model: Model, *names: str) -> Model:
-    """`model` without these effects, or without any."""
+    """`model` without these effects, or without any effects if none are given."""
     for name in names or [each.name for each in model.effects]:
         model = model.remove(name)
     return model
 
 
-def shakes(model: Model, disturbance: Disturbance | None) -> Model:
+def with_disturbance(model: Model, disturbance: Disturbance | None) -> Model:
     """`model` with this disturbance at each joint."""
     return replace(model, joints=tuple(replace(each, disturbance=disturbance) for each in model.joints))
 
@@ -164,7 +164,7 @@ SOURCES: dict[str, tuple[str, Callable[[Path], Iterable[Case]]]] = {
 def answered(case: Case, disturbance: Disturbance | None) -> Answer:
     """The diagnosis of a case, with this disturbance at each joint."""
     began = stopwatch()
-    model, budget = shakes(case.model, disturbance), default_budget([case.record])
+    model, budget = with_disturbance(case.model, disturbance), default_budget([case.record])
     found = diagnose(model, [case.record], support=case.support, budget=budget)
     return _answer(case, disturbance is not None, found, stopwatch() - began)
 
@@ -189,12 +189,12 @@ def _answer(case: Case, disturbed: bool, found: Diagnosis, seconds: float) -> An
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SOURCES)}; all by default")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(SOURCES)}; default: all")
     parser.add_argument("--shared", type=Path, default=HERE.parents[1] / "shared", help="folder of the records")
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parser.parse_args()
     if unknown := set(given.names) - set(SOURCES):
-        parser.error(f"no record is called {', '.join(sorted(unknown))}; there are {', '.join(SOURCES)}")
+        parser.error(f"unknown records: {', '.join(sorted(unknown))}; known are {', '.join(SOURCES)}")
     data, answers = given.shared / "data", []
     for name in given.names or SOURCES:
         folder, cases = SOURCES[name]

@@ -1,17 +1,19 @@
-"""Is an estimator unbiased, as sharp as it says, and are its intervals honest? `python benchmarks/monte_carlo.py`
+"""Are an estimator, its variance and its intervals unbiased? `python benchmarks/monte_carlo.py`
 
 Many runs of one experiment on the virtual vehicle, each with other sensor noise, are fitted with every --method. The
-virtual vehicle is no model of ours: own integrator, ten times finer step, sin(roll), quantised encoders, the gimbals'
-speed loops, and the estimators see what the real roll filter made of a noisy IMU. Told of each parameter:
+virtual vehicle is independent of the models: it has its own integrator with a ten times finer step, sin(roll),
+quantised encoders and the gimbals' speed loops, and the estimators get the real roll filter's output for a noisy IMU.
+The program prints for each parameter:
 
-    bias               mean of the estimates less the truth; beside it in standard errors of that mean
+    bias               mean of the estimates minus the truth; beside it in standard errors of that mean
     variance ratio     variance of the estimates over the mean variance that the method reports. For a
-                       maximum-likelihood method this is the Cramer-Rao bound at the estimate: 1 is as sharp as can be
-                       and honest, above 1 the method claims too much. In brackets its 95 % interval (chi squared)
-    coverage           share of the runs whose 95 % interval holds the truth; in brackets the binomial interval
+                       maximum-likelihood method this is the Cramer-Rao bound at the estimate: 1 is efficient with a
+                       correct variance; above 1 the reported variance is too small. In brackets its 95 % interval
+                       (chi squared)
+    coverage           share of the runs whose 95 % interval contains the truth; in brackets the binomial interval
 
-What is not estimated, angular momentum and trim mass, is known exactly here: its uncertainty would be in what is
-reported but not in the scatter. Fits start from the vehicle file's CAD values.
+The parameters that are not estimated, angular momentum and trim mass, are known exactly here: their uncertainty would
+increase the reported variance but not the scatter. Fits start from the vehicle file's CAD values.
 With --keep the recordings stay in that folder, and a second run only fits.
 """
 
@@ -54,7 +56,7 @@ TRUTH = {
     "static_torque.torque": 0.0,
     "static_torque": 0.0,
 }
-"""By the names that the methods report; what is not here is a nuisance and has no truth."""
+"""By the names that the methods report. Other parameters are nuisances and have no true value."""
 EXACT = {
     "angular_momentum": PLANT.angular_momentum,
     "trim_mass": PLANT.trim_mass,
@@ -64,7 +66,7 @@ EXACT = {
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """One method on one recording: `values` name to (value, std), of what it determined; `reason` where it failed."""
+    """One method on one recording: `values` maps estimated parameters to (value, std); `reason` if it failed."""
 
     seed: int
     values: Mapping[str, tuple[float, float]]
@@ -74,7 +76,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One parameter over all runs; see the module. Intervals are (low, high). None where there is no truth."""
+    """One parameter over all runs; see the module. Intervals are (low, high). None if there is no true value."""
 
     parameter: str
     runs: int
@@ -121,7 +123,7 @@ def main() -> None:
 
 
 def simulate(experiment: str, duration: float, hide: Sequence[str], path: Path) -> float:
-    """Record the run whose seed is in `path`'s name; the s it took. A recording that is there already is left."""
+    """Record the run whose seed is in `path`'s name; return the s it took. An existing recording is kept."""
     if path.exists():
         return 0.0
     started = time.perf_counter()
@@ -172,7 +174,7 @@ def _recursive(method: str, recording: Any, vehicle: Any) -> Any:
 
 
 def summarise(fits: Sequence[Fit]) -> list[Summary]:
-    """Over all runs in which a parameter was determined; those determined once or never are left out."""
+    """A summary of each parameter over the runs in which it was estimated."""
     names = dict.fromkeys(name for found in fits for name in found.values)
     return [_summary(name, [found.values[name] for found in fits if name in found.values]) for name in names]
 
@@ -222,7 +224,7 @@ def _recordings(arguments: argparse.Namespace, folder: Path, console: Console) -
     if took:
         console.print(
             f"{len(took)} recordings in {elapsed:.0f} s ({statistics.median(took):.1f} s each, "
-            f"{arguments.processes} at a time); {len(paths) - len(took)} were there already"
+            f"{arguments.processes} at a time); {len(paths) - len(took)} already existed"
         )
     return paths
 
@@ -235,7 +237,7 @@ def _show(console: Console, method: str, fits: Sequence[Fit], summaries: Sequenc
     failed = [found for found in fits if found.reason]
     each = statistics.median(found.seconds for found in fits)
     table = Table(
-        title=f"{method}: {len(fits) - len(failed)} of {len(fits)} fits, {each:.2f} s each, {elapsed:.0f} s in all",
+        title=f"{method}: {len(fits) - len(failed)} of {len(fits)} fits, {each:.2f} s each, {elapsed:.0f} s in total",
         title_justify="left",
     )
     for heading in (
@@ -284,11 +286,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--method", action="append", choices=(*METHODS, *PEERS), help="may be given several times")
     parser.add_argument("--experiment", default="multisine")
-    parser.add_argument("--duration", type=float, default=30.0, help="s of excitation")
-    parser.add_argument("--hide", action="append", default=[], metavar="EFFECT[=LEVEL]", help="in the virtual vehicle")
-    parser.add_argument("--keep", metavar="FOLDER", help="of the recordings; empty it when the plant changes")
+    parser.add_argument("--duration", type=float, default=30.0, help="s, length of the excitation")
+    parser.add_argument(
+        "--hide", action="append", default=[], metavar="EFFECT[=LEVEL]", help="hide an effect in the virtual vehicle"
+    )
+    parser.add_argument("--keep", metavar="FOLDER", help="keep the recordings here; empty it when the plant changes")
     parser.add_argument("--json", metavar="FILE")
-    parser.add_argument("--fits", action="store_true", help="every single fit into the JSON, too")
+    parser.add_argument("--fits", action="store_true", help="write every single fit to the JSON, too")
     arguments = parser.parse_args()
     if arguments.runs < 2:
         parser.error("a variance needs --runs of at least 2")

@@ -1,13 +1,14 @@
-"""Recordings that others made: is what their MONOCAB has, and our model lacks, called by its name?
+"""Does the diagnosis name the right effect in recordings of a MONOCAB of another simulator?
 
 `python benchmarks/others_recordings.py --noise 5` simulates a vehicle that is not our virtual one, writes a table for
-each effect, and asks `upright diagnose TABLE --vehicle monocab`. Sizes are those of a workshop, many times what the
-record would just show. Roll is an encoder's with white noise, the gyro as noisy as cheap ones are, the controller a
-plain PD whose setpoint acts at once, the gimbals one first-order lag: so the drives answer to a row's noise before the
-next row. Written apart from `simulation` and `models`; steps of a tenth of a millisecond, by the midpoint rule.
+each effect, and runs `upright diagnose TABLE --vehicle monocab`. The amplitudes are realistic, many times the minimum
+detectable ones. Roll is measured by an encoder with white noise, and the gyro is as noisy as cheap ones are. The
+controller is a plain PD whose setpoint acts without delay, and the gimbals are one first-order lag: the drives respond
+to the noise of a sample before the next sample. The simulator is independent of `simulation` and `models`; it uses the
+midpoint rule with steps of 0.1 ms.
 
-`--disturbance 8,0.3` shakes it by a random torque of 8 N m RMS with a correlation time of 0.3 s. `--sensor` gives its
-sensors one error that real ones have beside white noise (SENSORS); the controller reads it, too.
+`--disturbance 8,0.3` adds a random torque of 8 N m RMS with a correlation time of 0.3 s. `--sensor` gives the sensors
+one error that real ones have beside white noise (SENSORS); the controller gets it, too.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ STEP = 1e-4
 INERTIA, STIFFNESS, MOMENTUM, LAG = 1560.0, 13400.0, 3300.0, 0.04
 FREQUENCIES = np.array([0.13, 0.31, 0.53, 0.89, 1.31, 1.9, 2.7, 3.9])
 ROLL_NOISE, RATE_NOISE, GIMBAL_NOISE = 2e-5, 3e-4, 1e-4
-"""rad, rad/s and rad/s a sample, times `noise`."""
+"""RMS per sample in rad, rad/s and rad/s, times `noise`."""
 CHANNELS = (
     "time",
     "roll",
@@ -52,7 +53,7 @@ CHANNELS = (
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What an effect may depend on: s, rad, rad/s, and its own states."""
+    """The quantities that an effect may depend on: s, rad, rad/s, and its own states."""
 
     time: float
     roll: float
@@ -69,7 +70,7 @@ Torque = Callable[[Moment], float]
 class Sensors:
     """Errors beside white noise. `step` (rad) of an encoder for roll; `jitter` (s) RMS of the time stamps; `vibration`
     of the gyro: RMS (rad/s), frequency (Hz), damping ratio; `wander` of the gyro: RMS (rad/s), correlation time (s);
-    a camera for roll: `frames` a second, each held until the next one comes, RMS error `blur` (rad) a frame."""
+    a camera for roll: `frames` per second, each held until the next one, RMS error `blur` (rad) of a frame."""
 
     step: float = 0.0
     jitter: float = 0.0
@@ -88,7 +89,7 @@ SENSORS: dict[str, Sensors] = {
     "wander": Sensors(wander=(3e-3, 0.05)),
     "camera": Sensors(frames=60.0, blur=1e-4),
 }
-"""What `--sensor` may be."""
+"""The choices of `--sensor`."""
 
 
 @dataclass
@@ -105,7 +106,7 @@ class Coloured:
         self._value = self.rms * self.random.standard_normal()
 
     def next(self) -> float:
-        """Its value now, and on by a step."""
+        """Return the current value and advance by a step."""
         now, fading = self._value, math.exp(-self.step / self.time)
         self._value = now * fading + self.rms * math.sqrt(1.0 - fading**2) * self.random.standard_normal()
         return now
@@ -113,7 +114,7 @@ class Coloured:
 
 @dataclass
 class Mode:
-    """How fast a mode moves that white noise drives: of `rms`, about `frequency` (Hz), stepped exactly by `step` s."""
+    """Rate of a mode driven by white noise, of `rms`, about `frequency` (Hz), stepped exactly by `step` s."""
 
     rms: float
     frequency: float
@@ -125,12 +126,12 @@ class Mode:
     def __post_init__(self) -> None:
         turn = 2.0 * math.pi * self.frequency
         self._moved = expm(self.step * turn * np.array([[0.0, 1.0], [-1.0, -2.0 * self.damping]]))
-        # In the long run both are as large, and have nothing to do with each other.
+        # The stationary covariance of both states is the identity.
         self._root = np.linalg.cholesky(np.eye(2) - self._moved @ self._moved.T)
         self._state = self.random.standard_normal(2)
 
     def next(self) -> float:
-        """Its value now, and on by a step."""
+        """Return the current value and advance by a step."""
         now = self.rms * float(self._state[1])
         self._state = self._moved @ self._state + self._root @ self.random.standard_normal(2)
         return now
@@ -138,7 +139,7 @@ class Mode:
 
 @dataclass
 class Readings:
-    """What `sensors` make of roll and its rate, a row every `row` s; `random` is theirs."""
+    """Readings of roll and its rate by `sensors`, a sample every `row` s; `random` generates their errors."""
 
     sensors: Sensors
     row: float
@@ -153,7 +154,7 @@ class Readings:
         ]
 
     def __call__(self, time: float, roll: float, roll_rate: float) -> tuple[float, float, float]:
-        """The time stamp, and both as they are read, from what they are with white noise."""
+        """The time stamp and both readings, from the true values plus white noise."""
         sensors = self.sensors
         if sensors.step:
             roll = sensors.step * round(roll / sensors.step)
@@ -168,9 +169,9 @@ class Readings:
 
 @dataclass
 class OthersVehicle:
-    """`torque` (N m) is what a model lacks, with `own` states that begin at zero and have `slopes`. `command` is what
-    the drives make of a setpoint, `delay` in rows and `further_lag` in s are what it meets besides. `sensed` is what is
-    shown of roll and its rate, `late` rows later."""
+    """The model lacks `torque` (N m), with `own` states that start at zero and have the derivatives `slopes`. `command`
+    distorts the setpoint in the drives; `delay` in samples and `further_lag` in s act on it, too. `sensed` distorts the
+    measured roll and its rate, which are `late` samples late."""
 
     torque: Torque = lambda now: 0.0
     slopes: Callable[[Moment], tuple[float, ...]] = lambda now: ()
@@ -188,7 +189,7 @@ class OthersVehicle:
     disturbance: tuple[float, float] = (0.0, 1.0)
     """N m RMS, and s."""
     state: list[float] = field(init=False)
-    """Roll, its rate, precession, its rate, the setpoint behind the further lag, and `own` ones."""
+    """Roll, its rate, precession, its rate, the setpoint after the further lag, and `own` states."""
     _shake: float = 0.0
 
     def __post_init__(self) -> None:
@@ -196,7 +197,7 @@ class OthersVehicle:
         self._shaking = Coloured(*self.disturbance, STEP, np.random.default_rng((self.seed, 1)))
 
     def write(self, path: Path, seconds: float = 40.0) -> Path:
-        """A table of the channels that the manual asks for."""
+        """Write a table of the channels that the manual requires."""
         random = np.random.default_rng(self.seed)
         phases = random.uniform(0.0, 2.0 * np.pi, FREQUENCIES.size)
         rows: list[list[float]] = []
@@ -252,7 +253,7 @@ class OthersVehicle:
 
 
 def sign(rate: float) -> float:
-    """Sharper than any model draws it."""
+    """The sign of the rate, less smoothed than in any model."""
     return math.tanh(rate / 2e-4)
 
 
@@ -261,7 +262,7 @@ def deadband(setpoint: float) -> float:
 
 
 def yields(now: Moment) -> tuple[float, ...]:
-    """Of a loop whose corners are rounder than those of the catalogue: Bouc and Wen with an exponent of 1."""
+    """Derivative of a hysteresis loop with rounder corners than the catalogue's: Bouc-Wen with an exponent of 1."""
     z = now.own[0]
     return ((now.roll_rate - 0.5 * (abs(now.roll_rate) * z + now.roll_rate * abs(z))) / 2e-3,)
 
@@ -321,7 +322,7 @@ CLEAN = "nothing"
 
 
 def asked(path: Path, vehicle: str = "monocab") -> dict[str, Any]:
-    """What `upright diagnose` says of a table."""
+    """The document of `upright diagnose --json` for a table."""
     command = [str(Path(sys.executable).with_name("upright")), "diagnose", str(path), "--vehicle", vehicle, "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     try:
@@ -331,7 +332,8 @@ def asked(path: Path, vehicle: str = "monocab") -> dict[str, Any]:
 
 
 def right(hidden: str, found: dict[str, Any]) -> bool:
-    """Whether what is hidden is named first, alone or tied with one; or is unknown; or nothing is."""
+    """Whether the hidden effect is named first, alone or tied with one. Outside the catalogue `unknown` is right, with
+    nothing hidden `adequate`."""
     if hidden == CLEAN:
         return bool(found["verdict"] == "adequate")
     if hidden in UNLISTED:
@@ -341,20 +343,20 @@ def right(hidden: str, found: dict[str, Any]) -> bool:
 
 
 def random_parts(found: dict[str, Any]) -> Iterable[str]:
-    """What a diagnosis tells of the disturbance and of the sensors' errors, a line each, SI units."""
+    """The disturbance and the sensor errors that a diagnosis reports, a line each, SI units."""
     for kind in ("disturbance", "sensor_errors"):
         for at, numbers in found.get(kind, {}).items():
-            told = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in numbers.items()}
-            yield f"{kind} of {at}: {', '.join(f'{key} {value}' for key, value in told.items())}"
+            texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in numbers.items()}
+            yield f"{kind} of {at}: {', '.join(f'{key} {value}' for key, value in texts.items())}"
 
 
 def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: dict[str, dict[str, Any]]) -> None:
-    """Prints what came out of each, and how many of each of `groups` are right, with their 95 % interval (Wilson)."""
+    """Print each answer, and how many of each of `groups` are right, with their 95 % interval (Wilson)."""
     results: list[tuple[str, bool]] = []
     for name, found in zip(names, answers, strict=True):
         results.append((name, right(name, found)))
-        told = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
-        print(f"{'right' if results[-1][1] else 'WRONG':6}{name:32}{found['verdict']:16}{told}", flush=True)
+        text = "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found["findings"])
+        print(f"{'right' if results[-1][1] else 'WRONG':6}{name:32}{found['verdict']:16}{text}", flush=True)
         for each in random_parts(found):
             print(f"{'':6}{each}", flush=True)
     for title, group in groups.items():
@@ -367,13 +369,13 @@ def verdicts(names: Sequence[str], answers: Iterable[dict[str, Any]], groups: di
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--noise", type=float, default=5.0, help="times 1e-3 deg of roll and 0.017 deg/s of its rate")
-    parser.add_argument("--rate", type=int, default=200, help="rows a second")
-    parser.add_argument("--sweep", action="store_true", help="a sine sweep; eight sines at once otherwise")
+    parser.add_argument("--noise", type=float, default=5.0, help="in multiples of 1e-3 deg of roll and 0.017 deg/s")
+    parser.add_argument("--rate", type=int, default=200, help="samples per second")
+    parser.add_argument("--sweep", action="store_true", help="a sine sweep; default: a sum of eight sines")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--sensor", choices=SENSORS, default="white", help="error of its sensors beside white noise")
+    parser.add_argument("--sensor", choices=SENSORS, default="white", help="sensor error beside white noise")
     parser.add_argument("--disturbance", default="0,1", help="random torque: N m RMS, and its correlation time in s")
-    parser.add_argument("--effect", action="append", help="may be given several times; all of them otherwise")
+    parser.add_argument("--effect", action="append", help="may be given several times; default: all")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     everything = {CLEAN: {}, **EFFECTS, **UNLISTED}

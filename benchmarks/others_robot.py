@@ -1,9 +1,9 @@
-"""Recordings that others made of a balancing robot: `python benchmarks/others_robot.py`
+"""Does the diagnosis name the right effect in recordings of a robot of another simulator? `benchmarks/others_robot.py`
 
-As `benchmarks/others_recordings.py`, of a robot with two wheels that is not our virtual one: its tilt is measured by
-itself, with white noise, not made by a filter of gyro and accelerometer; voltages act at once and in steps of a
-millivolt, its numbers are up to a third off the vehicle file's, and tables say nothing of ages. Equations (1) to (22)
-of the paper for motion straight ahead, by hand, in steps of a tenth of a millisecond.
+Like `benchmarks/others_recordings.py`, for a two-wheeled robot that is not our virtual one: its tilt is measured
+directly, with white noise, not estimated by a filter from gyro and accelerometer; voltages act without delay and in
+steps of 1 mV; its parameters are up to a third off the vehicle file's; and the tables have no ages of the measurements.
+Equations (1) to (22) of the paper for motion straight ahead, coded independently, in steps of 0.1 ms.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ GEAR, ROTOR, RESISTANCE, CONSTANT, GEAR_FRICTION, FLOOR_FRICTION = 43.8, 3.2e-6,
 GRAVITY = 9.81
 COUNT = 2.0 * math.pi / 700.0
 TILT_NOISE, RATE_NOISE = 2e-4, 2e-3
-"""rad and rad/s a sample."""
+"""RMS per sample, rad and rad/s."""
 WHEELS = tuple(f"{side}_wheel_{what}" for side in ("left", "right") for what in ("angle", "rate"))
 CHANNELS = ("time", "tilt", "tilt_rate", "left_voltage", "right_voltage", *WHEELS)
 
 
 @dataclass(frozen=True)
 class OthersRobot:
-    """Torques (N m) that a model lacks: `floor` on the wheels, of s and the rate at which they roll, `body` on the
-    body, of s, and `gears` between them, of their rate. `command` is what the motors make of a voltage, `askew` (rad)
-    what the tilt sensor adds."""
+    """Torques (N m) that a model lacks: `floor` on the wheels, as a function of time (s) and their rolling rate, `body`
+    on the body, of time, and `gears` between them, of their relative rate. `command` distorts the motors' voltage,
+    `askew` (rad) is the offset of the tilt sensor."""
 
     floor: Callable[[float, float], float] = lambda time, rate: 0.0
     body: Callable[[float], float] = lambda time: 0.0
@@ -47,7 +47,7 @@ class OthersRobot:
     seed: int = 0
 
     def write(self, path: Path) -> Path:
-        """A table of the channels that the manual asks for."""
+        """Write a table of the channels that the manual requires."""
         random = np.random.default_rng(self.seed)
         rolled, tilt, rolling, tipping = 0.0, 0.005, 0.0, 0.0
         rows: list[list[float]] = []
@@ -57,7 +57,7 @@ class OthersRobot:
             shown = tilt + self.askew + TILT_NOISE * random.standard_normal()
             rate = tipping + RATE_NOISE * random.standard_normal()
             angle = round((rolled - tilt) / COUNT) * COUNT
-            # It leans back to where it began.
+            # The setpoint of the tilt brings the wheels back to their start.
             error = shown + min(max(0.003 * (angle + rolling), -0.03), 0.03)
             integral += error / RATE
             excitation = 8.0 * math.copysign(1.0, math.sin(5.0 * time)) if time > 3.0 else 0.0
@@ -78,7 +78,7 @@ class OthersRobot:
     def _accelerations(
         self, time: float, voltage: float, tilt: float, rolling: float, tipping: float
     ) -> tuple[float, float]:
-        """rad/s^2 of the wheels against the floor and of the body."""
+        """Angular accelerations of the wheels relative to the floor and of the body, rad/s^2."""
         between = rolling - tipping
         back_emf, rotors = CONSTANT * GEAR, 2.0 * GEAR**2 * ROTOR
         motors = 2.0 * (back_emf / RESISTANCE * (voltage - back_emf * between) - GEAR_FRICTION * between)
@@ -98,7 +98,7 @@ class OthersRobot:
 
 
 def hill(degrees: float) -> float:
-    """N m on the wheels."""
+    """Torque on the wheels by a slope, N m."""
     return -(BODY + 2.0 * WHEEL) * GRAVITY * RADIUS * math.sin(math.radians(degrees))
 
 
@@ -116,8 +116,8 @@ EFFECTS: dict[str, dict[str, Any]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--clean", type=int, default=3, help="robots with nothing hidden")
-    parser.add_argument("--effect", action="append", help="may be given several times; all of them otherwise")
+    parser.add_argument("--clean", type=int, default=3, help="number of robots with nothing hidden")
+    parser.add_argument("--effect", action="append", help="may be given several times; default: all")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     names = arguments.effect or [*[CLEAN] * arguments.clean, *EFFECTS]

@@ -1,11 +1,11 @@
-"""The fit of all the balancing robot's numbers beside scipy's optimisers on the same cost: `python benchmarks/robot.py`
+"""Compare the fit of all the balancing robot's parameters with scipy's optimisers: `python benchmarks/robot.py`
 
-Everybody starts from the paper's table 1, stays within its table 2 and minimises the same negative log likelihood of
-the same record, in the same unknowns: parameters, noises and the initial state. Peers get the cost by simulation alone,
-compiled and without derivatives, as an optimiser of a simulation toolbox does; SLSQP and trust-constr difference it.
-A peer's time is that at which it first came within NEAR of the cost that the fit reached. One that stops by itself
-before is started again from its best point, with a fresh approximation of the Hessian or a fresh simplex. Each is
-stopped after LIMIT seconds; what it has reached by then counts, and its ratio is then a lower bound.
+All start from the paper's table 1, stay within its table 2 and minimise the same negative log-likelihood of the same
+record over the same unknowns: parameters, noises and the initial state. The peers get the cost from a compiled
+simulation without derivatives, like the optimiser of a simulation toolbox; SLSQP and trust-constr use finite
+differences. A peer's time is the time until it first comes within NEAR of the cost that the fit reaches. A peer that
+terminates before is restarted at its best point, with a new approximation of the Hessian or a new simplex. Each is
+stopped after LIMIT seconds; its best cost by then counts, and its ratio is then a lower bound.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ Array = NDArray[np.float64]
 LIMIT = 120.0
 """s for each peer."""
 NEAR = 0.5
-"""Nats above the cost of the fit at which a peer has arrived: less than any decision on a model asks for."""
+"""Nats above the cost of the fit at which a peer counts as converged: less than any decision on a model depends on."""
 PEERS = ("SLSQP", "trust-constr", "Nelder-Mead")
 OPTIONS = {"SLSQP": {"ftol": 1e-12}, "Nelder-Mead": {"maxfev": 10**9, "adaptive": True}}
-"""As good as was found for each: with its own tolerance SLSQP stops every few steps, and restarts make it slower."""
+"""The best options found for each: with its default tolerance SLSQP stops every few steps, and restarts slow it."""
 
 
 class Over(Exception):
-    """A peer has arrived, or has had its time."""
+    """A peer has converged, or its time is over."""
 
 
 class Cost:
-    """The likelihood of unknowns (m,) in multiples of the start, by simulation, a row; keeps the best and counts."""
+    """Negative log-likelihood per sample, by simulation, of unknowns (m,) in multiples of the start; keeps the best
+    point and counts the calls."""
 
     def __init__(self, found: BoundedFit) -> None:
         task = found.fit.problem
         self.likelihood = Likelihood.of(task, np.zeros(len(task.free)))
         noises, own = self.likelihood.noise.size, np.array([task.model.states[each].initial_std for each in task.own])
         self.split = (len(task.free), len(task.free) + noises)
-        # In multiples of the start: peers get nowhere in table 2's units, in which the start is next to zero.
+        # In multiples of the start: the peers fail in units of table 2's range, in which the start is close to zero.
         sizes = np.where(task.start == 0.0, task.scale, np.abs(task.start))
         self.scale = np.concatenate((sizes, np.ones(noises), *[own] * len(task.segments)))
         self.start = np.concatenate((task.start, np.zeros(noises), *task.own_start)) / self.scale
@@ -61,7 +62,7 @@ class Cost:
         self.begin(LIMIT)
 
     def begin(self, limit: float) -> None:
-        """Another peer begins, with `limit` seconds."""
+        """Reset for the next peer, with `limit` seconds."""
         self.best, self.at, self.count, self.deadline = np.inf, self.start, 0, time.perf_counter() + limit
 
     def __call__(self, unknowns: Array) -> float:
@@ -101,7 +102,7 @@ class Cost:
 
 
 def run(cost: Cost, peer: str, limit: float) -> tuple[float, int]:
-    """Seconds that the peer took, and how often it stopped by itself short of the goal and was started again."""
+    """Seconds that the peer took, and how often it was restarted after it had stopped before the goal."""
     cost.begin(limit)
     options = {"maxiter": 10**6} | OPTIONS.get(peer, {})
     began, again = time.perf_counter(), 0
@@ -126,9 +127,9 @@ def main() -> None:
     own = time.perf_counter() - began
     cost = Cost(found)
     reached = found.fit.minimum.cost
-    print(f"{len(cost.start)} unknowns, {cost.likelihood.task.rows} rows. Peers get the same compiled cost,")
-    print("the same unknowns, scaled by the start, and the same bounds. Where one stops by itself, it begins")
-    print(f"again at its best point. It ends within {NEAR:g} nat of upright's cost, or after {limit:g} s.")
+    print(f"{len(cost.start)} unknowns, {cost.likelihood.task.rows} samples. The peers get the same compiled cost, the")
+    print("same unknowns, scaled by the start, and the same bounds. A peer that stops early is restarted at its")
+    print(f"best point. It ends within {NEAR:g} nat of upright's cost, or after {limit:g} s.")
     print(f"{'':14}{'s':>8}{'ratio':>9}{'cost above upright':>20}{'costs':>8}{'restarts':>10}")
     print(f"{'start':14}{'':8}{'':9}{cost.value(cost.start * cost.scale) - reached:20.2f}")
     print(f"{'upright':14}{own:8.2f}{1:9.1f}{0:20.2f}")

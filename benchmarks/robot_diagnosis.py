@@ -1,18 +1,19 @@
-"""What is hidden in the balancing robot, found and added from the command line? `python benchmarks/robot_diagnosis.py`
+"""Find and add hidden effects of the balancing robot from the command line: `python benchmarks/robot_diagnosis.py`
 
-Each case is a virtual robot in a draught (`--disturbance LEVEL`, 0 for none) with one effect hidden in it, or none,
-recorded with the paper's square wave. `upright diagnose` is told the recording and the vehicle file, whose numbers are
-up to 40 % off, and looks for the whole catalogue at all places; `upright model add` then adds the effect that is
-hidden, with the sine, the doublet and the sine stream held out. Told are the verdict, the names, the size beside the
-plant's own, and the energy of the innovations over that of the sensors' noise; of the three others together by how much
-the energy of the error some time ahead falls, each model with the filter that was fitted with it, and to what multiple
-of that which the model states for its noise; then of each of them by how much it falls in `upright compare`, whose
-filter is of the noise of sensors and process as they are stated, and of no model's errors. A delay and play are
-recorded with a softer controller (docs/how-to/diagnose-the-robot.md).
+Each case is a virtual robot with a random torque (`--disturbance LEVEL`, 0 for none) and one hidden effect, or none,
+recorded with the paper's square wave. `upright diagnose` gets the recording and the vehicle file, whose parameters are
+up to 40 % off, and searches the whole catalogue at all places. `upright model add` then adds the hidden effect, with
+the sine, the doublet and the sine stream held out. The program prints the verdict, the names, the amplitude beside the
+plant's, and the energy of the innovations over that of the sensors' noise. For the three held-out recordings together
+it prints by how much the energy of the prediction error falls at several horizons, each model with the filter that was
+fitted with it, and to which multiple of the energy due to the noise stated in the model. For each of them it then
+prints the fall in `upright compare`, whose filter uses the stated noise of sensors and process and no model's errors.
+A delay and backlash are recorded with a softer controller (docs/how-to/diagnose-the-robot.md).
 
-With `--live` every effect that the virtual robot can hide is hidden, and none, and told is what the live diagnosis says
-at the end of the square wave. With `--closed-loop` the true numbers are simulated in the closed loop with the robot's
-controller through the square wave, and told is how far off that is, in multiples of what noise alone would make.
+With `--live` every effect that the virtual robot can have is hidden in turn, and none, and the findings of the live
+diagnosis at the end of the square wave are printed. With `--closed-loop` the true parameters are simulated in closed
+loop with the robot's controller through the square wave, and the error is printed in multiples of the error due to
+noise alone.
 """
 
 from __future__ import annotations
@@ -42,15 +43,15 @@ from vehicles.registry import recorded_loop
 
 OTHERS = ("sine", "doublet", "sine_stream")
 FURTHEST = 0.5
-"""s ahead: what the unstable robot makes of an error in more than that says nothing of a model."""
+"""s ahead: beyond that, the errors that the unstable robot has amplified say nothing about a model."""
 CHANNELS = ("tilt", "tilt_rate", "left_wheel_angle")
 SOFTER = {"proportional_gain = 25.0": "proportional_gain = 10.0", "derivative_gain = 3.5 ": "derivative_gain = 0.7 "}
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """`hide` as for `upright simulate`; `names` that a diagnosis may give it, the first of which is added; `size` of
-    the first parameter in the plant."""
+    """`hide` as for `upright simulate`; `names` are the right answers of a diagnosis, the first of which is added;
+    `size` is the first parameter of the effect in the plant."""
 
     hide: str
     names: tuple[str, ...]
@@ -65,7 +66,7 @@ CASES = {
     # -(m_b + 2 m_w) g r sin
     "slope of 2 deg": Case("slope", ("static_torque@travel",), -9.3e-3),
     "dead zone": Case("input_deadband", ("input_deadband",), 0.6),
-    # of both gears
+    # both gears together
     "dry friction of the gears": Case("coulomb_friction", ("coulomb_friction@wheels",), 0.02),
     "nothing, softer": Case("", (), softer=True),
     "delay of 5 ms, softer": Case("input_delay", ("input_delay",), 5e-3, softer=True),
@@ -75,7 +76,7 @@ CASES = {
 
 
 def upright(*arguments: object) -> dict[str, Any]:
-    """What a command says with `--json`."""
+    """The document that a command prints with `--json`."""
     command = [str(Path(sys.executable).with_name("upright")), *map(str, arguments), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -84,7 +85,7 @@ def upright(*arguments: object) -> dict[str, Any]:
 
 
 def vehicle(folder: Path, softer: bool) -> Path:
-    """The shipped vehicle file, or one with a softer controller."""
+    """Write the shipped vehicle file, or one with a softer controller."""
     text = (resources.files("vehicles") / "twsbr" / "vehicle.toml").read_text(encoding="utf-8")
     for old, new in SOFTER.items() if softer else ():
         assert text.count(old) == 1, old
@@ -95,12 +96,12 @@ def vehicle(folder: Path, softer: bool) -> Path:
 
 
 def hidden(name: str, level: float) -> list[str]:
-    """What `record` takes for the effect `name`, or none, in a draught of that `level`."""
+    """The argument `hide` of `record` for the effect `name`, or none, with a random torque of that `level`."""
     return [each for each in (name, f"disturbance={level:g}" if level else "") if each]
 
 
 def tried(case: Case, seed: int, level: float, candidates: list[str], named: bool, budget: float | None) -> list[str]:
-    """What came out, in lines; only of the diagnosis where it is asked what is `named`. `budget` as for it, s."""
+    """The results of a case, as lines; only those of the diagnosis if `named`. `budget` of the diagnosis in s."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = vehicle(folder, case.softer)
@@ -134,57 +135,57 @@ def tried(case: Case, seed: int, level: float, candidates: list[str], named: boo
 def diagnosed(case: Case, found: dict[str, Any]) -> str:
     names = [(each["effect"], *each["tied_with"]) for each in found["findings"]]
     right = found["verdict"] == "adequate" if not case.names else bool(names) and case.names[0] in names[0]
-    told = [found["verdict"], "; ".join(" = ".join(each) for each in names)]
+    texts = [found["verdict"], "; ".join(" = ".join(each) for each in names)]
     for each in found["findings"]:
         if each["effect"] in case.names:
             size = next(iter(each["parameters"].values()))
             value, std = (float("nan") if size[key] is None else size[key] for key in ("value", "std"))
-            told.append(f"{value:.4g} ± {std:.2g} {size['unit']} for {case.size:g}")
+            texts.append(f"{value:.4g} ± {std:.2g} {size['unit']} for {case.size:g}")
     for joint, each in found["disturbance"].items():
         if each["shown"]:
-            told.append(f"{each['rms']:.2g} ± {each['rms_std']:.1g} {each['unit']} RMS at {joint}")
+            texts.append(f"{each['rms']:.2g} ± {each['rms_std']:.1g} {each['unit']} RMS at {joint}")
     if found["innovation_ratio_before"] is not None:
-        told.append(f"{found['innovation_ratio_before']:.3g} to {found['innovation_ratio_after']:.3g} times the noise")
-    return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in told if each)
+        texts.append(f"{found['innovation_ratio_before']:.3g} to {found['innovation_ratio_after']:.3g} times the noise")
+    return f"{'right' if right else 'WRONG'}  " + ", ".join(each for each in texts if each)
 
 
 def added(revision: dict[str, Any]) -> list[str]:
-    """By channel and horizon, by how much the held-out error's energy falls, and to what multiple of the noise's."""
-    lines = [f"       added, surety {revision['surety']:.3g}: {'needed' if revision['needed'] else 'NOT needed'}"]
+    """The fall of the held-out error's energy by channel and horizon, and its multiple of the noise's energy."""
+    lines = [f"       added, t-ratio {revision['surety']:.3g}: {'needed' if revision['needed'] else 'NOT needed'}"]
     before, after, floor = revision["before"]["held_out"], revision["after"]["held_out"], revision["floor"]["held_out"]
     for channel in CHANNELS:
-        told = [
+        texts = [
             f"{ahead:g} s: by {100.0 * (1.0 - (new / old) ** 2):.3g} % to {(new / least) ** 2:.2g}"
             for ahead, old, new, least in zip(
                 revision["horizons"], before[channel], after[channel], floor[channel], strict=True
             )
         ]
-        lines.append(f"       {channel:17}{', '.join(told)}")
+        lines.append(f"       {channel:17}{', '.join(texts)}")
     return lines
 
 
 def compared(experiment: str, models: Sequence[dict[str, Any]]) -> list[str]:
-    """By channel and horizon, by how much the error's energy falls from the first of two models to the second."""
+    """The fall of the error's energy from the first of two models to the second, by channel and horizon."""
     lines = []
     for channel in CHANNELS:
-        told = [
+        texts = [
             f"{old['horizon']:g} s: by {100.0 * (1.0 - (new['rmse'][channel] / old['rmse'][channel]) ** 2):.3g} %"
             for old, new in zip(*(each["by_horizon"] for each in models), strict=True)
             if old["horizon"] <= FURTHEST
         ]
-        lines.append(f"       {experiment:12}{channel:17}{', '.join(told)}")
+        lines.append(f"       {experiment:12}{channel:17}{', '.join(texts)}")
     return lines
 
 
 def while_it_runs(name: str, seed: int, level: float) -> str:
-    """What the live diagnosis says at the end of a square wave with the effect `name`; empty where nothing."""
+    """The names of the live diagnosis at the end of a square wave with the effect `name`; empty if there are none."""
     file = load("twsbr")
     found = live_diagnosis(record("twsbr", "square", hide=hidden(name, level), seed=seed), file) or {}
     return "; ".join(" = ".join((each["effect"], *each["tied_with"])) for each in found.get("findings", ()))
 
 
 def in_the_loop(name: str, seed: int, level: float) -> str:
-    """How far the true numbers without the effect `name` are off in the closed loop, times the noise's share."""
+    """Error of the true parameters without the effect `name` in closed loop, in multiples of that by noise alone."""
     file, right = load("twsbr"), get("twsbr").change(TwsbrTruth().table_1)
     recording = record("twsbr", "square", hide=hidden(name, level), seed=seed)
     (found,) = compare({"": right}, [recording], support=file.support, loops=[recorded_loop(file, recording)])
@@ -192,39 +193,39 @@ def in_the_loop(name: str, seed: int, level: float) -> str:
     return loop.reason or ", ".join(f"{each} {loop.over_floor(each):.2g}" for each in ("tilt", "left_wheel_angle"))
 
 
-def of_each(told: Callable[[str, int, float], str], seeds: Sequence[int], level: float, processes: int) -> None:
-    """Prints what is `told` of the robot with each effect that it can hide, and with none."""
-    asked = [(name, seed, level) for name in ("", *TWSBR_HIDDEN) for seed in seeds]
+def of_each(result: Callable[[str, int, float], str], seeds: Sequence[int], level: float, processes: int) -> None:
+    """Print the `result` for the robot with each effect that it can hide, and with none."""
+    cases = [(name, seed, level) for name in ("", *TWSBR_HIDDEN) for seed in seeds]
     with ProcessPoolExecutor(processes) as pool:
-        for (name, *_), text in zip(asked, pool.map(told, *zip(*asked, strict=True)), strict=True):
+        for (name, *_), text in zip(cases, pool.map(result, *zip(*cases, strict=True)), strict=True):
             print(f"{name or 'nothing':26}{text or 'no name'}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--runs", type=int, default=1, help="of each case, with one seed after the other")
-    parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; else all")
-    parser.add_argument("--effect", action="append", default=[], help="to look for; the whole catalogue otherwise")
-    parser.add_argument("--budget", type=float, metavar="SECONDS", help="of a diagnosis; else its own")
-    parser.add_argument("--named", action="store_true", help="only diagnose, and add nothing")
-    parser.add_argument("--disturbance", type=float, default=1.0, metavar="LEVEL", help="of the draught; 0 for none")
-    parser.add_argument("--live", action="store_true", help="what is named while it runs, of all that can be hidden")
-    parser.add_argument("--closed-loop", action="store_true", help="how far off the true numbers are")
+    parser.add_argument("--runs", type=int, default=1, help="runs per case, with consecutive seeds")
+    parser.add_argument("--case", action="append", choices=list(CASES), help="may be given several times; default: all")
+    parser.add_argument("--effect", action="append", default=[], help="to look for; default: all effects")
+    parser.add_argument("--budget", type=float, metavar="SECONDS", help="of a diagnosis; default: its own")
+    parser.add_argument("--named", action="store_true", help="only diagnose, do not add the effect")
+    parser.add_argument("--disturbance", type=float, default=1.0, metavar="LEVEL", help="of the random torque; 0: none")
+    parser.add_argument("--live", action="store_true", help="names of the live diagnosis for each effect")
+    parser.add_argument("--closed-loop", action="store_true", help="error of the true parameters in closed loop")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    for told, wanted in ((while_it_runs, arguments.live), (in_the_loop, arguments.closed_loop)):
+    for result, wanted in ((while_it_runs, arguments.live), (in_the_loop, arguments.closed_loop)):
         if wanted:
-            of_each(told, seeds, arguments.disturbance, arguments.processes)
+            of_each(result, seeds, arguments.disturbance, arguments.processes)
     if arguments.live or arguments.closed_loop:
         return
-    asked = [(name, seed) for name in arguments.case or CASES for seed in seeds]
+    cases = [(name, seed) for name in arguments.case or CASES for seed in seeds]
     with ThreadPoolExecutor(arguments.processes) as pool:
-        asks = (arguments.disturbance, arguments.effect, arguments.named, arguments.budget)
-        results = pool.map(lambda each: tried(CASES[each[0]], each[1], *asks), asked)
-        for (name, seed), lines in zip(asked, results, strict=True):
+        options = (arguments.disturbance, arguments.effect, arguments.named, arguments.budget)
+        results = pool.map(lambda each: tried(CASES[each[0]], each[1], *options), cases)
+        for (name, seed), lines in zip(cases, results, strict=True):
             print(f"{name}, seed {seed}", *lines, sep="\n", flush=True)
 
 

@@ -1,14 +1,14 @@
-"""How true are the balancing robot's estimates, and their +-? `python benchmarks/robot_estimates.py --runs 20`
+"""How accurate are the balancing robot's estimates and their +-? `python benchmarks/robot_estimates.py --runs 20`
 
-The virtual robot is recorded with the paper's square wave, and what a record near upright can tell (combinations of
-parameters, `vehicles.twsbr.model.TOLD_NEAR_UPRIGHT`) is estimated from the vehicle file's numbers, which are up to 40 %
-off. Told are, of each combination, the scatter of estimate over truth, the deviations that it is off by (RMS: 1 where a
-+- is right), and how often the 95 % interval holds the truth; then by how much the recursive estimator is off at the
-end of the run (RMS). Six combinations of one record are not independent: the last line's interval (Wilson) counts
-records.
+The virtual robot is recorded with the paper's square wave. The combinations of parameters that are identifiable near
+upright (`vehicles.twsbr.model.TOLD_NEAR_UPRIGHT`) are estimated from the vehicle file's start values, which are up to
+40 % off. The program prints for each combination the scatter of estimate over truth, the error in standard deviations
+(RMS: 1 if the +- is right), how often the 95 % interval contains the truth, and the error of the recursive estimator at
+the end of the run (RMS). The six combinations of one record are not independent: the interval in the last line (Wilson)
+counts records.
 
 With `--validate` the sine, the doublet and the sine stream of the first seed are predicted 0.1 s ahead with the
-estimates, beside the vehicle file's numbers and the true ones, which are what the noise allows.
+estimates, with the vehicle file's parameters, and with the true ones, which give the best fit that the noise allows.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ GIVEN = VEHICLE.parameters
 MODEL = with_values(nominal_model("twsbr"), GIVEN.values, GIVEN.deviations)
 TRUTH = {**MODEL.values, **TwsbrTruth().table_1}
 HORIZON = 0.1
-"""s ahead: an error of the tilt doubles in that time."""
+"""s ahead: a tilt error doubles in that time."""
 OTHERS = ("sine", "doublet", "sine_stream")
 TWO_SIDED = 1.96
-"""Deviations on either side that hold 95 %."""
+"""Standard deviations on either side of a 95 % interval."""
 
 
 def true(name: str) -> float:
@@ -53,14 +53,14 @@ def true(name: str) -> float:
 
 
 def of_recording(seed: int) -> dict[str, tuple[float, float]]:
-    """Estimate over truth, and its deviation, of each combination."""
+    """Estimate over truth of each combination, and its standard deviation."""
     fitted = fit(problem(MODEL, [record("twsbr", "square", seed=seed)], support=VEHICLE.support))
     found = combinations(fitted, TOLD_NEAR_UPRIGHT)
     return {name: (value / true(name), std / abs(true(name))) for name, (value, std) in found.items()}
 
 
 def while_it_runs(seed: int) -> dict[str, float]:
-    """Estimate over truth of each combination when the run is over."""
+    """Recursive estimate over truth of each combination at the end of the run."""
     live = RecursivePredictionError(
         nominal_model("twsbr"),
         parameters=GIVEN.values,
@@ -75,13 +75,13 @@ def while_it_runs(seed: int) -> dict[str, float]:
 
 
 def validated(seed: int) -> None:
-    """Prints what share of each channel's motion is predicted on experiments that were not fitted."""
+    """Print which share of each channel's motion is predicted in experiments that were not fitted."""
     square = record("twsbr", "square", seed=seed)
     estimated = fit(problem(MODEL, [square], support=VEHICLE.support))
     ceiling = fit(
         problem(MODEL.change(TwsbrTruth().table_1), [square], estimate=["voltage_offset"], support=VEHICLE.support)
     )
-    print(f"\npercent predicted {HORIZON:g} s ahead: vehicle file, estimated, true numbers")
+    print(f"\npercent predicted {HORIZON:g} s ahead: vehicle file, estimates, true parameters")
     for name in OTHERS:
         other = [record("twsbr", name, seed=seed)]
         shares = [
@@ -95,7 +95,7 @@ def validated(seed: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--runs", type=int, default=20, help="seeds FIRST to FIRST + RUNS - 1")
-    parser.add_argument("--first", type=int, default=1, help="the first seed; 1 by default")
+    parser.add_argument("--first", type=int, default=1, help="the first seed; default: 1")
     parser.add_argument("--validate", action="store_true", help="predict three other experiments, too")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
@@ -104,16 +104,14 @@ def main() -> None:
         found = list(pool.map(of_recording, seeds))
         live = list(pool.map(while_it_runs, seeds))
     print(f"{len(found)} recordings of the square wave, estimate over truth")
-    print(
-        f"{'combination':26}{'mean':>8}{'scatter':>9}{'told +-':>9}{'off, +-':>9}{'within 95 %':>13}{'live, off %':>13}"
-    )
+    print(f"{'combination':26}{'mean':>8}{'scatter':>9}{'+-':>9}{'error/+-':>9}{'within 95 %':>13}{'live error %':>13}")
     held = []
     for name in TOLD_NEAR_UPRIGHT:
-        ratio, told = (np.array([each[name][place] for each in found]) for place in (0, 1))
-        off, recursive = (ratio - 1.0) / told, np.array([each[name] for each in live]) - 1.0
+        ratio, std = (np.array([each[name][place] for each in found]) for place in (0, 1))
+        off, recursive = (ratio - 1.0) / std, np.array([each[name] for each in live]) - 1.0
         held.append(np.abs(off) < TWO_SIDED)
         print(
-            f"{name:26}{ratio.mean():13.4f}{ratio.std():13.4f}{np.median(told):13.4f}{np.sqrt(np.mean(off**2)):13.2f}"
+            f"{name:26}{ratio.mean():13.4f}{ratio.std():13.4f}{np.median(std):13.4f}{np.sqrt(np.mean(off**2)):13.2f}"
             f"{f'{held[-1].sum()} of {len(off)}':>13}{100.0 * np.sqrt(np.mean(recursive**2)):13.2f}"
         )
     share = float(np.mean(held))

@@ -1,11 +1,11 @@
-"""From the last frame of an IMU set to the first setpoint frame on the bus: p50, p99, p99.9, beside two bare echoes.
+"""Time from the last frame of an IMU set to the first setpoint frame: p50, p99, p99.9, compared with two echoes.
 
     tests/guest/vcan-guest .venv/bin/python benchmarks/turnaround.py --responder upright "upright serve ..."
 
-Every responder answers the same source, one after the other, on the same interface: an echo in C (what kernel and
-scheduler cost), an echo in Python (what the interpreter adds) and the responders given. Both frames are timed by the
-kernel, as a third socket receives them, and read in large lots by a process that gives way to all others: measuring
-does not disturb what is measured. A set whose answer comes after the next set, or never, is a missed cycle.
+The responders answer the same source, one after the other, on the same interface: an echo in C (the cost of kernel and
+scheduler), an echo in Python (which adds the interpreter) and the responders given. Both frames have time stamps of the
+kernel at a third socket. A process of the lowest priority reads them in large batches, so that the measurement does not
+disturb the responders. A set whose answer comes after the next set, or never, is a missed cycle.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from drivers.bus import Bus, BusError
 
 HERE = Path(__file__).resolve().parent
 READ_PERIOD = 0.2
-"""s between reads: what gathers in it has to fit into the receive buffer of an unprivileged process (500 frames)."""
+"""s between reads: the frames of that time have to fit into the receive buffer of an unprivileged process (500)."""
 READY_TIME = 60.0
 """s for a responder's first answer: a daemon first sets up its drives."""
 SETTLE_TIME = 2.0
-"""s from the first answer to the begin of the measurement."""
+"""s from the first answer to the start of the measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turnaround:
-    """The turnaround of one responder; times in s, `ratio` is the median over that of the Python echo."""
+    """The turnaround of one responder. Times in s; `ratio` is the median over that of the Python echo."""
 
     responder: str
     rate: float
@@ -52,7 +52,7 @@ class Turnaround:
 
 
 class ResponderError(Exception):
-    """A responder did not answer or ended."""
+    """A responder did not answer or has terminated."""
 
 
 class Monitor:
@@ -63,7 +63,7 @@ class Monitor:
         self._trigger, self._reply = trigger, reply
 
     def read(self, seconds: float) -> tuple[list[int], list[int]]:
-        """Times of the triggers and of the replies from the last read on, for `seconds` s."""
+        """Times of the triggers and of the replies since the last read and during the next `seconds` s."""
         dropped = self._bus.statistics.receive_dropped
         triggers: list[int] = []
         replies: list[int] = []
@@ -101,7 +101,7 @@ def evaluate(name: str, rate: float, triggers: Sequence[int], replies: Sequence[
 
 @contextmanager
 def running(command: Sequence[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that is ended with the block."""
+    """A process that is terminated at the end of the block."""
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=output, stdin=subprocess.DEVNULL)
     try:
@@ -118,7 +118,7 @@ def running(command: Sequence[str], log: Path) -> Iterator[subprocess.Popen[byte
 def measure(
     name: str, command: Sequence[str], source: Sequence[str], monitor: Monitor, rate: float, seconds: float, work: Path
 ) -> Turnaround:
-    """Run source and responder and measure for `seconds` s. Raises ResponderError, with the end of its output."""
+    """Run source and responder and measure for `seconds` s. Raises ResponderError with the end of its output."""
     log = work / "responder.log"
     with running(source, work / "source.log"), running(command, log) as responder:
         limit = time.monotonic() + READY_TIME
@@ -138,7 +138,7 @@ def compile_c(source: Path, work: Path) -> str:
 
 
 def with_ratios(results: list[Turnaround]) -> list[dict[str, object]]:
-    """As plain data, the ratio to the Python echo of the same rate filled in."""
+    """The results as plain data, with the ratio to the Python echo of the same rate."""
     base = {result.rate: result.p50 for result in results if result.responder == "Python echo"}
     return [{**asdict(result), "ratio": result.p50 / base[result.rate]} for result in results]
 
@@ -147,7 +147,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--interface", default="vcan0")
     parser.add_argument("--rate", type=float, action="append", help="Hz, may be repeated (250 and 500)")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of measurement a responder and rate")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of measurement per responder and rate")
     parser.add_argument(
         "--trigger", type=lambda text: int(text, 16), default=0x38A, help="id that completes an IMU set"
     )
@@ -159,7 +159,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
 
-    # This process gives way to all others; those that it starts are again like any other.
+    # This process has the lowest priority; its child processes have the normal one again.
     os.sched_setscheduler(0, os.SCHED_IDLE | os.SCHED_RESET_ON_FORK, os.sched_param(0))
     ids = [options.interface, f"{options.trigger:X}", f"{options.reply:X}"]
     results: list[Turnaround] = []

@@ -1,7 +1,7 @@
-"""Runs `upright serve` or `upright simulate` for the MONOCAB at another IMU rate: RATE serve|simulate.
+"""Run `upright serve` or `upright simulate` for the MONOCAB at another IMU rate: RATE serve|simulate.
 
-For benchmarks/turnaround.py. The limit on missed cycles is raised, so that a machine that is held up shows as missed
-cycles in the table and not as a stopped run.
+For benchmarks/turnaround.py. The limit of missed cycles is raised, so that delays of the computer appear as missed
+cycles in the table and do not stop the run.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The paper's comparison of methods, its figure 3, on a virtual vehicle whose true values are known.
+"""The paper's comparison of methods (figure 3), with a virtual vehicle whose true parameters are known.
 
     python examples/compare_methods.py [PICTURE]
 
-Steps from rest for the time domain, sweeps of the roll reference for the frequency domain; a static torque of 120 N m
-that no transfer function has. The paper gives neither the noise of its gyro on the frame nor the bandwidth of its
-state-variable filter; both together decide how far off least squares is, see docs/explanation/methods.md. Takes two
-minutes.
+The recordings are steps from rest for the time domain, and sweeps of the roll reference for the frequency domain, with
+a static torque of 120 N m, which a transfer function cannot describe. The paper states neither the noise of its gyro on
+the frame nor the bandwidth of its state-variable filter; both determine the bias of least squares, see
+docs/explanation/methods.md. Takes two minutes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def runs(steps: int = 4, sweeps: int = 3, seconds: float = 60.0) -> list[Recordi
 
 
 def compare(recordings: Sequence[Recording], methods: Sequence[str] = ()) -> dict[str, Any]:
-    """What `upright identify --json` says of these recordings."""
+    """The document of `upright identify --json` for these recordings."""
     parameters, support = VEHICLE.parameters, VEHICLE.support
     model = with_values(nominal_model("monocab"), parameters.values, parameters.deviations)
     own = of("monocab").identification()

@@ -1,4 +1,4 @@
-"""The EMPS benchmark: a real positioning axis, its mass and friction from position and motor voltage alone.
+"""The EMPS benchmark: mass and friction of a real positioning axis from its position and motor voltage.
 
     python examples/emps.py [FOLDER]
 
@@ -41,10 +41,11 @@ def load(folder: Path) -> Recording:
 
 
 def model() -> Model:
-    """Mass, viscous friction, Coulomb friction and a constant force; the sign of a rate turns within 1 mm/s.
+    """Mass, viscous friction, Coulomb friction, smoothed over 1 mm/s, and a constant force.
 
-    Nothing shakes a bench: what its formulas lack is process noise. A random force that lasts would be likelier, since
-    real friction does not turn within 1 mm/s, but it takes over what dry friction does while the carriage slides.
+    No random force acts on a test bench: the errors of the equations are modelled as white process noise. A correlated
+    random force would have a higher likelihood, since real friction does not change its sign within 1 mm/s, but it
+    would be confounded with dry friction while the carriage slides.
     """
     bare = axis(
         name="emps",
@@ -61,7 +62,7 @@ def model() -> Model:
 
 
 def identify(folder: Path) -> tuple[list[Estimate], dict[str, Validation]]:
-    """What three methods find, and how well each one's values predict and simulate the record from its first row on."""
+    """The estimates of three methods, and how well each predicts and simulates the record from its first sample on."""
     began, recording = stopwatch(), load(folder)
     fitted = prediction_error.fit(problem(model(), [recording]))
     found = [
@@ -74,8 +75,8 @@ def identify(folder: Path) -> tuple[list[Estimate], dict[str, Validation]]:
 
 
 if __name__ == "__main__":
-    found, worth = identify(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    found, validations = identify(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
     for estimate in found:
         print(f"{estimate}\n")
-    for name, each in worth.items():
+    for name, each in validations.items():
         print(f"{name}\n{each}, error {1e3 * each.error['position']:.2f} mm")

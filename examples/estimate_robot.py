@@ -1,10 +1,10 @@
-"""The paper's estimation of the two-wheeled balancing robot, its figures 7 to 13, on the virtual robot.
+"""The paper's estimation of the two-wheeled balancing robot (figures 7 to 13), with the virtual robot.
 
     python examples/estimate_robot.py [FOLDER]
 
-A square wave for estimation; a sine, a doublet and a sine stream for validation. All numbers of the paper's table 1 are
-estimated within the bounds of its table 2; then those alone that the record can tell, with the rest held. Takes two
-minutes, most of them for the profiles.
+A square wave is used for estimation; a sine, a doublet and a sine stream for validation. All parameters of the paper's
+table 1 are estimated within the bounds of its table 2; then only those that the record can identify, with the others
+fixed. Takes two minutes, most of them for the profiles.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
 MODEL = get("twsbr")
 TABLE_1 = MODEL.values
 EXPERIMENTS = ("square", "sine", "doublet", "sine_stream")
-HORIZON = 0.1  # s ahead: an error of the tilt doubles in that time
+HORIZON = 0.1  # s ahead: a tilt error doubles in that time
 SHOWN = ("tilt", "tilt_rate", "left_wheel_angle", "left_wheel_rate")
 
 
@@ -44,7 +44,7 @@ SHOWN = ("tilt", "tilt_rate", "left_wheel_angle", "left_wheel_rate")
 class Estimation:
     recordings: dict[str, Recording]
     complete: BoundedFit
-    told: Fit
+    reduced: Fit
     profiles: list[Profile]
 
 
@@ -59,14 +59,15 @@ def estimate(recordings: dict[str, Recording], profiled: Sequence[str] | None = 
     return Estimation(
         recordings=recordings,
         complete=complete,
-        told=fit(problem(MODEL, square)),
+        reduced=fit(problem(MODEL, square)),
         profiles=[profile(complete, name) for name in names],
     )
 
 
 def percents(found: Estimation) -> dict[str, list[dict[str, float]]]:
-    """By experiment, of table 1, of the complete fit and of the reduced one: percent of each channel, HORIZON ahead."""
-    fits: list[tuple[Fit, dict[str, float]]] = [(found.told, TABLE_1), (found.complete.fit, {}), (found.told, {})]
+    """Percent of each channel predicted HORIZON ahead by table 1, complete and reduced fit, for each experiment."""
+    complete, reduced = found.complete.fit, found.reduced
+    fits: list[tuple[Fit, dict[str, float]]] = [(reduced, TABLE_1), (complete, {}), (reduced, {})]
     return {
         name: [predicted_percent(on_others(each, [recording], values=values), HORIZON) for each, values in fits]
         for name, recording in found.recordings.items()
@@ -76,16 +77,20 @@ def percents(found: Estimation) -> dict[str, list[dict[str, float]]]:
 def print_tables(found: Estimation) -> None:
     complete = found.complete
     bounded = {each.parameter: each for each in found.profiles}
-    print(f"{'parameter':22}{'table 1':>12}{'estimate':>12}  95 % by its profile, within the bounds of table 2")
+    print(
+        f"{'parameter':22}{'table 1':>12}{'estimate':>12}  95 % interval by its profile, within the bounds of table 2"
+    )
     for name, start, value in zip(complete.parameters, complete.start, complete.values, strict=True):
         edges = bounded[name].interval if name in bounded else ()
         text = " to ".join("bound" if edge is None else f"{edge:.4g}" for edge in edges)
         print(f"{name:22}{start:12.4g}{value:12.4g}  {text}")
-    print(f"{complete.told} combinations are told to 30 %; slope at the minimum {complete.kkt_residual:.2g} deviations")
-    print("\ncombination, a unit of motor gain, with the rest held")
-    for name, (value, std) in combinations(found.told, TOLD_NEAR_UPRIGHT).items():
+    print(
+        f"{complete.told} combinations are identified to 30 %; gradient at the minimum {complete.kkt_residual:.2g} std"
+    )
+    print("\ncombination per unit of motor gain, with the other parameters fixed")
+    for name, (value, std) in combinations(found.reduced, TOLD_NEAR_UPRIGHT).items():
         print(f"{name:28}{value:12.5g} ± {std:.2g}")
-    print(f"\npercent of what moves that is predicted {HORIZON:g} s ahead: table 1, complete, reduced")
+    print(f"\npercent of the motion predicted {HORIZON:g} s ahead: table 1, complete fit, reduced fit")
     for experiment, shares in percents(found).items():
         for channel in SHOWN:
             print(f"{experiment:12}{channel:20}" + "".join(f"{each[channel]:9.2f}" for each in shares))
@@ -106,17 +111,17 @@ def draw(found: Estimation, folder: Path) -> None:
     for name, line in zip(complete.parameters, moves.T, strict=True):
         if np.ptp(line) > 0.05:
             right.plot(line, label=name)
-    right.set(yscale="log", xlabel="step", ylabel="value over that of table 1", title="Parameters that move")
+    right.set(yscale="log", xlabel="step", ylabel="value over that of table 1", title="Parameters that change")
     right.legend(fontsize=7)
     save(figure, folder / "convergence.png")
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
     left.barh(complete.parameters, np.maximum(complete.sensitivity, 1e-9))
-    left.set(xscale="log", xlabel="rise of the cost for a change of 1 %", title="Sensitivity (figure 7)")
+    left.set(xscale="log", xlabel="increase of the cost for a change of 1 %", title="Sensitivity (figure 7)")
     left.invert_yaxis()
     right.semilogy(np.arange(1, len(complete.singular_values) + 1), np.maximum(complete.singular_values, 1e-9), "o")
     right.axhline(2.0 / 0.3, color="grey", linestyle=":", label="known to 30 %")
-    right.set(xlabel="combination", ylabel="singular value", title="Jacobian by relative changes")
+    right.set(xlabel="combination", ylabel="singular value", title="Jacobian for relative changes")
     right.legend()
     save(figure, folder / "sensitivity.png")
 
@@ -128,8 +133,8 @@ def draw(found: Estimation, folder: Path) -> None:
         for axis, each in zip(axes.flat, found.profiles, strict=False):
             axis.plot(each.values, np.minimum(each.rises, 10.0 * RISE), ".-")
             axis.axhline(RISE, color="grey", linestyle=":")
-            axis.set_title(f"{each.parameter}{'' if each.told else ': not told'}", fontsize=9)
-        figure.supylabel("rise of the cost (95 % dotted)")
+            axis.set_title(f"{each.parameter}{'' if each.told else ': not identifiable'}", fontsize=9)
+        figure.supylabel("increase of the cost (95 % dotted)")
         save(figure, folder / "profiles.png")
 
     for number, (experiment, recording) in enumerate(found.recordings.items()):
@@ -137,10 +142,10 @@ def draw(found: Estimation, folder: Path) -> None:
 
 
 def overlay(found: Estimation, experiment: str, recording: Recording, path: Path) -> None:
-    """Measured, and in windows of HORIZON with table 1 and with the estimates (figures 9 to 13)."""
+    """Plot measurements and simulations over windows of HORIZON with table 1 and the estimates (figures 9 to 13)."""
     fits = {
-        "table 1": on_others(found.told, [recording], values=TABLE_1),
-        "estimated": on_others(found.told, [recording]),
+        "table 1": on_others(found.reduced, [recording], values=TABLE_1),
+        "estimated": on_others(found.reduced, [recording]),
     }
     task = fits["estimated"].problem
     segment = task.segments[0]
@@ -152,7 +157,7 @@ def overlay(found: Estimation, experiment: str, recording: Recording, path: Path
         for label, each in fits.items():
             axis.plot(segment.time[middle], in_windows(each, HORIZON)[0][middle, place], linewidth=1.0, label=label)
         axis.set_ylabel(f"{channel}\n{task.model.outputs[place].unit}", fontsize=8)
-    axes[0].set_title(f"{experiment}: simulated for {HORIZON:g} s at a time")
+    axes[0].set_title(f"{experiment}: simulated over windows of {HORIZON:g} s")
     axes[0].legend(fontsize=8, ncols=3)
     axes[-1].set_xlabel("time, s")
     save(figure, path)

@@ -1,11 +1,11 @@
-"""Identification by hand, cell by cell, as one would in a notebook.
+"""Identification step by step, cell by cell as in a notebook.
 
     python examples/identify_in_a_notebook.py [RECORDING]
 
-Without a recording, one is made: the virtual vehicle, with a static torque of 120 N m that the first model lacks.
+Without a recording, one is simulated: the virtual vehicle with a static torque of 120 N m, which the first model lacks.
 """
 
-# %% A recording, of a file or of the virtual vehicle
+# %% A recording from a file or of the virtual vehicle
 import sys
 
 import estimators
@@ -20,17 +20,17 @@ if len(sys.argv) > 1:
 else:
     recording = record("monocab", "step", hide=["static_torque"], seed=1)
 
-# %% A model: a shipped one, with the vehicle file's CAD values as the start
+# %% A model: a shipped one, with the vehicle file's CAD values as start values
 vehicle = load("monocab")
 known = vehicle.parameters
 model = with_values(library.get("monocab_roll"), known.values, known.deviations)
 
-# %% Fit it. In a notebook the last line alone shows the table
+# %% Fit it. In a notebook the last line suffices to show the table
 first = estimators.prediction_error(model, [recording])
 print(first)
 first._repr_html_()
 
-# %% The same with an effect added, as the paper did, and what it does to the prediction
+# %% The same with an effect added, as in the paper, and how the prediction changes
 second = estimators.prediction_error(model.add("static_torque"), [recording])
 print(second)
 for channel, percent in second.fit_percent.items():

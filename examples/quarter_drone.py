@@ -1,9 +1,10 @@
-"""A quarter drone: an arm that a propeller lifts, in closed loop; two records are fitted, two others predicted.
+"""A quarter drone: an arm lifted by a propeller, in closed loop; two records are fitted, two others predicted.
 
     python examples/quarter_drone.py [FOLDER]
 
 FOLDER holds quarter_drone/*.csv: Tempo_s (s), Saida_y (deg, 0 hangs down), Controle_u (% throttle), 100 Hz. The
-model is quarter_drone.toml. Degrees become radians, and a throttle below zero, where the propeller stands still, zero.
+model is quarter_drone.toml. Degrees are converted to radians. A throttle below zero, at which the propeller stands
+still, is set to zero.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ CHANNELS = ChannelTable((Channel("throttle", "1", "of the propeller"), Channel("
 FITTED = ("sinal2_degraus", "sinal4_multiseno")
 HELD_OUT = ("sinal3_swept_sine", "sinal1_semi_estatica")
 START_UP = 5.0
-"""s until the filter of the angle's reading has settled."""
+"""s until the filter of the measured angle has settled."""
 
 
 def load(folder: Path, name: str) -> Recording:
-    """One record, after the start-up."""
+    """One record without the start-up."""
     data = np.genfromtxt(folder / "quarter_drone" / f"{name}_malha_fechada.csv", delimiter=",", names=True)
     data = data[data["Tempo_s"] >= START_UP]
     throttle, angle = np.maximum(data["Controle_u"], 0.0) / 100.0, np.radians(data["Saida_y"])
@@ -39,7 +40,7 @@ def load(folder: Path, name: str) -> Recording:
 
 
 def identify(folder: Path) -> tuple[Estimate, dict[str, Validation]]:
-    """The fit, and what it is worth on each record."""
+    """The fit, and its validation on each record."""
     began = stopwatch()
     model = load_model(Path(__file__).with_suffix(".toml"))
     fitted = prediction_error.fit(problem(model, [load(folder, name) for name in FITTED]))
@@ -48,7 +49,7 @@ def identify(folder: Path) -> tuple[Estimate, dict[str, Validation]]:
 
 
 if __name__ == "__main__":
-    estimate, worth = identify(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
+    estimate, validations = identify(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data"))
     print(estimate)
-    for name, each in worth.items():
+    for name, each in validations.items():
         print(f"{name}{' (held out)' if name in HELD_OUT else ''}\n{each}")

@@ -1,9 +1,10 @@
-"""An unbalanced disk on a DC motor: a pendulum model from a text file, fitted to part of a record, tried on another.
+"""An unbalanced disk on a DC motor: a pendulum model from a text file, fitted to one part of a record, validated on
+another.
 
     python examples/unbalanced_disk.py [FOLDER]
 
 FOLDER holds unbalanced_disk/training-val-test-data.npz: `u` V and `th` rad (0 hangs down), every 25 ms. The first 250 s
-are fitted, the last 175 s are never seen by the fit. The model is unbalanced_disk.toml.
+are fitted, the last 175 s are held out. The model is unbalanced_disk.toml.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def load(folder: Path) -> tuple[Recording, Recording]:
 
 
 def identify(folder: Path) -> dict[str, tuple[Estimate, Validation]]:
-    """Prediction error, and output error from there on: what each finds and what it is worth on the held-out part."""
+    """Estimates by prediction error and, starting from these, by output error, each validated on the held-out part."""
     train, held_out = load(folder)
     began = stopwatch()
     model = load_model(Path(__file__).with_suffix(".toml"))

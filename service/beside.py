@@ -1,4 +1,4 @@
-"""A thread beside an event loop whose end can be awaited, and that the end of the process does not wait for."""
+"""Run work in a daemon thread and await its result in an event loop."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ T = TypeVar("T")
 
 
 def beside(work: Callable[[], T], name: str) -> asyncio.Future[T]:
-    """Begin `work` in a daemon thread; what it returns or raises. To be called in a running event loop."""
+    """Start `work` in a daemon thread; the future gets its result or exception. Call it in a running event loop."""
     loop = asyncio.get_running_loop()
     finished: asyncio.Future[T] = loop.create_future()
 
-    def tell(how: Callable[[Any], None], what: Any) -> None:
+    def finish(how: Callable[[Any], None], what: Any) -> None:
         if not finished.done():
             how(what)
 
@@ -25,8 +25,8 @@ def beside(work: Callable[[], T], name: str) -> asyncio.Future[T]:
             end: tuple[Callable[[Any], None], Any] = finished.set_result, work()
         except Exception as error:
             end = finished.set_exception, error
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-            loop.call_soon_threadsafe(tell, *end)
+        with contextlib.suppress(RuntimeError):  # the loop is closed, and nothing awaits the result
+            loop.call_soon_threadsafe(finish, *end)
 
     threading.Thread(target=run, name=name, daemon=True).start()
     return finished

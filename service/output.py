@@ -1,4 +1,4 @@
-"""How commands print: people read stderr and tables, scripts read one JSON document on stdout."""
+"""Output of commands: text and tables for users, one JSON document on stdout for scripts."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rich.table import Table
 from rich.text import Text
 
 people = Console(stderr=True, highlight=False)
-"""Where progress, events and notes go."""
+"""For progress, events and notes."""
 
 page = Console(highlight=False)
-"""Where the answer of a command goes, when it is for people."""
+"""For the result of a command as text."""
 
 
 def check_folder(target: Path | None) -> None:
-    """Raises BadParameter where there is no folder to write `target` to: before the work is done, not after."""
+    """Raises BadParameter if there is no folder to write `target` to. Call it before the work, not after."""
     if target is not None and not target.absolute().parent.is_dir():
         raise typer.BadParameter(f"there is no folder {target.parent} to write {target.name} to")
 
 
 def print_json(document: Any) -> None:
-    """One JSON document on stdout; a number that is not finite becomes null."""
+    """Print one JSON document on stdout; a number that is not finite becomes null."""
     typer.echo(json.dumps(_finite(document), indent=2, default=str))
 
 
@@ -43,10 +43,10 @@ def _finite(value: Any) -> Any:
 
 
 def parameter_table(estimates: dict[str, Any], title: str = "") -> Group:
-    """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`, and
-    below them what there is to say of some."""
+    """Parameters with +- of one or several methods: `{method: {"parameters": {name: {value, std, unit, ...}}}}`, with
+    notes below."""
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, header_style="bold")
-    # Where there is little room, a method's name is folded: a number is never cut.
+    # If space is limited, names of methods are wrapped, but numbers are never truncated.
     table.add_column("method", overflow="fold", min_width=12)
     for heading in ("parameter", "value", "±", "unit", ""):
         table.add_column(heading, no_wrap=True, justify="right" if heading in ("value", "±") else "left")
@@ -74,13 +74,13 @@ def parameter_table(estimates: dict[str, Any], title: str = "") -> Group:
 
 
 def missing_effects(diagnosis: Mapping[str, Any] | None) -> str:
-    """What a live diagnosis says, a line for each effect."""
+    """The result of a live diagnosis, a line for each effect."""
     if diagnosis is None:
         return ""
     if diagnosis["verdict"] == "insufficient_data":
         return f"[dim]missing effect: not known yet, {escape(diagnosis['reason'])}[/dim]"
     if not diagnosis["findings"]:
-        return f"missing effect: none shows in {diagnosis['seconds']} s"
+        return f"missing effect: none detected in {diagnosis['seconds']} s"
     return "\n".join(f"[bold]missing effect[/bold] {_one_effect(each)}" for each in diagnosis["findings"])
 
 

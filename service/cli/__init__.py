@@ -1,7 +1,7 @@
-"""The command `upright`. Each command imports what it needs when it runs, so that `--help` answers at once.
+"""The command `upright`. Each command imports its modules when it runs, so that `--help` answers at once.
 
 Exit codes: 0 done, 1 failed, 2 usage, 3 refused by a safety interlock, 4 vehicle fault. With `--json` one document goes
-to stdout; everything meant for people goes to stderr then.
+to stdout, and all text for the user to stderr.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 
-# Matrices are small here: threads for one of them cost more than they gain, tenfold on a busy machine.
+# The matrices are small: multithreaded BLAS is slower than a single thread, tenfold on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import typer
@@ -37,7 +37,7 @@ dashboard.register(app)
 
 
 def main() -> None:
-    """Entry point. An UprightError is told in a sentence with its remedy; anything else shows its trace."""
+    """Entry point. An UprightError is shown as a sentence with its remedy; any other exception shows its traceback."""
     try:
         app()
     except UprightError as error:

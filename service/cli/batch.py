@@ -48,27 +48,27 @@ def identify(
         ),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--every-recording", help="Give each method all recordings, not only those that suit it.")
+        bool, typer.Option("--every-recording", help="Give each method all recordings, not only the suitable ones.")
     ] = False,
     bandwidth: Annotated[
-        float | None, typer.Option(help="Hz, of the filter of the regressions.", show_default="5")
+        float | None, typer.Option(help="Hz, bandwidth of the filter of the regression methods.", show_default="5")
     ] = None,
     truth: Annotated[
         list[str] | None,
         typer.Option(
-            "--truth", help="NAME=VALUE that is known to be true, as of a virtual vehicle.", show_default=False
+            "--truth", help="NAME=VALUE that is known to be true, as for a virtual vehicle.", show_default=False
         ),
     ] = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="The paper's figure 3: .png, .svg or .pdf.")] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
+        typer.Option("--report", help="Write a self-contained page to read, mail and print: FILE.html."),
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Estimate the vehicle's parameters from recordings, each with its standard deviation, by several methods.
+    """Estimate the vehicle's parameters and their standard deviations from recordings, by several methods.
 
-    Ctrl-C ends it and shows what is done by then.
+    Ctrl-C ends the estimation and shows the results up to then.
     """
     from math import tau
 
@@ -133,7 +133,7 @@ def identify(
 
 
 def truths(options: list[str]) -> dict[str, float]:
-    """Name to value of `--truth`."""
+    """The values of `--truth` by name."""
     known = {}
     for option in options:
         name, _, value = option.partition("=")
@@ -147,7 +147,7 @@ def truths(options: list[str]) -> dict[str, float]:
 
 
 def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: JsonOption = False) -> None:
-    """Run recordings or raw CAN logs through the live estimators again: the same numbers, bit for bit."""
+    """Run recordings or raw CAN logs through the live estimators again, with bit-identical results."""
     from service.offline.replay import replay as run
     from vehicles.file import load
 
@@ -165,11 +165,13 @@ def replay(recordings: Recordings, vehicle: VehicleOption = "monocab", json: Jso
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="A recording, or a raw CAN .log.")],
-    target: Annotated[Path, typer.Argument(help="By its suffix: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")],
+    source: Annotated[Path, typer.Argument(help="A recording or a raw CAN .log.")],
+    target: Annotated[
+        Path, typer.Argument(help="A file; its suffix gives the format: .arrow, .parquet, .csv, .mat, .mf4 or .mcap.")
+    ],
     vehicle: VehicleOption = "monocab",
 ) -> None:
-    """Write a recording in another format. From a raw CAN log, all measured channels are rebuilt."""
+    """Write a recording in another format. All measured channels of a raw CAN log are reconstructed."""
     from service.offline.replay import convert as run
 
     with working() as step:

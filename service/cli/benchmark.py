@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from service.hidden_effects.cases import Grid
     from service.hidden_effects.trial import Bench
 
-benchmark = typer.Typer(help="How good the diagnosis is, measured by anyone.", no_args_is_help=True)
+benchmark = typer.Typer(help="Measure how good the diagnosis is.", no_args_is_help=True)
 
 NO_BASELINE = "none"
 EXAMPLES = """Examples:
 
-`upright benchmark hidden-effects --quick` a few minutes, to see whether it works
+`upright benchmark hidden-effects --quick` a short check, a few minutes
 
 `upright benchmark hidden-effects --effects coulomb_friction,sensor_delay --sizes 1,2,4 --seeds 10`
 
 `upright benchmark hidden-effects --scheduler tcp://server:8786 --output nightly.jsonl` on many machines
 
-`upright benchmark hidden-effects --summary nightly.jsonl --picture confusion.png` the figures alone, nothing is run
+`upright benchmark hidden-effects --summary nightly.jsonl --picture confusion.png` only the figures of a results file
 """
 
 
@@ -38,7 +38,7 @@ def register(app: typer.Typer) -> None:
 
 @benchmark.callback()
 def group() -> None:
-    """A group even where it has one command."""
+    """Make it a group although it has only one command."""
 
 
 @benchmark.command("hidden-effects", epilog=EXAMPLES)
@@ -46,12 +46,12 @@ def hidden_effects(
     effects: Annotated[
         str | None,
         typer.Option(
-            help="Effects to hide, with commas between.",
-            show_default="all that the model lacks, and some no catalogue has",
+            help="Effects to hide, separated by commas.",
+            show_default="all that the model can lack, and some outside the catalogue",
         ),
     ] = None,
     sizes: Annotated[
-        str | None, typer.Option(help="In multiples of the size that can just be seen.", show_default="1,2,4,8")
+        str | None, typer.Option(help="Amplitudes in multiples of the minimum detectable one.", show_default="1,2,4,8")
     ] = None,
     noise: Annotated[
         str | None, typer.Option(help="IMU noise in multiples of the data sheet's.", show_default="1")
@@ -59,54 +59,52 @@ def hidden_effects(
     excitations: Annotated[
         str | None, typer.Option(help="Experiments of the vehicle.", show_default="multisine,sweep,square,hold")
     ] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="Records of each kind.", show_default="3")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Number of records of each kind.", show_default="3")] = None,
     disturbance: Annotated[
         str | None,
         typer.Option(
             help="Random torque of every record: RMS,CORRELATION_TIME in multiples of the sensor floor and s, or none.",
-            show_default="drawn, 2 to 20 N m RMS and 0.05 to 3 s",
+            show_default="drawn from 2 to 20 N m RMS and 0.05 to 3 s",
         ),
     ] = None,
     first: Annotated[
-        int, typer.Option(min=0, help="Number of the first of them: others than before are records nobody has seen.")
+        int, typer.Option(min=0, help="Number of the first record: other numbers than before give new records.")
     ] = 0,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A few cases and no baselines, unless options say otherwise.")
+        bool, typer.Option("--quick", help="A few cases and no baselines, unless other options are given.")
     ] = False,
     baseline: Annotated[
         list[str] | None,
         typer.Option(
             "--baseline",
-            help="Hold the diagnosis against differentiate_sindy, smoother_stepwise, exhaustive_bic, or none.",
+            help="Compare the diagnosis with differentiate_sindy, smoother_stepwise, exhaustive_bic, or none.",
             show_default="all",
         ),
     ] = None,
     model: Annotated[
-        str, typer.Option(help="The model that lacks what is hidden: monocab_roll, or monocab_reduced.")
+        str, typer.Option(help="The model that lacks the hidden effects: monocab_roll or monocab_reduced.")
     ] = "monocab_roll",
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Results, a JSON line a case; what is there is not run again.")
+        Path, typer.Option("--output", "-o", help="Results file, a JSON line per case; its cases are not run again.")
     ] = Path("hidden-effects.jsonl"),
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes on this machine.", show_default="one a core")
+        int | None, typer.Option(min=1, help="Number of processes on this machine.", show_default="one per core")
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            help="Dask scheduler to run on, as tcp://HOST:8786, instead of on this machine.", show_default=False
-        ),
+        typer.Option(help="Dask scheduler to run on instead of this machine, as tcp://HOST:8786.", show_default=False),
     ] = None,
     summary: Annotated[
-        Path | None, typer.Option("--summary", help="Run nothing: the figures of this results file.")
+        Path | None, typer.Option("--summary", help="Show the figures of this results file; run nothing.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="Which effect was called what: .png, .svg or .pdf.")
+        Path | None, typer.Option("--picture", help="Picture of the confusion matrix: .png, .svg or .pdf.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> None:
-    """Hide effects of known size in virtual vehicles, and count how often the diagnosis names them.
+    """Hide effects of known amplitude in virtual vehicles, and count how often the diagnosis names them.
 
-    Ctrl-C ends it and shows what is done by then; the same command goes on from there.
+    Ctrl-C ends it and shows the results up to then; the same command resumes.
     """
     from diagnosis.report.figures.methods import check_suffix
     from service.hidden_effects.benchmark import benchmark as run
@@ -129,7 +127,7 @@ def hidden_effects(
         except KeyboardInterrupt:
             interrupted = True
             lines = results.read(output) if output.exists() else {}
-            people.print(f"Interrupted. What is done is in {output}; the same command goes on from there.")
+            people.print(f"Interrupted. The results up to now are in {output}; the same command resumes.")
     figures = summarise(lines.values())
     if picture is not None and lines:
         from service.hidden_effects.results.confusion_picture import save_confusion
@@ -159,7 +157,7 @@ def _grid(
     seeds: int | None,
     first: int,
 ) -> Grid:
-    """The grid that the options ask for. Raises UnknownEffectError, and BadParameter for what cannot be."""
+    """The grid that the options describe. Raises UnknownEffectError, and BadParameter for other invalid options."""
     from service.hidden_effects.cases import QUICK, Grid
     from vehicles.file import load
 
@@ -168,7 +166,7 @@ def _grid(
         there = load("monocab").experiments
         for name in _words(excitations):
             if name not in there:
-                raise typer.BadParameter(f"{name!r} is none of {', '.join(there)}", param_hint="--excitations")
+                raise typer.BadParameter(f"{name!r} is not one of {', '.join(there)}", param_hint="--excitations")
     return Grid(
         effects=base.effects if effects is None else _words(effects),
         sizes=base.sizes if sizes is None else _numbers(sizes, "--sizes"),
@@ -180,7 +178,7 @@ def _grid(
 
 
 def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str | None) -> Bench:
-    """Raises BadParameter for an unknown baseline or a disturbance that cannot be, ModelError for an unknown model."""
+    """Raises BadParameter for an unknown baseline or an invalid disturbance, ModelError for an unknown model."""
     from models.library import get
     from service.hidden_effects.disturbances import drawn_for, parse_disturbances
     from service.hidden_effects.methods.answers import diagnosis
@@ -191,7 +189,7 @@ def _bench(quick: bool, baseline: list[str] | None, model: str, disturbance: str
     for name in chosen:
         if name not in BASELINES and name != NO_BASELINE:
             there = ", ".join((*BASELINES, NO_BASELINE))
-            raise typer.BadParameter(f"{name!r} is none of {there}", param_hint="--baseline")
+            raise typer.BadParameter(f"{name!r} is not one of {there}", param_hint="--baseline")
     methods = {name: BASELINES[name] for name in chosen if name != NO_BASELINE}
     try:
         disturbances = parse_disturbances(disturbance, drawn_for("monocab"))
@@ -210,13 +208,13 @@ def _numbers(text: str, option: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if not numbers or not all(0.0 < number < float("inf") for number in numbers):
-        raise typer.BadParameter(f"{text!r} are no positive numbers with commas between", param_hint=option)
+        raise typer.BadParameter(f"{text!r} is not a list of positive numbers, separated by commas", param_hint=option)
     return numbers
 
 
 @contextmanager
 def _counting() -> Iterator[Callable[[int, int], None]]:
-    """A progress bar over all cases, with the time that is left, on stderr."""
+    """A progress bar over all cases with the remaining time, on stderr."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -232,7 +230,7 @@ def _counting() -> Iterator[Callable[[int, int], None]]:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
-        # Cases take half a minute: an estimate over the usual half a minute would see one of them.
+        # Cases take half a minute: with the default period of half a minute the estimate would rest on one of them.
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=people, speed_estimate_period=3600.0) as progress:

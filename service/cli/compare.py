@@ -1,4 +1,4 @@
-"""`upright compare`: models against recordings, and where they fail."""
+"""`upright compare`: compare models with recordings, and show where they fail."""
 
 from __future__ import annotations
 
@@ -25,23 +25,26 @@ def compare(
         list[str] | None,
         typer.Option(
             "--model",
-            help="A model file (.toml), a shipped model, or JSON of parameters, such as an .estimates.json beside a"
-            " recording, or as `upright model add --json` says it of the model before. May be given several times.",
+            help="A model file (.toml), a shipped model, or JSON with parameters: the .estimates.json beside a"
+            " recording, or the output of `upright model add --json` (for the model before the addition). May be given"
+            " several times.",
             show_default="the vehicle's with its CAD values",
         ),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="The overlay and where the models fail: .png, .svg or .pdf.")
+        Path | None,
+        typer.Option("--picture", help="Picture of the overlay and of where the models fail: .png, .svg or .pdf."),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
+        typer.Option("--report", help="Write a self-contained page to read, mail and print: FILE.html."),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> None:
-    """Hold models against recordings: how well they predict, what force they miss, and where.
+    """Compare models with recordings: how well they predict, which force is missing, and where.
 
-    Each recording is compared by itself. What noise alone would leave is the measure: its size is read from the record.
+    Each recording is compared by itself. The reference is the error that noise alone would cause; the noise is
+    estimated from the recording.
     """
     from diagnosis.prediction.compare import compare as run
     from service.cli.inputs import load_recording, working
@@ -80,8 +83,8 @@ def compare(
             from service.offline.provenance import provenance
 
             origin = provenance(name_of(subject, file), recordings)
-            told = [(str(path), found) for path, found in answers]
-            report.write_text(write_comparison(told, provenance=origin, progress=step), encoding="utf-8")
+            named = [(str(path), found) for path, found in answers]
+            report.write_text(write_comparison(named, provenance=origin, progress=step), encoding="utf-8")
     if json:
         print_json(
             {"models": [{**each.to_json(), "recording": str(path)} for path, found in answers for each in found]}
@@ -96,10 +99,10 @@ def compare(
 
 
 def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
-    """The models of `--model` by name, after the vehicle's own with its CAD values where any of them is of the vehicle.
+    """The models of `--model` by name, after the vehicle's own with its CAD values if one of them is of the vehicle.
 
-    Raises ModelError and RecordingError for what is no model, EstimationError for a vehicle that has no model of its
-    own where none is given.
+    Raises ModelError and RecordingError for options that are not models, and EstimationError if none is given and the
+    vehicle has no model of its own.
     """
     from estimators.contract import EstimationError
     from service.offline.machine import is_of
@@ -122,11 +125,11 @@ def read_models(options: list[str], vehicle: VehicleFile) -> dict[str, Model]:
 
 
 def estimated(path: Path, base: Model | None) -> dict[str, Model]:
-    """Models by name from a JSON file of estimates: `base` with the values that each method determines, or, of what
-    `upright model add --json` says, the model that the effect was added to, fitted to the same recordings.
+    """Models by name from a JSON file of estimates: `base` with the estimates of each method, or, from the output of
+    `upright model add --json`, the model before the addition, fitted to the same recordings.
 
-    Raises RecordingError where the file holds no estimates, or there is no model that they could be of; ModelError
-    where the model file to which an effect was added is not there any more, or does not have it.
+    Raises RecordingError if the file has no estimates, or if no model is known that they belong to; ModelError if the
+    model file to which an effect was added does not exist any more, or does not have the effect.
     """
     from telemetry.errors import RecordingError
 
@@ -137,7 +140,7 @@ def estimated(path: Path, base: Model | None) -> dict[str, Model]:
             return {f"without {document['effect']}": _without_effect(document)}
         if base is None:
             remedy = "Give the model itself: --model FILE.toml."
-            raise RecordingError(str(path), "", "holds values of a model that is not known", remedy=remedy)
+            raise RecordingError(str(path), "", "has parameter values, but their model is not known", remedy=remedy)
         names = {parameter.name for parameter in base.parameters}
         methods: dict[str, Any] = document.get("methods") or document.get("estimates") or document
         for name, method in methods.items():
@@ -151,14 +154,14 @@ def estimated(path: Path, base: Model | None) -> dict[str, Model]:
         raise RecordingError(
             str(path),
             "",
-            f"holds no estimates ({error})",
+            f"has no estimates ({error})",
             remedy="Write one with `upright identify ... --json > FILE`.",
         ) from error
     return models
 
 
 def _without_effect(document: dict[str, Any]) -> Model:
-    """The model of the file to which `upright model add` added an effect, as it was fitted without it."""
+    """The model of the file to which `upright model add` added an effect, without it and with the values fitted so."""
     from models.file.model_file import load_model
 
     values = {name: each["value"] for name, each in document["repair"]["before"]["parameters"].items()}
@@ -166,5 +169,5 @@ def _without_effect(document: dict[str, Any]) -> Model:
 
 
 def estimates_beside(recording: Path) -> Path:
-    """What the live estimators found while `recording` was made."""
+    """The file of the live estimates of `recording`."""
     return recording.with_suffix(".estimates.json")

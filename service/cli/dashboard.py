@@ -19,24 +19,24 @@ def register(app: typer.Typer) -> None:
 def dashboard(
     vehicle: VehicleArgument = "monocab",
     websocket: Annotated[
-        str, typer.Option("--websocket", help="The broker's websocket listener, as a browser reaches it.")
+        str, typer.Option("--websocket", help="Address of the broker's websocket listener for the browser.")
     ] = "ws://localhost:9001",
-    user: Annotated[str, typer.Option("--user", help="At the broker; the page asks for a password.")] = "",
+    user: Annotated[str, typer.Option("--user", help="User name at the broker; the page asks for the password.")] = "",
     password_file: Annotated[
         Path | None,
         typer.Option(
             "--password-file",
-            help="File with the user's password in its first line: whoever reaches the page may do what this user may.",
+            help="File with the user's password in its first line: anyone who opens the page has this user's rights.",
         ),
     ] = None,
     data: Annotated[Path, typer.Option("--data", help="Folder of the recordings.")] = Path("recordings"),
-    host: Annotated[str, typer.Option(help="Address to listen at; the page is for this machine.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to listen at.")] = 8765,
+    host: Annotated[str, typer.Option(help="Address to listen on; the page is for this machine.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen on.")] = 8765,
 ) -> None:
-    """Show a vehicle live in a browser: what it does, what the model says, what is missing.
+    """Show a vehicle live in a browser: its motion, the prediction of its model, and missing effects.
 
-    The page takes what is live from the broker, by websockets; recordings and diagnoses come from this command. It
-    works without a network. Ctrl-C ends it; the vehicle does not mind.
+    The page gets live data from the broker by websockets; this command serves recordings and diagnoses. It works
+    without a network. Ctrl-C ends it; the vehicle is not affected.
     """
     import uvicorn
 
@@ -44,7 +44,7 @@ def dashboard(
     from vehicles.file import load
 
     if not websocket.startswith(("ws://", "wss://")) or any(sign in websocket for sign in " ;,'\""):
-        raise typer.BadParameter("is ws://HOST:PORT or wss://HOST:PORT", param_hint="--websocket")
+        raise typer.BadParameter("has to be ws://HOST:PORT or wss://HOST:PORT", param_hint="--websocket")
     password = ""
     if password_file is not None:
         try:

@@ -1,4 +1,4 @@
-"""`upright diagnose`: which physical effect a model lacks."""
+"""`upright diagnose`: find the physical effect that a model lacks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from models.effect import Effect
 
 DRAWING = 0.1
-"""Share of the time that a report is left to be drawn in."""
+"""Share of the time budget that is reserved for drawing a report."""
 
 
 def diagnose(
@@ -32,48 +32,49 @@ def diagnose(
         list[str] | None,
         typer.Option(
             "--effect",
-            help="Look for this one: a name of the catalogue, or an effect of your own (.toml, .py). May be repeated.",
+            help="Look only for this effect: a name of the catalogue, or an effect of your own (.toml, .py). May be"
+            " repeated.",
             show_default="the whole catalogue",
         ),
     ] = None,
     own: Annotated[
         list[str] | None,
-        typer.Option("--also", help="An effect of your own (.toml, .py) beside the catalogue. May be repeated."),
+        typer.Option("--also", help="Also look for an effect of your own (.toml, .py). May be repeated."),
     ] = None,
     begin: Annotated[
-        float, typer.Option("--from", help="Look at the recordings from this second on.", show_default="the beginning")
+        float, typer.Option("--from", help="Use the recordings from this second on.", show_default="the beginning")
     ] = 0.0,
     end: Annotated[
-        float, typer.Option("--to", help="Look at the recordings up to this second.", show_default="the end")
+        float, typer.Option("--to", help="Use the recordings up to this second.", show_default="the end")
     ] = math.inf,
     auto: Annotated[
         Path | None,
         typer.Option(
             "--auto",
-            help="Add what is found, again and again, until the model is adequate or what is left has no name; write"
-            " the model to this file, and the trail beside it.",
+            help="Add effects until the model is adequate or no effect explains the remaining error; write the model to"
+            " this file, and a record of all steps beside it.",
         ),
     ] = None,
     budget: Annotated[
         float | None,
         typer.Option(
             "--budget",
-            help="Seconds that it may take, e.g. --budget 300; what is left untried by then is said. --budget inf: as"
-            " long as it takes.",
-            show_default="60, in proportion more for over 12,000 rows",
+            help="Time limit in seconds, e.g. --budget 300; what could not be tried is reported. --budget inf: no"
+            " limit.",
+            show_default="60, and proportionally more for over 12,000 samples",
         ),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", help="A page to look at, to mail and to print: FILE.html, with nothing beside it."),
+        typer.Option("--report", help="Write a self-contained page to read, mail and print: FILE.html."),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> None:
-    """Find the physical effect that a model lacks, or say that the recordings cannot tell.
+    """Find the physical effect that a model lacks, or report that the recordings are not sufficient.
 
-    Of several recordings the last is held out to check on; of a single one each third in turn. A vehicle whose
-    actuators have a model of their own is diagnosed in two parts, from command to motion and from there on; where both
-    lack something, a second report is written beside the first. Ctrl-C ends it.
+    The last of several recordings is held out for validation, or each third of a single one in turn. A vehicle whose
+    actuators have a model of their own is diagnosed in two parts: from the command to the actuators' motion, and from
+    that motion on. If both parts lack something, a second report is written beside the first. Ctrl-C ends it.
     """
     from diagnosis.diagnose import Verdict
     from models.effects.catalogue import CATALOGUE
@@ -88,7 +89,7 @@ def diagnose(
         if target is not None and not target.absolute().parent.is_dir():
             raise typer.BadParameter(f"there is no folder {target.parent} to write {target.name} to")
     if budget is not None and not budget > 0.0:
-        raise typer.BadParameter("has to be more than 0 s; inf is as long as it takes.", param_hint="--budget")
+        raise typer.BadParameter("has to be more than 0 s; inf means no limit.", param_hint="--budget")
     file = load(vehicle)
     given = {name: chosen_effect(name) for name in (*(effect or ()), *(own or ()))}
     candidates: list[str | Effect] | None = [given[name] for name in effect] if effect else None
@@ -96,7 +97,7 @@ def diagnose(
         candidates = [*(candidates if candidates is not None else CATALOGUE), *(given[name] for name in own)]
     from_files = {each.name: Path(name) for name, each in given.items() if name.endswith(SUFFIXES)}
     loaded = [load_recording(path, vehicle).between(begin, end) for path in recordings]
-    read = provenance("", recordings)  # of what was read: minutes later a file may be another
+    read = provenance("", recordings)  # now, since minutes later a file may have changed
     seconds = default_budget(loaded) if budget is None else budget
     with share_done(seconds) as progress:
         answer = diagnosed(
@@ -138,11 +139,11 @@ def diagnose(
         if pages:
             page.print("\n" + "\n".join(f"Report: {path}" for path in pages))
         if auto is not None and found.revised is not None:
-            page.print(f"\nModel: {auto}, and how it came about: {auto.with_suffix('.trail.json')}")
+            page.print(f"\nModel: {auto}, with a record of all steps: {auto.with_suffix('.trail.json')}")
     if found.verdict is Verdict.INSUFFICIENT_DATA:
         raise typer.Exit(1)
 
 
 def report_paths(report: Path, count: int) -> list[Path]:
-    """FILE.html, and for a second part FILE-2.html."""
+    """FILE.html, and FILE-2.html for a second part."""
     return [report, *(report.with_stem(f"{report.stem}-{number}") for number in range(2, count + 1))]

@@ -1,4 +1,4 @@
-"""`upright identify --report`: its document as a page, with what the estimates predict beside the CAD values."""
+"""`upright identify --report`: its document as a page, with predictions by the estimates and by the CAD values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def save_report(
     truth: Mapping[str, float],
     step: Callable[[str], None],
 ) -> None:
-    """Write the page of `document` to `target`; `recordings` and their `paths` are what it is of, `model` before."""
+    """Write the page of `document` to `target`; `recordings` with their `paths` were used, `model` was fitted."""
     step("comparing the estimates with the CAD values")
     comparisons, why = _compared(document, vehicle, model, recordings, step)
     text = write_identification(
@@ -49,10 +49,11 @@ def _compared(
     recordings: Sequence[Recording],
     step: Callable[[str], None],
 ) -> tuple[list[Comparison], str]:
-    """The model before and with the estimates to rely on, against all recordings; or why that cannot be."""
+    """The model with its CAD values and with the recommended estimates, compared with all recordings; or the reason why
+    that is not possible."""
     best = document["best"]
     if not best:
-        return [], "There is no method to rely on, so no model is compared with the recordings."
+        return [], "No method can be recommended, so no model is compared with the recordings."
     known = {parameter.name for parameter in model.parameters}
     found = document["methods"][best]["parameters"]
     values = {name: each["value"] for name, each in found.items() if name in known and each["value"] is not None}
@@ -61,4 +62,4 @@ def _compared(
         loops = [recorded_loop(vehicle, recording) for recording in recordings]
         return compare(models, recordings, support=support_of(model, vehicle), loops=loops, progress=step), ""
     except UprightError as error:
-        return [], f"The models could not be run over the recordings: {error}"
+        return [], f"The models could not be simulated with the recordings: {error}"

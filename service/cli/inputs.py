@@ -1,4 +1,4 @@
-"""What commands read, and how they show that they are at it: recordings, models, a bar or a spinner on stderr."""
+"""Reading recordings for commands, and progress on stderr: a bar or a spinner."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Recording:
-    """A recording of any kind; a file that was cut off is read as far as it goes, and said; so is a fall.
+    """Load a recording of any kind. A truncated file is read as far as possible, with a message; a fall gives one, too.
 
-    Time stamps that jitter beside samples that do not are set to their clock, but for those who run a recording again
-    or pass it on, `as_stamped`.
+    Jittering time stamps of samples that are equidistant are replaced by those of the sampling clock, unless
+    `as_stamped`: for commands that replay or convert a recording.
     """
     from estimators.data.segments import falls_at
     from service.offline.replay import load as load_any
@@ -42,7 +42,7 @@ def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Rec
 
 @contextmanager
 def working() -> Iterator[Any]:
-    """A spinner with the present step in words, on stderr."""
+    """A spinner with the current step, on stderr."""
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     with Progress(
@@ -61,15 +61,15 @@ def fitting() -> Iterator[Callable[[str, str, int, int], None]]:
     with Progress(*columns, console=people, transient=True) as progress:
         task = progress.add_task("reading", total=None)
 
-        def told(method: str, label: str, done: int, total: int) -> None:
+        def update(method: str, label: str, done: int, total: int) -> None:
             progress.update(task, description=f"{method}: {Path(label).name}", completed=done, total=total)
 
-        yield told
+        yield update
 
 
 @contextmanager
 def share_done(seconds: float = math.inf) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar of the share that is over, and of what is left of `seconds`, on stderr."""
+    """A progress bar with the share that is done and the rest of `seconds`, on stderr."""
     from rich.progress import (
         BarColumn,
         Progress,
@@ -84,7 +84,7 @@ def share_done(seconds: float = math.inf) -> Iterator[Callable[[str, float], Non
     from estimators.budget import Budget
 
     class Left(ProgressColumn):
-        """The time that is left at most."""
+        """The maximum remaining time."""
 
         def render(self, task: Task) -> Text:
             return Text("" if math.isinf(seconds) else f"{budget.left:.0f} s left at most")
@@ -94,7 +94,7 @@ def share_done(seconds: float = math.inf) -> Iterator[Callable[[str, float], Non
     with Progress(*columns, console=people, transient=True) as progress:
         task = progress.add_task("reading", total=1.0)
 
-        def told(text: str, share: float) -> None:
+        def update(text: str, share: float) -> None:
             progress.update(task, description=text, completed=share)
 
-        yield told
+        yield update

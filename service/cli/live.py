@@ -28,9 +28,9 @@ HideOption = Annotated[
     list[str] | None,
     typer.Option(
         "--hide",
-        help="EFFECT, EFFECT=LEVEL or EFFECT=LEVEL@SECONDS (when it sets in): a physical effect that the model lacks. "
-        "Likewise disturbance, or disturbance=RMS,CORRELATION_TIME (N m, s): a random torque; 0 is off. "
-        "And narrow_band, or narrow_band=RMS,FREQUENCY,DAMPING (N m, Hz): one about a frequency.",
+        help="EFFECT, EFFECT=LEVEL or EFFECT=LEVEL@SECONDS (time of onset): a physical effect that the model lacks. "
+        "Also disturbance, or disturbance=RMS,CORRELATION_TIME (N m, s): a random torque; 0 switches it off. "
+        "Also narrow_band, or narrow_band=RMS,FREQUENCY,DAMPING (N m, Hz): a narrow-band random torque.",
         show_default=False,
     ),
 ]
@@ -49,16 +49,16 @@ def demo(
     hide: HideOption = None,
     experiment: Annotated[
         list[str] | None,
-        typer.Option("--experiment", help="Experiments to run.", show_default="those of the vehicle's story"),
+        typer.Option("--experiment", help="Experiments to run.", show_default="those of the vehicle's demo"),
     ] = None,
     data: DataOption = None,
-    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise and of the disturbance.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated sensors' noise and of the disturbance.")] = 1,
     dashboard: Annotated[
-        bool, typer.Option("--dashboard", help="Show the page live, in real time, and go on until Ctrl-C.")
+        bool, typer.Option("--dashboard", help="Serve the page live, in real time, and go on until Ctrl-C.")
     ] = False,
-    port: Annotated[int, typer.Option(help="Of the dashboard, on this machine alone.")] = 8765,
+    port: Annotated[int, typer.Option(help="Port of the dashboard, on this machine only.")] = 8765,
 ) -> None:
-    """The whole story without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
+    """Run everything without hardware: a virtual vehicle is balanced, excited, identified and diagnosed."""
     import math
 
     from diagnosis.prediction.compare import compare as compare_models
@@ -69,7 +69,7 @@ def demo(
     from service.demo.figure import save_run
     from service.demo.run import run_demo
     from service.observer.online_estimators import online_estimators
-    from service.virtual.vehicle import asked_disturbance
+    from service.virtual.vehicle import requested_disturbance
     from vehicles import registry
     from vehicles.file import load
 
@@ -79,7 +79,7 @@ def demo(
         step("preparing the estimators (on the first start on a computer, their model is compiled)")
         online_estimators(file.vehicle.kind, given.values, given.deviations, file.support).join()
 
-    def tell(recordings: list[Path]) -> None:
+    def evaluate(recordings: list[Path]) -> None:
         last = recordings[-1]
         if not story.settling:
             identified(last, story.begin, file)
@@ -104,17 +104,17 @@ def demo(
         report = last.with_name("diagnosis.html")
         diagnose([last], vehicle=vehicle, begin=story.begin, report=report)
         page.print(
-            "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add what is"
-            " missing."
+            "\nNext: open the report, or `upright model add mine.toml EFFECT --recording RECORDING` to add the missing"
+            " effect."
         )
 
     experiments, data = experiment or list(story.experiments), data or Path("recordings")
-    tell_disturbance(asked_disturbance(file, hide or []))
-    run_demo(file, hide or [], experiments, data, seed, follow, tell, port=port if dashboard else None)
+    print_disturbance(requested_disturbance(file, hide or []))
+    run_demo(file, hide or [], experiments, data, seed, follow, evaluate, port=port if dashboard else None)
 
 
 def identified(path: Path, begin: float, file: VehicleFile) -> None:
-    """Identify the recording at `path` from `begin` s on, print it, and write it to where live estimates would be."""
+    """Identify the recording at `path` from `begin` s on, print the result, and write it as the live estimates."""
     import json
     import math
 
@@ -147,11 +147,12 @@ def simulate(
     bus: BusOption = None,
     hide: HideOption = None,
     fault: Annotated[
-        list[str] | None, typer.Option("--fault", help="NAME@SECONDS: something that goes wrong.", show_default=False)
+        list[str] | None,
+        typer.Option("--fault", help="NAME@SECONDS: a fault that occurs at this time.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the simulated sensors' noise and of the disturbance.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated sensors' noise and of the disturbance.")] = 1,
 ) -> None:
-    """A virtual vehicle on a CAN bus, in real time: plant, servo inverters and IMU, each speaking its real protocol.
+    """Run a virtual vehicle on a CAN bus in real time: plant, servo inverters and IMU with their real protocols.
 
     Ctrl-C ends it. The daemon connects to it as to the real vehicle.
     """
@@ -166,13 +167,13 @@ def simulate(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    disturbance = virtual_vehicle.asked_disturbance(file, hide or [])
+    disturbance = virtual_vehicle.requested_disturbance(file, hide or [])
     configuration = virtual_vehicle.configuration(file, hide or [], seed, disturbance=disturbance)
     faults = parse_faults(fault or [], [drive.name for drive in file.drive])
     people.print(f"Virtual {file.vehicle.id} on {' and '.join(dict.fromkeys((drives, imu)))}. Ctrl-C ends it.")
-    tell_disturbance(disturbance)
+    print_disturbance(disturbance)
     run = virtual_vehicle.run(configuration, drives, imu, stop=stop, faults=faults)
-    people.print(f"{run.cycles} cycles, {run.late_cycles} late, {run.skipped_cycles} left out, {run.syncs} SYNCs.")
+    people.print(f"{run.cycles} cycles, {run.late_cycles} late, {run.skipped_cycles} skipped, {run.syncs} SYNCs.")
 
 
 def serve(
@@ -185,33 +186,36 @@ def serve(
     ] = None,
     virtual: Annotated[
         bool,
-        typer.Option("--virtual", help="With a virtual vehicle instead of a bus, at the pace of the wall's clock."),
+        typer.Option("--virtual", help="Use a virtual vehicle instead of a bus, in real time."),
     ] = False,
     hide: HideOption = None,
-    seed: Annotated[int, typer.Option(help="With --virtual: of the sensors' noise and of the disturbance.")] = 1,
+    seed: Annotated[int, typer.Option(help="With --virtual: seed of the sensors' noise and of the disturbance.")] = 1,
 ) -> None:
-    """The daemon: balances and identifies the vehicle. Comes up disarmed; `upright experiment NAME` starts a run."""
+    """Run the daemon, which balances and identifies the vehicle.
+
+    It starts disarmed; `upright experiment NAME` starts an experiment.
+    """
     import asyncio
     import logging
     import os
     from contextlib import nullcontext
 
-    # Matrices of six rows gain nothing from threads, and threads cost the control loop its punctuality.
+    # Matrices of six rows do not become faster by threads, and threads make the control loop miss its deadlines.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A drive that does not answer is told once, by the set-up, and not by canopen twice a second.
+    # The set-up reports a drive that does not answer once; canopen would report it twice a second.
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
     from service.control.api import default_socket
     from service.control.daemon import Daemon, Places
     from service.virtual.serving import BUS, virtual_vehicle_beside
-    from service.virtual.vehicle import asked_disturbance
+    from service.virtual.vehicle import requested_disturbance
     from vehicles.file import load
 
     file = load(vehicle)
     if mqtt is not None:
         file = file.model_copy(update={"mqtt": file.mqtt.model_copy(update={"broker": mqtt})})
     if virtual and bus:
-        raise typer.BadParameter("a virtual vehicle brings its own bus", param_hint="--bus")
+        raise typer.BadParameter("a virtual vehicle has its own bus", param_hint="--bus")
     if hide and not virtual:
         raise typer.BadParameter("only a virtual vehicle can hide effects: --virtual", param_hint="--hide")
     drives, imu = (BUS, BUS) if virtual else buses(file, bus)
@@ -230,23 +234,23 @@ def serve(
         people.print(
             f"Serving {file.vehicle.id} on {drives}" + (f" and {imu}" if imu != drives else "") + ", disarmed."
         )
-        people.print(f"Talk to it with `upright status` or `upright experiment NAME` (socket {places.socket}).")
+        people.print(f"Use `upright status` or `upright experiment NAME` to control it (socket {places.socket}).")
         await daemon.run()
 
-    disturbance = asked_disturbance(file, hide or []) if virtual else None
-    tell_disturbance(disturbance)
+    disturbance = requested_disturbance(file, hide or []) if virtual else None
+    print_disturbance(disturbance)
     with virtual_vehicle_beside(file, hide or [], seed, disturbance=disturbance) if virtual else nullcontext():
         asyncio.run(run())
 
 
-def tell_disturbance(disturbance: Disturbance | None) -> None:
-    """Say with which random torque the virtual vehicle runs, where there is one."""
+def print_disturbance(disturbance: Disturbance | None) -> None:
+    """Print the random torque that acts on the virtual vehicle, if any."""
     if disturbance is not None:
         people.print(f"Random disturbance: {disturbance}. `--hide disturbance=0` switches it off.")
 
 
 def buses(vehicle: VehicleFile, options: list[str] | None) -> tuple[str, str]:
-    """Addresses of the drives' and the IMU's bus, from --bus or the vehicle file."""
+    """Addresses of the buses of drives and IMU, from --bus or the vehicle file."""
     drives, imu = vehicle.bus.drives, vehicle.bus.imu
     for option in options or []:
         role, _, address = option.rpartition("=") if option.startswith(("drives=", "imu=")) else ("", "", option)

@@ -1,4 +1,4 @@
-"""`upright experiment --separate A B`: which experiment that is, told before it is run."""
+"""`upright experiment --separate A B`: choose the experiment and print it before it is run."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from telemetry.errors import UprightError
 
 
 class NothingSeparates(UprightError):
-    """No safe experiment of the vehicle tells two effects apart in a reasonable time."""
+    """No safe experiment of the vehicle separates two effects in a reasonable time."""
 
 
 def chosen_experiment(
     effects: tuple[str, str], recordings: Sequence[str], vehicle: str, begin: float = 0.0, end: float = math.inf
 ) -> tuple[str, str]:
-    """The experiment's name and the vehicle's id; what will be run, and why no other, is printed on stderr.
+    """The experiment's name and the vehicle's id. The choice and the reasons against others are printed on stderr.
 
-    `begin`, `end` s: the part of the recordings that is looked at.
+    `begin`, `end` s: the part of the recordings that is used.
 
     Raises NothingSeparates, and ModelError for an effect that the vehicle's model cannot have.
     """
@@ -39,11 +39,11 @@ def chosen_experiment(
     if best is None:
         raise NothingSeparates(
             f"no experiment of {file.vehicle.id} separates {effects[0]} from {effects[1]}.",
-            remedy="Add one to the vehicle file that moves the vehicle more, or at other amplitudes or frequencies.",
+            remedy="Add one to the vehicle file with more motion, or with other amplitudes or frequencies.",
         )
     whole = file.experiments[best.experiment.name]
     people.print(f"{best.text} ({best.rate:.2g} nats/s expected).")
     people.print(f"Running {best.experiment.name}: {whole.title or whole.excitation}, {whole.duration:g} s.")
     if best.runs > 1:
-        people.print(f"This is the first of {best.runs} runs; give all their recordings to `upright diagnose`.")
+        people.print(f"This is the first of {best.runs} runs; pass all their recordings to `upright diagnose`.")
     return best.experiment.name, file.vehicle.id

@@ -1,4 +1,4 @@
-"""Commands that talk to a running daemon: experiment, stop, reset, status."""
+"""Commands for a running daemon: experiment, stop, reset, status."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from service.output import missing_effects, page, parameter_table, people, print_json
 
-VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Id of the vehicle whose daemon to talk to.")]
+VehicleOption = Annotated[str, typer.Option("--vehicle", "-v", help="Id of the vehicle whose daemon to use.")]
 SocketOption = Annotated[Path | None, typer.Option("--socket", help="The daemon's control socket.", show_default=False)]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
@@ -20,7 +20,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on s
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to `app`."""
     app.command(epilog="Example: `upright experiment sweep`")(experiment)
-    app.command(epilog="Example: `upright stop`, or in an emergency the e-stop, not this command")(stop)
+    app.command(epilog="Example: `upright stop`. In an emergency use the e-stop, not this command.")(stop)
     app.command(epilog="Example: `upright reset`")(reset)
     app.command(epilog="Example: `upright status --json`")(status)
 
@@ -39,40 +39,40 @@ def experiment(
         typer.Option(
             "--separate",
             metavar="EFFECT EFFECT",
-            help="Run the experiment that tells these two apart soonest: as the recordings show them, or else as small"
-            " as they can be seen.",
+            help="Run the experiment that separates these two in the shortest time, with the amplitudes found in the"
+            " recordings, or else with the minimum detectable ones.",
             show_default=False,
         ),
     ] = None,
     begin: Annotated[
         float,
         typer.Option(
-            "--from", help="With --separate: look at the recordings from this second on.", show_default="the beginning"
+            "--from", help="With --separate: use the recordings from this second on.", show_default="the beginning"
         ),
     ] = 0.0,
     end: Annotated[
         float,
-        typer.Option("--to", help="With --separate: look at the recordings up to this second.", show_default="the end"),
+        typer.Option("--to", help="With --separate: use the recordings up to this second.", show_default="the end"),
     ] = math.inf,
     vehicle: VehicleOption = "monocab",
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Run an experiment on the vehicle: rise, settle, excite, lower; recorded and identified while it runs.
+    """Run an experiment on the vehicle: rise, settle, excite, lower. It is recorded and identified while it runs.
 
     Ctrl-C ends it in order: the vehicle is lowered onto its support. Exit code 3: refused by an interlock (the reasons
-    are printed), 4: the safety verdict stopped the vehicle.
+    are printed); 4: stopped by the safety verdict.
     """
     if separate is not None:
         from service.cli.separate import chosen_experiment
 
         name, vehicle = chosen_experiment(separate, names or [], vehicle, begin, end)
     elif begin > 0.0 or end < math.inf:
-        raise typer.BadParameter("it is of recordings, which go with --separate", param_hint="--from, --to")
+        raise typer.BadParameter("applies to recordings, which require --separate", param_hint="--from, --to")
     elif names and len(names) == 1:
         name = names[0]
     else:
-        raise typer.BadParameter("name one experiment, or two effects with --separate", param_hint="NAME")
+        raise typer.BadParameter("give one experiment, or two effects with --separate", param_hint="NAME")
     try:
         answer = follow(_call({"verb": "experiment", "name": name}, vehicle, socket))
     except KeyboardInterrupt:
@@ -88,7 +88,7 @@ def experiment(
 
 def stop(
     now: Annotated[
-        bool, typer.Option("--now", help="Quick stop at once: the vehicle falls onto its supports.")
+        bool, typer.Option("--now", help="Immediate quick stop: the vehicle falls onto its supports.")
     ] = False,
     vehicle: VehicleOption = "monocab",
     socket: SocketOption = None,
@@ -99,12 +99,12 @@ def stop(
 
 
 def reset(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Acknowledge a fault once its cause is mended. The drives' faults are reset; nothing is enabled."""
+    """Acknowledge a fault after its cause has been removed. Faults of the drives are reset; nothing is enabled."""
     _finish(list(_call({"verb": "reset"}, vehicle, socket))[-1], json=json)
 
 
 def status(vehicle: VehicleOption = "monocab", socket: SocketOption = None, json: JsonOption = False) -> None:
-    """What the daemon does, what keeps it from more, and the parameters it has found."""
+    """Show the state of the daemon, the interlocks that prevent an experiment, and the estimated parameters."""
     answer = list(_call({"verb": "status"}, vehicle, socket))[-1]["status"]
     if json:
         print_json(answer)
@@ -152,7 +152,7 @@ def follow(messages: Iterator[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _finish(answer: dict[str, Any], *, json: bool) -> None:
-    """Print a result and leave with its exit code."""
+    """Print a result and exit with its exit code."""
     if json:
         print_json({key: value for key, value in answer.items() if key != "type"})
     elif answer["text"]:

@@ -1,4 +1,4 @@
-"""Commands about vehicle files: config check, config show, config schema."""
+"""Commands for vehicle files: config check, config show, config schema."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 from service.cli.arguments import VehicleArgument
 from service.output import page, print_json
 
-config = typer.Typer(help="Vehicle files: check them, show them, list every key.", no_args_is_help=True)
+config = typer.Typer(help="Check and show vehicle files, and list all their keys.", no_args_is_help=True)
 
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
@@ -21,9 +21,9 @@ def register(app: typer.Typer) -> None:
 
 @config.command(epilog="Example: `upright config check my_vehicle.toml`")
 def check(file: VehicleArgument, json: JsonOption = False) -> None:
-    """Check a vehicle file: keys, units, node ids, bus load, and a controller that bears the CAD uncertainty.
+    """Check a vehicle file: keys, units, node ids, bus load, and robustness of the controller to the CAD uncertainty.
 
-    Exit code 1 names the first key that is wrong and the remedy.
+    With exit code 1 the first wrong key and the remedy are printed.
     """
     from service.control import assembly
     from service.control.sequence import plan
@@ -45,7 +45,7 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
             "experiments": {name: {"title": vehicle.experiments[name].title} for name in plans},
         })  # fmt: skip
         return
-    page.print(f"[green]{vehicle.path} is fine[/green] (vehicle {vehicle.vehicle.id}, {vehicle.configuration_hash})")
+    page.print(f"[green]{vehicle.path} is valid[/green] (vehicle {vehicle.vehicle.id}, {vehicle.configuration_hash})")
     for bus, percent in load_percent.items():
         note = "  [yellow]too much: use a second bus, or fewer IMU slots[/yellow]" if percent > 70 else ""
         page.print(f"  bus {bus}: {percent:.0f} % of {vehicle.bus.bitrate / 1e3:.0f} kbit/s{note}")
@@ -58,7 +58,7 @@ def check(file: VehicleArgument, json: JsonOption = False) -> None:
 
 @config.command(epilog="Example: `upright config show monocab --json`")
 def show(file: VehicleArgument, json: JsonOption = False) -> None:
-    """Show a vehicle file as it was understood, defaults filled in."""
+    """Show a vehicle file as it was read, including defaults."""
     from vehicles.file import load
 
     vehicle = load(file)
@@ -74,7 +74,7 @@ def show(file: VehicleArgument, json: JsonOption = False) -> None:
 
 @config.command(epilog="Example: `upright config schema > vehicle.schema.json`")
 def schema() -> None:
-    """Print the JSON Schema of vehicle files: every key, its meaning and unit."""
+    """Print the JSON Schema of vehicle files: all keys with meaning and unit."""
     from vehicles import file as vehicle_file
 
     print_json(vehicle_file.schema())

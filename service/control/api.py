@@ -1,10 +1,10 @@
-"""The daemon's control socket: a Unix socket that speaks one JSON object a line.
+"""The daemon's control socket: a Unix socket with one JSON object per line.
 
-A request is `{"verb": ..., arguments}`; the answer is a stream of lines, each with a `type` (`event`, `progress`,
-`estimates`), that ends with one of type `result` carrying `exit_code` and, when it failed, `code` and `text`.
-Whoever runs an experiment holds a lease on it, and sends `{"verb": "renew"}` on the same connection every so often; a
-connection that ends, or says nothing for too long, ends the experiment.
-Who may write to the socket may move the vehicle: it is readable and writable for its owner and group only.
+A request is `{"verb": ..., arguments}`. The answer is a stream of lines, each with a `type` (`event`, `progress`,
+`estimates`), that ends with one of type `result` with `exit_code` and, if it failed, `code` and `text`.
+The client that runs an experiment holds a lease on it and sends `{"verb": "renew"}` on the same connection
+periodically. If the connection ends or no renewal comes in time, the experiment ends.
+Write access to the socket allows moving the vehicle: only its owner and group have read and write permission.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ Message = dict[str, Any]
 MAX_LINE = 1 << 16
 
 HELD = ("experiment",)
-"""Verbs that are held by a lease."""
+"""Verbs that need a lease."""
 
 GONE = "gone"
-"""The verb with which a transport tells that a client went away."""
+"""The verb with which a transport reports that a client has disconnected."""
 
 RENEWAL_PERIOD = 0.075
-"""s between two signs of a client that holds a lease."""
+"""s between two renewals by a client that holds a lease."""
 
 
 class ExitCode(IntEnum):
@@ -48,11 +48,11 @@ class ExitCode(IntEnum):
 
 
 class ApiError(UprightError):
-    """The daemon cannot be reached, or did not understand."""
+    """The daemon cannot be reached, or did not understand the request."""
 
 
 def socket_candidates(vehicle_id: str) -> list[Path]:
-    """Where the socket of a vehicle's daemon may be, the service's own place first."""
+    """The possible paths of the socket of a vehicle's daemon, that of the service first."""
     places = [Path("/run/upright"), Path(tempfile.gettempdir()) / f"upright-{os.getuid()}"]
     for variable in ("XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY"):
         if os.environ.get(variable):
@@ -62,7 +62,7 @@ def socket_candidates(vehicle_id: str) -> list[Path]:
 
 
 def default_socket(vehicle_id: str) -> Path:
-    """Where a daemon started here puts its socket: systemd's runtime directory, the user's, or one in /tmp."""
+    """The socket path of a daemon started here: in systemd's runtime directory, the user's, or one in /tmp."""
     if os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR"):
         return socket_candidates(vehicle_id)[0]
     return socket_candidates(vehicle_id)[-1]
@@ -71,8 +71,8 @@ def default_socket(vehicle_id: str) -> Path:
 class ApiServer:
     """Serves `answer(request)` on a Unix socket until closed.
 
-    Where there is a `sign`, it is told what comes on a connection after its first line, and that the connection ended
-    (verb GONE); requests then have a `client` that names their connection, and no sender can choose it.
+    If `sign` is given, it gets the requests on a connection after the first line, and the verb GONE when the connection
+    ends. All requests then have a `client` that identifies their connection; the sender cannot choose it.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class ApiServer:
         self._connections: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        """Listen. Raises ApiError where another daemon listens already or the folder cannot be written."""
+        """Listen. Raises ApiError if another daemon already listens or the folder cannot be written."""
         try:
             self._path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
             if self._path.exists():
@@ -107,7 +107,7 @@ class ApiServer:
             self._path.chmod(0o660)
         except OSError as error:
             raise ApiError(
-                f"cannot listen at {self._path}: {error.strerror}.", remedy="Give a writable place with --socket PATH."
+                f"cannot listen at {self._path}: {error.strerror}.", remedy="Give a writable path with --socket PATH."
             ) from error
 
     async def close(self) -> None:
@@ -142,7 +142,7 @@ class ApiServer:
             except UprightError as error:
                 await _write(writer, result(ExitCode.FAILED, "failed", str(error)))
         except (ConnectionError, asyncio.LimitOverrunError, ValueError):
-            pass  # The client went away, or sent a line without an end: nothing to answer.
+            pass  # The client disconnected, or sent a line without an end: nothing to answer.
         finally:
             if listening is not None:
                 listening.cancel()
@@ -151,17 +151,17 @@ class ApiServer:
 
 
 async def _listen(reader: asyncio.StreamReader, client: str, sign: Callable[[Message], object]) -> None:
-    """Signs of a client while it is answered, and that it went away."""
+    """Forward further requests of a client while it is answered, and GONE when it disconnects."""
     try:
         while line := await reader.readline():
             sign({**_request(line), "client": client})
     except (ConnectionError, asyncio.LimitOverrunError, ValueError):
-        pass  # Whoever talks nonsense cannot be taken at their word: gone, too.
+        pass  # A client that sends invalid lines counts as disconnected.
     sign({"verb": GONE, "client": client})
 
 
 def _request(line: bytes) -> Message:
-    """Raises ValueError for what is none."""
+    """The request in `line`. Raises ValueError if it is not one."""
     request = json.loads(line)
     if not isinstance(request, dict) or not isinstance(request.get("verb"), str):
         raise ValueError("a request is an object with a verb")
@@ -179,13 +179,13 @@ def result(exit_code: ExitCode, code: str = "", text: str = "", **more: Any) -> 
 
 
 def call(paths: list[Path], request: Message, *, timeout: float | None = 10.0) -> Iterator[Message]:
-    """Ask the daemon behind the first of `paths` that answers; yields its lines, the result last.
+    """Send the request to the daemon at the first of `paths` that answers; yield its lines, the result last.
 
-    What needs a lease is renewed by a thread until the result, or until the caller stops asking for lines and the
-    connection is closed.
+    A thread renews the lease, if the request needs one, until the result, or until the caller stops reading lines and
+    the connection is closed.
 
     Raises:
-        ApiError: no daemon there, or it went away before the result.
+        ApiError: there is no daemon, or it ended before the result.
     """
     connection = _connect(paths)
     connection.settimeout(timeout)
@@ -201,17 +201,17 @@ def call(paths: list[Path], request: Message, *, timeout: float | None = 10.0) -
         except TimeoutError as error:
             raise ApiError(f"the daemon did not answer within {timeout} s.", remedy="See its log.") from error
         except ConnectionError as error:
-            raise ApiError("the connection to the daemon was cut.", remedy="See its log.") from error
-    raise ApiError("the daemon ended before it answered.", remedy="See its log; `upright status` tells if it is back.")
+            raise ApiError("the connection to the daemon was lost.", remedy="See its log.") from error
+    raise ApiError("the daemon ended before it answered.", remedy="See its log; `upright status` shows if it is back.")
 
 
 @contextmanager
 def _renewed(connection: socket.socket) -> Iterator[None]:
-    """A thread gives signs of this process on `connection`."""
+    """Renew the lease on `connection` by a thread."""
     over = threading.Event()
 
     def renew() -> None:
-        with suppress(OSError):  # The connection ended, which is told where it is read.
+        with suppress(OSError):  # The connection has ended, which the reader reports.
             while not over.wait(RENEWAL_PERIOD):
                 connection.sendall(b'{"verb":"renew"}\n')
 

@@ -1,6 +1,6 @@
-"""From the checked vehicle file to the objects that do the work: one place where sections become configurations.
+"""Convert the sections of a checked vehicle file to the configurations of drivers and estimators, in one place.
 
-Drivers, estimators, models and the simulation know nothing of vehicle files; each takes a configuration of its own.
+Drivers, estimators, models and the simulation are independent of vehicle files; each has a configuration of its own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from vehicles.sections import VehicleFile
 
 @cache
 def version() -> str:
-    """Of this software."""
+    """Version of this software."""
     return metadata.version("upright")
 
 
@@ -53,12 +53,12 @@ def imu_config(vehicle: VehicleFile) -> ImuConfig:
 
 
 def vehicle_io(vehicle: VehicleFile) -> VehicleIo:
-    """The IMU and the drives of a vehicle, nothing measured yet."""
+    """The IMU and the drives of a vehicle, without measurements yet."""
     return VehicleIo(Imu(imu_config(vehicle)), [Drive(drive_config(vehicle, drive)) for drive in vehicle.drive])
 
 
 def roll_filter(vehicle: VehicleFile) -> RollFilter:
-    """The roll Kalman filter of a vehicle, not started yet."""
+    """The roll Kalman filter of a vehicle, not yet started."""
     section = vehicle.imu.filter
     return RollFilter(
         RollFilterConfig(
@@ -72,7 +72,7 @@ def roll_filter(vehicle: VehicleFile) -> RollFilter:
 
 
 def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str]) -> dict[str, Any]:
-    """What the observer process must know of the vehicle."""
+    """The data about the vehicle that the observer process needs."""
     return {
         "vehicle": vehicle.vehicle.id,
         "kind": vehicle.vehicle.kind,
@@ -88,7 +88,7 @@ def observer_hello(vehicle: VehicleFile, data: Path, raw_log_buses: list[str]) -
 
 
 def recording_metadata(vehicle: VehicleFile, experiment: str) -> dict[str, str]:
-    """What goes with a recording: enough to read it, replay it and compare it without asking anybody."""
+    """The metadata of a recording, sufficient to read, replay and compare it without further information."""
     return {
         "vehicle": vehicle.vehicle.id,
         "kind": vehicle.vehicle.kind,
@@ -104,7 +104,7 @@ def recording_metadata(vehicle: VehicleFile, experiment: str) -> dict[str, str]:
 
 
 def bus_load(vehicle: VehicleFile) -> dict[str, float]:
-    """Percent of the bit rate that one second of operation takes on each bus, worst-case bit stuffing."""
+    """Load of each bus in operation, in percent of the bit rate, with worst-case bit stuffing."""
     rate, bits = vehicle.control.rate, dict.fromkeys((vehicle.bus.drives, vehicle.bus.imu), 0.0)
     bits[vehicle.bus.imu] += rate * len(imu_config(vehicle).can_ids) * _frame_bits(8)
     bits[vehicle.bus.drives] += rate * _frame_bits(0) + _frame_bits(1) / vehicle.control.heartbeat_period
@@ -116,5 +116,5 @@ def bus_load(vehicle: VehicleFile) -> dict[str, float]:
 
 
 def _frame_bits(length: int) -> int:
-    """Bits of a classical CAN frame with an 11-bit id and `length` data bytes, stuffed as badly as can be."""
+    """Bits of a classical CAN frame with an 11-bit id and `length` data bytes, with worst-case bit stuffing."""
     return 47 + 8 * length + (34 + 8 * length - 1) // 4

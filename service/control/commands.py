@@ -1,11 +1,11 @@
-"""The one command layer: whatever a person asks of a running daemon, by terminal, page or MQTT, is answered here.
+"""The command layer: answers all requests to a running daemon, from the terminal, the page or MQTT.
 
-A request is `{"verb", "client", arguments}`; the transport (`service.control.api`, `service.mqtt.client`) vouches for
-`client`. What moves the vehicle is held by a lease (`service.control.lease`): its client renews it, lets go of it, or
-goes away, and then the experiment ends in order. Anybody may stop.
+A request is `{"verb", "client", arguments}`; the transport (`service.control.api`, `service.mqtt.client`) guarantees
+`client`. An experiment needs a lease (`service.control.lease`), which its client renews. If the client releases it,
+disconnects or does not renew it, the experiment ends in order. Every client may stop it.
 
-    experiment {name}   start one, and hold it
-    renew, release      the holder's sign, and its farewell
+    experiment {name}   start one, and take its lease
+    renew, release      for the holder of the lease
     stop {now}, reset   for everybody
     status              for everybody
 """
@@ -27,7 +27,7 @@ from vehicles.phases import Phase
 from vehicles.sections import VehicleFile
 
 PROGRESS_PERIOD = 0.2
-"""s between two lines of progress."""
+"""s between two progress messages."""
 
 
 class Commands:
@@ -37,7 +37,7 @@ class Commands:
         self, vehicle: VehicleFile, loop: ControlLoop, observer: ObserverClient, status: Callable[[], dict[str, Any]]
     ) -> None:
         self.lease: Lease | None = None
-        """Of the running or last experiment."""
+        """The lease of the running or last experiment."""
         self._vehicle = vehicle
         self._loop = loop
         self._observer = observer
@@ -45,7 +45,7 @@ class Commands:
         self._watching: asyncio.Task[None] | None = None
 
     async def answer(self, request: Message) -> AsyncGenerator[Message]:
-        """The lines of the answer, the result last. Where the answer to an experiment is not read to its end, the
+        """The lines of the answer, the result last. If the answer to an experiment is not read to its end, the
         experiment ends in order."""
         match request["verb"]:
             case "status":
@@ -61,26 +61,26 @@ class Commands:
             case "renew" | "release":
                 yield self.sign(request)
             case verb:
-                yield result(ExitCode.USAGE, "unknown_verb", f"The daemon knows no verb {verb!r}.")
+                yield result(ExitCode.USAGE, "unknown_verb", f"Unknown verb {verb!r}.")
 
     def sign(self, request: Message) -> Message:
-        """A sign of life, or the farewell, of a lease's holder. Never waits."""
+        """Renew or release a lease for its holder, or end it if the holder has disconnected. Never waits."""
         lease, client = self.lease, str(request["client"])
         match request["verb"]:
             case "renew":
                 done = lease is not None and lease.renew(client)
             case "release":
-                done = self._let_go(client, f"{client} let go")
+                done = self._release(client, f"{client} released the lease")
             case verb if verb == GONE:
-                done = self._let_go(client, f"{client} went away")
+                done = self._release(client, f"{client} disconnected")
             case _:
                 done = False
         if done:
             return result(ExitCode.DONE)
         why = lease.ended if lease is not None and lease.holder == client else ""
-        return result(ExitCode.REFUSED, "no_lease", f"{client} holds nothing{': ' if why else ''}{why}.")
+        return result(ExitCode.REFUSED, "no_lease", f"{client} does not hold the lease{': ' if why else ''}{why}.")
 
-    def _let_go(self, client: str, reason: str) -> bool:
+    def _release(self, client: str, reason: str) -> bool:
         if self.lease is None or not self.lease.release(client, reason):
             return False
         if self._watching is not None and not self._watching.done():
@@ -96,11 +96,11 @@ class Commands:
 
     async def _stop(self, *, now: bool) -> Message:
         if self._loop.mode is not Mode.RUNNING:
-            return result(ExitCode.DONE, text="Nothing was running.")
+            return result(ExitCode.DONE, text="No experiment was running.")
         if now:
-            self._loop.stop_now("an operator asked for an immediate stop")
+            self._loop.stop_now("an operator requested an immediate stop")
         else:
-            self._loop.end_experiment("an operator asked for the end")
+            self._loop.end_experiment("an operator requested the end")
         while self._loop.mode is Mode.RUNNING:
             await asyncio.sleep(0.02)
         return result(ExitCode.DONE, text=self._loop.reason)
@@ -138,8 +138,8 @@ class Commands:
                 await asyncio.sleep(PROGRESS_PERIOD)
         finally:
             if self._loop.run is run:
-                self._let_go(client, f"{client} went away")
-        # Another experiment may begin while this one's files are completed: what is said here is of this one.
+                self._release(client, f"{client} disconnected")
+        # Another experiment may start while the files of this one are completed: keep the state of this one.
         fault = (self._loop.code, self._loop.reason) if self._loop.mode is Mode.FAULT else None
         summary = await self._observer.finished_recording()
         if fault is not None:
@@ -148,14 +148,14 @@ class Commands:
             yield result(ExitCode.FAILED, "experiment", run.failure, **summary)
         elif summary["failure"]:
             ended = run.end_reason or "The experiment is over"
-            text = f"{ended}, but its recording is not whole: {summary['failure']}."
+            text = f"{ended}, but its recording is incomplete: {summary['failure']}."
             yield result(ExitCode.FAILED, "recording", text, **summary)
         else:
             yield result(ExitCode.DONE, text=run.end_reason, **summary)
 
     async def _watch(self, run: ExperimentRun, lease: Lease) -> None:
-        """While `run` lasts: how far it is, for everybody, and whether its holder is still there."""
-        before = told = time.monotonic()
+        """While `run` lasts, publish its progress, and end it if its lease is not renewed."""
+        before = published = time.monotonic()
         self._observer.progress(run.name, run.fraction, run.remaining)
         while self._loop.run is run:
             await asyncio.sleep(LOOK)
@@ -163,6 +163,6 @@ class Commands:
             if not lease.pass_time(now - before) and self._loop.run is run:
                 self._loop.end_experiment(lease.ended)
             before = now
-            if now - told >= PROGRESS_PERIOD:
-                told = now
+            if now - published >= PROGRESS_PERIOD:
+                published = now
                 self._observer.progress(run.name, run.fraction, run.remaining)

@@ -1,7 +1,7 @@
 """The daemon: opens the buses, sets up the drives, runs the control loop, answers the control socket.
 
-It comes up disarmed, and after any fault it stays disarmed until a person says `upright reset`. Everything here is
-slow and may wait; what must not wait is `service.control.loop`, which the buses call.
+It starts disarmed, and after any fault it stays disarmed until a user runs `upright reset`. Everything here is slow and
+may block. The real-time part is `service.control.loop`, which the buses call.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from telemetry.samples import CanFrame
 from vehicles.file import VehicleFile
 
 RECONNECT_PERIOD = 0.5
-"""s between attempts to open a bus that went down, and to set up drives that did not answer."""
+"""s between attempts to reopen a bus that went down, or to set up drives that did not answer."""
 
 LISTENING = 1.0
-"""s of bus traffic from which the IMU's format is told."""
+"""s of bus traffic from which the format of the IMU is checked."""
 
 ORDERLY_END = 20.0
-"""s that an experiment gets to lower the vehicle when the daemon is told to end."""
+"""Time limit, s, for an experiment to lower the vehicle when the daemon shall end."""
 
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where the daemon reads and writes: one or two bus addresses, the recordings' folder and the control socket."""
+    """The daemon's interfaces: one or two bus addresses, the folder of the recordings and the control socket."""
 
     drives_bus: str
     imu_bus: str
@@ -55,7 +55,7 @@ class Places:
 class Daemon:
     """One vehicle, served until `stop()`.
 
-    `lock_step` is for a simulated bus whose time is not the wall's: no wall-clock deadline is then held against it.
+    `lock_step` is for a simulated bus whose time is not the wall clock's: there is no wall-clock deadline then.
     """
 
     def __init__(self, vehicle: VehicleFile, places: Places, *, lock_step: bool = False) -> None:
@@ -113,7 +113,7 @@ class Daemon:
             await self._end_in_order()
             keeper.cancel()
             with contextlib.suppress(asyncio.CancelledError):
-                await keeper  # Raises here, with the vehicle down, what it may have failed on.
+                await keeper  # Raises its exception, if it failed, now that the vehicle is down.
         finally:
             await self._api.close()
             await self.observer.stop()
@@ -158,12 +158,12 @@ class Daemon:
         self._bus_down.set()
 
     def _raw_log_buses(self) -> list[str]:
-        """Channels that a process of its own can log through a second socket."""
+        """Buses that a separate process can log through a second socket."""
         addresses = dict.fromkeys((self.places.drives_bus, self.places.imu_bus))
         return [address for address in addresses if address.startswith("socketcan:")]
 
     async def _keep_vehicle_ready(self) -> None:
-        """Set up the drives, and do so again whenever a bus came back or a drive restarted."""
+        """Set up the drives, and repeat it whenever a bus has come back or a drive has restarted."""
         while True:
             if self._bus_down.is_set():
                 await self._reopen_buses()
@@ -196,7 +196,7 @@ class Daemon:
                 return
 
     async def _check_imu(self) -> None:
-        """Listen, while the vehicle is at rest, to what the IMU streams. Raises ImuFormatError."""
+        """Check the frames of the IMU while the vehicle is at rest. Raises ImuFormatError."""
         heard: list[CanFrame] = []
         self.loop.heard = heard
         await asyncio.sleep(LISTENING)
@@ -228,7 +228,7 @@ class Daemon:
         self.loop.observer_gone()
 
     def _publish_state(self) -> None:
-        """Tell the observer, and so MQTT, what changed."""
+        """Send a changed state to the observer, which publishes it by MQTT."""
         lease = self.commands.lease
         held = lease.holder if lease is not None and self.loop.mode is Mode.RUNNING else None
         state = {**self.loop.state(), "held_by": held, "commands": self.vehicle.mqtt.commands}
@@ -237,21 +237,21 @@ class Daemon:
             self.observer.publish_state(state)
 
     def _publish_health(self) -> None:
-        """Tell the observer how this process does."""
+        """Send the health of this process to the observer."""
         buses = self._buses.statistics() if self._buses is not None else []
         self.observer.health(self._health.report(time.monotonic(), self.loop.cycles, self.loop.missed_cycles, buses))
 
     async def _end_in_order(self) -> None:
-        self.loop.end_experiment("the daemon was told to stop")
+        self.loop.end_experiment("the daemon is being stopped")
         limit = time.monotonic() + ORDERLY_END
         while self.loop.mode is Mode.RUNNING and time.monotonic() < limit:
             await asyncio.sleep(0.02)
         if self.loop.mode is Mode.RUNNING:
-            self.loop.stop_now("the daemon was told to stop, and the vehicle was not down in time")
+            self.loop.stop_now("the daemon is being stopped, and the vehicle was not down in time")
             await asyncio.sleep(QUICK_STOP_TIME)
 
     def status(self) -> dict[str, Any]:
-        """What `upright status --json` prints."""
+        """The document of `upright status --json`."""
         buses = self._buses.statistics() if self._buses is not None else []
         return {
             **self.loop.state(),

@@ -1,4 +1,4 @@
-"""How the control process does, for people who look on: its rate, missed cycles, and how full the buses are. Pure."""
+"""Health of the control process, to be displayed: its rate, missed cycles, and the bus load. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vehicles.sections import VehicleFile
 
 
 class HealthReports:
-    """Reports on a vehicle's control loop, each on the time since the one before."""
+    """Reports on a vehicle's control loop, each for the time since the previous one."""
 
     def __init__(self, vehicle: VehicleFile) -> None:
         self._bitrate = vehicle.bus.bitrate
@@ -18,10 +18,10 @@ class HealthReports:
         self._before: tuple[float, int, Mapping[str, int]] | None = None
 
     def report(self, now: float, cycles: int, missed: int, buses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """`now` s of a clock that never goes back, `cycles` and `missed` so far, statistics of `buses`.
+        """`now` s of a monotonic clock, `cycles` and `missed` so far, statistics of `buses`.
 
-        The load is told from frames a second and what a frame of this vehicle has on average, stuffed as badly as can
-        be; it is None, as the rate, in the first report and after a bus was opened anew.
+        The load is calculated from frames per second and the average frame length of this vehicle with worst-case bit
+        stuffing. Load and rate are None in the first report and after a bus was reopened.
         """
         frames = {each["address"]: each["received"] + each["sent"] for each in buses}
         rate: float | None = None
@@ -51,7 +51,7 @@ class HealthReports:
 
 
 def _mean_frame_bits(vehicle: VehicleFile) -> float:
-    """Bits of a frame of this vehicle's traffic on average, from its nominal load."""
+    """Average length of a frame of this vehicle in bits, from its nominal load."""
     control = vehicle.control
     pdos = sum(len(drive.rpdo) + len(drive.tpdo) for drive in vehicle.drive)
     frames = control.rate * (1 + len(assembly.imu_config(vehicle).can_ids) + pdos) + 1.0 / control.heartbeat_period

@@ -1,9 +1,9 @@
-"""The control loop: the journey of a sample, one screen (`_cycle`).
+"""The control loop: the processing of a sample, on one screen (`_cycle`).
 
-The IMU frame set is the clock. When its last frame arrives, everything that depends on it happens at once, in this
+The IMU frame set is the clock. When its last frame arrives, everything that depends on it is processed at once, in this
 order: roll filter, experiment (reference, excitation, controller), safety verdict, setpoint frames, SYNC, heartbeat,
-and one `Frame` for the observer. Nothing here waits, logs or asks a clock. A deadline beside it notices when no frame
-set comes any more, and stops the vehicle then.
+and one `Frame` for the observer. Nothing here waits, logs or reads a clock. A separate deadline timer detects that no
+frame set comes any more, and then stops the vehicle.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ SYNC = 0x080
 HEARTBEAT = 0x700
 OPERATIONAL = b"\x05"
 COMMUNICATION_ERRORS = (0x8100, 0x8200)
-"""Error codes of a drive that missed its master or its setpoints (CiA 301), high byte."""
+"""Error codes of a drive that missed the master's heartbeat or setpoints (CiA 301), high byte."""
 NEVER_NS = 1 << 62
 
 RECORDING_LEAD_NS = 200_000_000
-"""From the order to record to its first frame: what the raw log needs to open its file."""
+"""Time from the command to record to the first recorded frame: the raw log needs it to open its file."""
 
 AFTERMATH = 2.0
-"""s that a recording goes on after a quick stop, to show where it ended."""
+"""s that a recording continues after a quick stop, to show the final state."""
 
 QUICK_STOP_TIME = 1.0
-"""s of quick stop before the drives are let go."""
+"""s of quick stop before the drives are disabled."""
 
 WATCHDOG_PERIOD = 0.25
 """s between watchdog pings."""
 
 
 class Mode(StrEnum):
-    """What the daemon is doing."""
+    """State of the daemon."""
 
     STARTING = "starting"
     DISARMED = "disarmed"
@@ -59,7 +59,7 @@ class Mode(StrEnum):
 
 
 class Observer(Protocol):
-    """What the loop tells the observer process; none of it waits."""
+    """The interface of the loop to the observer process; no call waits."""
 
     @property
     def ready(self) -> bool: ...
@@ -70,10 +70,10 @@ class Observer(Protocol):
 
 
 class ControlLoop:
-    """Holds the vehicle's state between cycles. The buses call `on_frames`, the daemon everything else.
+    """Holds the vehicle's state between cycles. The buses call `on_frames`, the daemon calls everything else.
 
-    `send(can_id, data, timestamp_ns)` puts a frame on the drives' bus; `unclaimed` gets the frames that no driver
-    knows (SDO answers); `deadline` is the s without a cycle after which a run is stopped, None on a lock-step bus.
+    `send(can_id, data, timestamp_ns)` sends a frame on the drives' bus; `unclaimed` gets the frames that belong to no
+    driver (SDO answers); after `deadline` s without a cycle a run is stopped, None on a lock-step bus.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class ControlLoop:
         self.drives: Measurement = self.kind.measure()
         self.on_change: Callable[[], None] = lambda: None
         self.heard: list[CanFrame] | None = None
-        """While set-up listens to the bus: all frames."""
+        """All frames, while the set-up checks the bus."""
         self._filter = assembly.roll_filter(vehicle)
         self._pilot = self.kind.pilot()
         self._safety = Safety(self.kind.bounds, missed_cycles=vehicle.limits.missed_cycles, period=vehicle.period)
@@ -131,11 +131,11 @@ class ControlLoop:
     # The path of a sample
 
     def on_frames(self, frames: list[CanFrame]) -> None:
-        """Take the frames of one wake-up, in the order of their timestamps."""
+        """Process the frames of one wake-up, in the order of their timestamps."""
         if self.heard is not None:
             self.heard.extend(frames)
         handle = self.io.handle
-        # More than one frame set at once: this process was held up. Only the last of them is answered on the bus.
+        # More than one frame set at once means that this process was delayed. Only the last set is answered on the bus.
         waiting = sum(frame.can_id == self._last_imu_id for frame in frames) if len(frames) > 4 else 1
         for frame in frames:
             if frame.timestamp_ns >= self._reset_at_ns:
@@ -155,7 +155,7 @@ class ControlLoop:
         attitude = self._filter.update(sample)
         lean = self.lean = self.kind.lean(attitude)
         drives = self.drives = self.kind.measure()
-        # A clock that was set, or a gap, must not throw the controller: its step stays near a period.
+        # A clock adjustment or a gap must not upset the controller: its step stays near a period.
         command = self._decide(min(max(elapsed, 0.5 * self._period), 4.0 * self._period), lean, drives)
         self._late_cycles = self._late_cycles + 1 if late else 0
         verdict = self._judge(now_ns, elapsed, lean, drives, command)
@@ -172,7 +172,7 @@ class ControlLoop:
             self._notifier.watchdog()
 
     def _decide(self, dt: float, lean: Lean, drives: Measurement) -> Command:
-        """What the drives shall do: follow the experiment, finish a stop, or nothing."""
+        """The command for the drives: follow the experiment, complete a quick stop, or idle."""
         run = self.run
         if run is None:
             return self._after_run(dt)
@@ -217,7 +217,7 @@ class ControlLoop:
             send(self._heartbeat_id, OPERATIONAL, now_ns)
 
     def _after_run(self, dt: float) -> Command:
-        """No experiment: end a quick stop and its recording, else keep the drives off."""
+        """The command without an experiment: complete a quick stop and its recording, else keep the drives off."""
         if self._recording:
             self._aftermath -= dt
             if self._aftermath <= 0.0:
@@ -227,15 +227,15 @@ class ControlLoop:
             return QUICK_STOP
         return IDLE
 
-    # Beside the path: orders, deadlines, the bus going and coming
+    # Outside the path of a sample: commands, deadlines, loss and return of the bus
 
     def start(self) -> None:
-        """Begin to watch the deadline; in a running event loop."""
+        """Start the deadline timer; call it in a running event loop."""
         if self._deadline is not None:
             asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
 
     def start_experiment(self, name: str) -> ExperimentRun:
-        """Begin an experiment and its recording. Only while `interlocks()` is empty."""
+        """Start an experiment and its recording. Only allowed while `interlocks()` is empty."""
         run = self.run = ExperimentRun(name, plan(self.vehicle, name, self._pilot, self.kind.angle))
         self._phase = run.phase
         self._reset_at_ns = self._last_ns + RECORDING_LEAD_NS
@@ -253,32 +253,32 @@ class ControlLoop:
             self._observer.event("warning", "end", reason)
 
     def stop_now(self, reason: str, code: str = "operator") -> None:
-        """Quick stop: the drives brake, then lose power; the vehicle falls onto its supports. Latched as a fault."""
+        """Quick stop: the drives brake, then are disabled; the vehicle falls onto its supports. Latches a fault."""
         self._quick_stop_left = QUICK_STOP_TIME
         self._aftermath = AFTERMATH
         self._finish_run(Mode.FAULT, code, reason)
         self._observer.event("error", code, reason)
 
     def interlocks(self) -> list[str]:
-        """What keeps an experiment from being started, each in words; empty when nothing does."""
+        """The reasons that prevent an experiment, as sentences; empty if there are none."""
         match self.mode:
             case Mode.RUNNING:
                 return [f"{self.reason} is running."]
             case Mode.FAULT:
-                return [f"A fault is latched: {self.reason}. Mend its cause, then `upright reset`."]
+                return [f"A fault is latched: {self.reason}. Remove its cause, then run `upright reset`."]
             case Mode.STARTING:
                 return [f"Not ready: {self.reason}."]
             case Mode.DISARMED if self.needs_set_up:
                 return ["The drives are being set up."]
             case Mode.DISARMED if not self._observer.ready:
-                return ["The observer process is not up yet: nothing would be recorded."]
+                return ["The observer process is not ready: nothing would be recorded."]
             case Mode.DISARMED:
                 return interlocks(
                     self.vehicle, self.kind, self.io, self.lean, self.drives, self._last_ns, self._silence
                 )
 
     def reset_fault(self) -> str:
-        """Acknowledge a fault: the drives are set up again, their faults reset. The refusal in words, or ""."""
+        """Acknowledge a fault: set up the drives again and reset their faults. Returns the reason if refused, or ""."""
         if self.mode is Mode.RUNNING:
             return f"{self.reason} is running; `upright stop` ends it."
         self._enter(Mode.STARTING, "starting", "setting up the drives")
@@ -287,9 +287,9 @@ class ControlLoop:
         return ""
 
     def set_up_done(self, error_codes: Mapping[str, int | None] | None = None) -> None:
-        """The drives are configured and in NMT operational; `error_codes` (603Fh, by name) is what they had.
+        """The drives are configured and in NMT operational; `error_codes` are their errors before (603Fh, by name).
 
-        A drive that only missed its master is taken back without asking: that is how every stop of the daemon looks.
+        The fault of a drive that only missed its master is reset without asking: every stop of the daemon causes it.
         """
         self.needs_set_up = False
         for drive in self.io.drives:
@@ -301,15 +301,15 @@ class ControlLoop:
             self._enter(Mode.DISARMED, "disarmed", "")
 
     def set_up_failed(self, reason: str) -> None:
-        """A drive or a bus is not there; the daemon tries again."""
+        """A drive or a bus is missing; the daemon tries again."""
         if self.mode in (Mode.STARTING, Mode.DISARMED) and reason != self.reason:
             self._enter(Mode.STARTING, "set_up", reason)
             self._observer.event("error", "set_up", reason)
 
     def look_after_drives(self) -> None:
-        """Once in a while: what has to be set up anew, and faults to acknowledge once the drives have told their state.
+        """Called periodically: detect drives that need a new set-up, and acknowledge faults when their state is known.
 
-        A drive that missed its master has left NMT operational, one that restarted has lost its configuration.
+        A drive that missed its master has left NMT operational; a restarted drive has lost its configuration.
         """
         if self.mode in (Mode.STARTING, Mode.DISARMED):
             for drive in self.io.drives:
@@ -318,7 +318,7 @@ class ControlLoop:
         self._to_acknowledge = {drive for drive in self._to_acknowledge if not drive.acknowledge()}
 
     def bus_down(self, down: BusDown) -> None:
-        """The bus is gone: nothing can be sent, the drives stop by themselves when the heartbeat stays away."""
+        """The bus is down: nothing can be sent, and the drives stop by themselves when the heartbeat is missing."""
         self.needs_set_up = True
         if self.run is not None:
             self.stop_now(str(down), "bus_down")
@@ -326,11 +326,11 @@ class ControlLoop:
             self._enter(Mode.STARTING, "bus_down", str(down))
 
     def observer_gone(self) -> None:
-        """The observer process ended: an experiment that nobody records is ended."""
+        """The observer process has ended: an experiment that is not recorded is ended."""
         self.end_experiment("the observer process ended: nothing is recorded any more")
 
     def state(self) -> dict[str, Any]:
-        """What MQTT's `state` and `upright status` say."""
+        """The state for MQTT (`state`) and `upright status`."""
         run = self.run
         return {
             "vehicle": self.vehicle.vehicle.id,
@@ -358,7 +358,7 @@ class ControlLoop:
             self._end_recording()
 
     def _begin_recording(self) -> None:
-        """At the agreed time all that was measured before is forgotten, so that the raw log alone tells everything."""
+        """Discard all earlier measurements at the agreed time, so that the raw log is sufficient for a replay."""
         self.io.reset(self._reset_at_ns)
         self._filter.reset()
         self._reset_at_ns = NEVER_NS
@@ -369,7 +369,7 @@ class ControlLoop:
         self._observer.stop_recording(self.reason, self._last_ns)
 
     def _check_deadline(self) -> None:
-        """No cycle since the last look: the IMU is silent. A run is stopped; disarmed, the drives are kept informed."""
+        """If there was no cycle since the last check, the IMU is silent: stop a run, and keep the drives supplied."""
         assert self._deadline is not None
         asyncio.get_running_loop().call_later(self._deadline, self._check_deadline)
         if self.cycles != self._cycles_at_deadline:

@@ -1,7 +1,7 @@
-"""Answers commands that came over MQTT, with the command layer that the terminal has, too.
+"""Answer commands received by MQTT, with the same command layer as for the terminal.
 
 A reply is `{"id", "ok", "code", "text", "done"}`. An experiment is answered twice: `accepted`, not done, when it has
-begun, and done when it is over. A renewal is answered where it is refused only: it comes many times a second.
+started, and done when it has ended. A renewal is answered only if it is refused: it comes many times a second.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from service.control.commands import Commands
 from telemetry.errors import UprightError
 
 MOST_RUNNING = 16
-"""Commands that are answered at once."""
+"""Maximum number of commands that are answered concurrently."""
 
 SUMMARY = ("recording", "interlocks")
-"""Of a result, what goes along in a reply."""
+"""Keys of a result that are included in a reply."""
 
 
 class MqttReplies:
-    """Takes commands, and gives each reply to `send(client, reply)`. In a running event loop."""
+    """Takes commands and passes each reply to `send(client, reply)`. For use in a running event loop."""
 
     def __init__(self, commands: Commands, send: Callable[[str, dict[str, Any]], None]) -> None:
         self._commands = commands
@@ -31,7 +31,7 @@ class MqttReplies:
         self._running: set[asyncio.Task[None]] = set()
 
     def take(self, command: dict[str, Any]) -> None:
-        """One command that the observer let through: `verb`, `client`, `id`, `arguments`. Neither waits nor fails."""
+        """Take a command that the observer forwards: `verb`, `client`, `id`, `arguments`. Neither waits nor fails."""
         client, identity = command["client"], command["id"]
         request: Message = {**command["arguments"], "verb": command["verb"], "client": f"mqtt {client}"}
         if request["verb"] in ("renew", "release"):

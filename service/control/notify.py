@@ -1,8 +1,7 @@
-"""What this process tells the service manager: the sd_notify(3) protocol of systemd's Type=notify units.
+"""Notifications to the service manager: the sd_notify(3) protocol of systemd's Type=notify units.
 
-One datagram of KEY=VALUE lines to the Unix socket named by $NOTIFY_SOCKET (a name that begins with @ is in the abstract
-namespace). Without that variable nobody listens and every call does nothing, so the daemon runs the same from a
-terminal.
+Each notification is a datagram of KEY=VALUE lines to the Unix socket named by $NOTIFY_SOCKET (a name that begins with @
+is in the abstract namespace). Without that variable every call does nothing, so the daemon also runs from a terminal.
 """
 
 from __future__ import annotations
@@ -18,22 +17,22 @@ _WATCHDOG = b"WATCHDOG=1"
 
 
 class NotifyError(UprightError):
-    """The service manager asked to be notified, and cannot be reached."""
+    """The service manager expects notifications, but cannot be reached."""
 
 
 class Notifier:
     """Readiness, status line and watchdog of this process.
 
-    Nothing here waits: a message that the service manager has no room for is dropped and counted in `unsent`. Where a
-    watchdog ping does not get through, the service manager restarts the process, which is the safe side.
+    Nothing here waits: a message that does not fit into the service manager's buffer is dropped and counted in
+    `unsent`. If watchdog pings are lost, the service manager restarts the process, which is safe.
     """
 
     __slots__ = ("_socket", "unsent", "watchdog_timeout")
 
     def __init__(self, address: str = "", *, watchdog_timeout: float | None = None) -> None:
-        """`address` is a path, `@name`, or empty for nobody; `watchdog_timeout` is in s, None where none is set.
+        """`address` is a path, `@name`, or empty for none; `watchdog_timeout` is in s, None if there is no watchdog.
 
-        Raises NotifyError where nobody listens at `address`.
+        Raises NotifyError if no process listens at `address`.
         """
         self.watchdog_timeout = watchdog_timeout
         self.unsent = 0
@@ -53,16 +52,16 @@ class Notifier:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Self:
-        """As $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID say (sd_watchdog_enabled(3)).
+        """The notifier according to $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID (sd_watchdog_enabled(3)).
 
-        Raises NotifyError as the constructor does.
+        Raises NotifyError like the constructor.
         """
         microseconds = environment.get("WATCHDOG_USEC", "")
         watched = microseconds.isdecimal() and environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         return cls(environment.get("NOTIFY_SOCKET", ""), watchdog_timeout=int(microseconds) / 1e6 if watched else None)
 
     def ready(self, status: str = "") -> None:
-        """Start-up is complete: what waited for this unit may go on. `status` is a line for `systemctl status`."""
+        """Start-up is complete: units that wait for this one may start. `status` is a line for `systemctl status`."""
         self._send(b"READY=1" + _status_line(status))
 
     def status(self, status: str) -> None:
@@ -70,7 +69,7 @@ class Notifier:
         self._send(_status_line(status).lstrip())
 
     def watchdog(self) -> None:
-        """The control step ran. To be called at least twice in every `watchdog_timeout`."""
+        """The control step ran. Call it at least twice in every `watchdog_timeout`."""
         self._send(_WATCHDOG)
 
     def stopping(self, status: str = "") -> None:

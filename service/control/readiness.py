@@ -1,4 +1,4 @@
-"""What the vehicle shows of itself: the observation that is judged each cycle, and the interlocks before a run."""
+"""The observation for the safety verdict of each cycle, and the interlocks before a run."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ FAULTY = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 
 
 def observation(io: VehicleIo) -> Observation:
-    """An observation of this vehicle, to be refilled every cycle."""
+    """An observation of this vehicle, to be updated every cycle."""
     return Observation(drives=tuple(DriveObservation(drive.config.name) for drive in io.drives))
 
 
 def observe(seen: Observation, io: VehicleIo, now_ns: int, measured: Measurement) -> None:
-    """Fill in what the drivers know at `now_ns`."""
+    """Update the observation with the drivers' state at `now_ns`."""
     for drive, entry in zip(io.drives, seen.drives, strict=True):
         entry.age = (now_ns - min(drive.timestamp_ns, drive.statusword_timestamp_ns)) * 1e-9
         entry.enabled = drive.state is State.OPERATION_ENABLED
@@ -44,7 +44,7 @@ def interlocks(
     now_ns: int,
     silence: float,
 ) -> list[str]:
-    """What keeps a run from being started, each as a sentence with what to do."""
+    """The reasons that prevent a run, each as a sentence with the remedy."""
     found = []
     if lean is None or silence > 0.0:
         found.append(
@@ -61,14 +61,14 @@ def interlocks(
         )
     for drive in io.drives:
         if drive.state in FAULTY or drive.emergency is not None:
-            found.append(f"Drive {drive.condition}. Mend its cause, then `upright reset`.")
+            found.append(f"Drive {drive.condition}. Remove its cause, then run `upright reset`.")
         elif measured.timestamp_ns == 0 or (now_ns - drive.timestamp_ns) * 1e-9 > 10 * vehicle.period:
             found.append(f"Drive {drive.last_wrong_length or drive.condition + ': no answer'}.")
     return found + kind.interlocks(measured)
 
 
 def drive_states(io: VehicleIo) -> list[dict[str, str]]:
-    """State and fault of each drive, for people and for MQTT."""
+    """State and fault of each drive, for display and for MQTT."""
     return [
         {
             "name": drive.config.name,

@@ -1,8 +1,8 @@
-"""What one row of a recording is made of; the same code for the live loop and for a replay of raw frames.
+"""The samples of a recording, made by the same code in the live loop and in a replay of raw frames.
 
-A row is the roll filter's state at an IMU sample, the drive values known by then, and the setpoints that were sent in
-answer; which of these are recorded under which channel is said by the kind of vehicle. Live, the setpoints are known at
-once; from a raw log, when the frames up to the next IMU sample have passed.
+A recorded sample consists of the roll filter's state at an IMU sample, the drive values known by then, and the
+setpoints that were sent in response. The kind of vehicle defines the channels. The setpoints are known at once in the
+live loop; in a raw log, they are known when the frames up to the next IMU sample have been read.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from vehicles.contract import Command, Kind, Measurement
 
 NAN = float("nan")
 UNKNOWN = Command(State.UNKNOWN, NAN, NAN, NAN)
-"""What a log does not hold: reference and excitation were never on the bus."""
+"""Values that a log does not contain: reference and excitation were never on the bus."""
 
 
 def row(kind: Kind[Any], attitude: RollState, drives: Measurement, command: Command, phase: float) -> Frame:
-    """The row of one cycle, in the order of the kind's channels."""
+    """The recorded sample of one cycle, in the order of the kind's channels."""
     return Frame(attitude.timestamp_ns, kind.values(attitude, drives, command, phase))
 
 
 def rows_from_frames(
     frames: Iterable[CanFrame], io: VehicleIo, kind: Kind[Any], roll_filter: RollFilter, start_ns: int = 0
 ) -> Iterator[Frame]:
-    """The rows that the daemon recorded, from the raw frames of a log that begins at `start_ns`.
+    """The samples that the daemon recorded, from the raw frames of a log that begins at `start_ns`.
 
-    Reference, excitation and phase were never on the bus: they are NaN. A last row whose setpoints were not seen any
-    more is given with the setpoints before.
+    Reference, excitation and phase were never on the bus: they are NaN. If the log ends before the setpoints of the
+    last sample, it has the previous setpoints.
     """
     io.reset(start_ns)
     roll_filter.reset()

@@ -1,13 +1,14 @@
-"""The safety verdict: the one place that decides whether a run may go on, and how it ends if not.
+"""The safety verdict: the only place that decides whether a run may continue, and how it ends if not.
 
-`Safety.judge(observation)` looks at one control cycle and answers with a `Verdict`: `OK`, or a code a program can
-read, the reason in words with numbers and units, and the reaction.
+`Safety.judge(observation)` checks one control cycle and returns a `Verdict`: `OK`, or a machine-readable code, the
+reason as text with numbers and units, and the reaction.
 
     END_EXPERIMENT   in order: the excitation stops, the controller lowers the vehicle onto a support
     STOP_NOW         quick stop of every drive: the vehicle falls onto its supports
 
-What can still be controlled ends in order; what cannot (no angle, no drive, no room left) stops now, since a
-quick stop leaves a fall of a few degrees at most. The worst is judged first: a later check may rest on the earlier.
+If the vehicle is still controllable, the run ends in order. If it is not (no angle, no drive, a limit reached), it
+stops now, since a quick stop causes a fall of a few degrees at most. The worst is checked first: a later check may
+depend on the earlier ones.
 
     always           IMU alive and sane, the angles of the fall finite and within bounds
     armed            drives answer, no emergency, no restart, every axis and the setpoint within bounds, cycles in time
@@ -15,8 +16,8 @@ quick stop leaves a fall of a few degrees at most. The worst is judged first: a 
     balancing        budgets left, observer alive
     upright          not fallen
 
-IMU and drives are the same for every vehicle. What else is watched is data: `Bound`s, which each kind of vehicle makes
-of its limits (the module `kind` of its folder). Every comparison is written so that a NaN fails it.
+IMU and drives are the same for every vehicle. All other checks are data: `Bound`s, which each kind of vehicle derives
+from its limits (the module `kind` of its folder). Every comparison is written so that a NaN fails it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from vehicles.bounds import OK, Bound, Code, Reaction, Verdict, When, stop
 
 @dataclass(slots=True)
 class DriveObservation:
-    """One drive as this cycle sees it: `age` s of its latest values, `state` in words, `emergency` in words or ""."""
+    """One drive in this cycle: `age` s of its latest values, `state` as text, `emergency` as text or ""."""
 
     name: str
     age: float = 0.0
@@ -44,12 +45,12 @@ class DriveObservation:
 
 @dataclass(slots=True)
 class Observation:
-    """What is judged. One object, refilled every cycle.
+    """The input of the verdict. One object, updated every cycle.
 
-    `imu_age` s since the IMU sample before this one, or since the last one where none came; `imu_text` is the IMU
-    driver's own explanation; `late_cycles` in a row that came too late to command the drives; `angle` (rad) and `rate`
-    (rad/s) are those of the fall, `setpoint` is what the drives are about to get, and `axes` what they reported, in the
-    words of the kind of vehicle. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
+    `imu_age` s since the previous IMU sample, or since the last one if none came; `imu_text` is the explanation by the
+    IMU driver; `late_cycles` consecutive cycles came too late to command the drives; `angle` (rad) and `rate` (rad/s)
+    are those of the fall; `setpoint` is the next one for the drives; `axes` are their measurements, in the terms of the
+    kind of vehicle. See the module docstring for `armed`, `should_run`, `balancing` and `upright`.
     """
 
     drives: tuple[DriveObservation, ...] = ()
@@ -79,9 +80,9 @@ _Check = tuple[Callable[[Observation], float], float, Bound]
 
 
 class Safety:
-    """Judges the cycles of a vehicle by its `bounds`, in their order.
+    """Checks the cycles of a vehicle against its `bounds`, in their order.
 
-    `missed_cycles` consecutive cycles of `period` s are what an IMU, a drive or the loop may miss.
+    IMU, drives and loop may miss `missed_cycles` consecutive cycles of `period` s.
     """
 
     def __init__(self, bounds: Sequence[Bound], *, missed_cycles: int, period: float) -> None:
@@ -95,7 +96,7 @@ class Safety:
         self._always, self._armed, self._balancing, self._upright = (tuple(checks[when]) for when in When)
 
     def judge(self, seen: Observation) -> Verdict:
-        """The verdict on one cycle; `OK` itself, without any allocation, when all is well."""
+        """The verdict on one cycle; `OK` itself, without any allocation, if no check fails."""
         if not seen.imu_age <= self._longest_silence:
             return stop(
                 Code.IMU_SILENT,
@@ -144,7 +145,7 @@ class Safety:
         if drive.emergency:
             return stop(Code.DRIVE_EMERGENCY, f"drive {drive.name} reports: {drive.emergency}")
         if drive.restarted:
-            return stop(Code.DRIVE_RESTARTED, f"drive {drive.name} restarted by itself: its set-up is lost")
+            return stop(Code.DRIVE_RESTARTED, f"drive {drive.name} restarted by itself: its configuration is lost")
         if not drive.age <= self._longest_silence:
             return stop(
                 Code.DRIVE_SILENT,

@@ -1,11 +1,11 @@
-"""One experiment, from rest on a support back to rest on a support: the phases, pure.
+"""The phases of an experiment, from rest on a support back to rest on a support. Pure.
 
     rest -> enable -> centre -> rise -> settle -> excite -> fade -> lower -> centre back -> disable
 
-Every experiment is the whole way, so that each has one verb, one recording, and ends where a person may touch the
-vehicle. `ExperimentRun.step` is called once a control cycle and answers with what the drives shall do now; it knows
-no bus and no clock, only the time that the samples carry. The phases are those of every vehicle; how one gets up,
-balances and gets down is its kind's own (`vehicles.contract.Handling`).
+Every experiment has all phases, so that each has one verb, one recording, and ends in a state in which the vehicle may
+be touched. `ExperimentRun.step` is called once per control cycle and returns the command for the drives. It is
+independent of bus and clock and only uses the time of the samples. The phases are the same for every vehicle; rising,
+balancing and lowering depend on the kind of vehicle (`vehicles.contract.Handling`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from vehicles.phases import DURATIONS, TIMEOUTS, UPRIGHT, Phase
 from vehicles.sections import VehicleFile
 
 AT_REST_ANGLE = 0.0175
-"""rad (1 deg): how near to a support's angle counts as resting on it."""
+"""rad (1 deg): tolerance of the angle for resting on a support."""
 
 AT_REST_RATE = 0.01
-"""rad/s of that angle."""
+"""rad/s: tolerance of the rate of that angle."""
 
 
 _NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase.LOWER}
@@ -32,7 +32,7 @@ _NEXT = {Phase.SETTLE: Phase.EXCITE, Phase.EXCITE: Phase.FADE, Phase.FADE: Phase
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What one experiment is made of. `support` in rad; `angle` is what the angle of the fall is called."""
+    """The parts of an experiment. `support` in rad; `angle` is the name of the angle of the fall."""
 
     excitation: Excitation
     handling: Handling[Any]
@@ -43,14 +43,14 @@ class Plan:
 def plan(vehicle: VehicleFile, experiment: str, pilot: Pilot[Any], angle: str) -> Plan:
     """The plan of a vehicle file's experiment.
 
-    Raises ExcitationError where the experiment's signal cannot be played.
+    Raises ExcitationError if the experiment's signal cannot be generated.
     """
     excitation = make_excitation(vehicle.experiments[experiment], float(vehicle.control.rate))
     return Plan(excitation, pilot.handling(excitation), vehicle.support, angle)
 
 
 class ExperimentRun:
-    """The course of one experiment. `done` when it is over; `failure` says why where it did not do what it should."""
+    """The course of one experiment. `done` when it has ended; `failure` is the reason if it did not succeed."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         self.name = name
@@ -64,14 +64,14 @@ class ExperimentRun:
 
     @property
     def fraction(self) -> float:
-        """Share of the expected time that is over, 0 to 1; phases of unknown length count as they come."""
+        """Elapsed share of the expected time, 0 to 1; phases of unknown length are not counted."""
         timed = (*DURATIONS, Phase.EXCITE)
         before = sum(self._duration(phase) for phase in timed if phase < self.phase)
         return min(1.0, (before + (self._phase_time if self.phase in timed else 0.0)) / self._expected)
 
     @property
     def remaining(self) -> float:
-        """s that the experiment still needs, roughly."""
+        """Approximate remaining time, s."""
         return (1.0 - self.fraction) * self._expected
 
     @property
@@ -82,7 +82,7 @@ class ExperimentRun:
         return self._plan.excitation.duration if phase is Phase.EXCITE else DURATIONS[phase]
 
     def end(self, reason: str) -> None:
-        """End early and in order: if it is up, the vehicle is lowered first."""
+        """End early and in order: if the vehicle is up, it is lowered first."""
         if self.end_reason or self.done:
             return
         self.end_reason = reason
@@ -92,7 +92,7 @@ class ExperimentRun:
             self._enter(Phase.LOWER)
 
     def step(self, dt: float, lean: Lean, drives: Any, state: State | None) -> Command:
-        """The command of this cycle. `dt` s since the last; `state` is the one all drives are in, if they agree.
+        """The command of this cycle. `dt` s since the last one; `state` is that of all drives, None if they differ.
 
         `drives` are the measurements of this kind of vehicle.
         """
@@ -131,7 +131,7 @@ class ExperimentRun:
         self._enter(go_on)
 
     def _time_out(self, timeout: float) -> None:
-        reason = f"{self.phase.text}: not done within {timeout:g} s"
+        reason = f"{self.phase.text}: not completed within {timeout:g} s"
         if self.phase is Phase.DISABLE:
             self.failure = self.failure or reason
             self.done = True

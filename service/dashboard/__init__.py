@@ -1,1 +1,1 @@
-"""The dashboard: a static page, live over MQTT websockets, and beside it a small server of recordings and jobs."""
+"""The dashboard: a static page with live data over MQTT websockets, and a small server for recordings and jobs."""

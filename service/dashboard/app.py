@@ -1,8 +1,8 @@
-"""The dashboard's server: the static page, what it has to know, recordings, and jobs. It commands no vehicle.
+"""The dashboard's server: the static page, its configuration, recordings, and jobs. It does not command the vehicle.
 
-What is live comes to the page from the broker, over MQTT websockets; commands go the same way and end in the daemon's
-command layer. Everything here is for the machine itself: requests for another host name are refused, what changes
-something must come from the page (a header that no foreign page can send), and the page loads nothing from elsewhere.
+The page gets live data from the broker, over MQTT websockets; commands go the same way to the daemon's command layer.
+The server is for the local machine only: requests for another host name are refused, requests that change something
+must come from the page (a header that no foreign page can send), and the page loads nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from vehicles.file import VehicleFile
 STATIC = Path(__file__).with_name("static")
 LOCAL = ["localhost", "127.0.0.1", "[::1]"]
 MARK = "x-upright"
-"""Header of requests that change something. A page from elsewhere cannot send it without being asked first (CORS)."""
+"""Header of requests that change something. A page from elsewhere cannot send it without a preflight (CORS)."""
 LARGEST_BODY = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the page connects to, and where recordings are. `websocket` is the broker's, ws://HOST:PORT."""
+    """The page's connections and the folder of the recordings. `websocket` is the broker's, ws://HOST:PORT."""
 
     vehicle: VehicleFile
     data: Path
@@ -85,7 +85,7 @@ class Dashboard:
             exception_handlers={
                 UnknownRecording: _refuse(404),
                 UprightError: _refuse(422),
-                HTTPException: _plainly,
+                HTTPException: _as_json,
             },
         )
 
@@ -138,7 +138,7 @@ class Dashboard:
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
 
     async def _model(self, request: Request) -> Response:
-        """The model file that effects are added to, as `upright model show` tells it; null where there is none yet."""
+        """The model file that effects are added to, with its effects and history; null if there is none yet."""
         return JSONResponse({"model": await asyncio.to_thread(self._read_model)})
 
     def _read_model(self) -> dict[str, Any] | None:
@@ -161,22 +161,22 @@ class Dashboard:
         if int(request.headers.get("content-length", "0")) > LARGEST_BODY:
             raise HTTPException(413, "too large")
         try:
-            asked = await request.json()
+            document = await request.json()
         except ValueError:
             raise HTTPException(400, "not JSON") from None
-        if not isinstance(asked, dict):
+        if not isinstance(document, dict):
             raise HTTPException(400, "not an object")
-        kind = asked.get("kind")
-        words = await asyncio.to_thread(self._words, kind, asked)
+        kind = document.get("kind")
+        words = await asyncio.to_thread(self._words, kind, document)
         return JSONResponse(self._jobs.start(str(kind), words).to_json(), 202)
 
-    def _words(self, kind: object, asked: dict[str, Any]) -> list[str]:
-        """The command line of a job; what came from outside is looked up, never passed on as it is."""
+    def _words(self, kind: object, document: dict[str, Any]) -> list[str]:
+        """The command line of a job. Values from outside are looked up, never passed on directly."""
         vehicle = ["--vehicle", self._settings.vehicle.path or self._settings.vehicle.vehicle.id]
-        names = asked.get("recordings", [])
+        names = document.get("recordings", [])
         if not isinstance(names, list) or not 0 < len(names) <= 8:
             if kind != "undo":
-                raise HTTPException(400, "name one to eight recordings")
+                raise HTTPException(400, "give one to eight recordings")
             names = []
         paths = [str(self._folder.find(str(name))) for name in names]
         base, own = assembly_model(self._settings.vehicle), self._model_file
@@ -184,7 +184,7 @@ class Dashboard:
             case "compare":
                 return ["compare", *paths, *vehicle, *(["--model", str(own)] if own.is_file() else [])]
             case "identify":
-                methods = asked.get("methods", [])
+                methods = document.get("methods", [])
                 if not isinstance(methods, list) or not {str(each) for each in methods} <= METHODS.keys():
                     raise HTTPException(400, "no such method")
                 return ["identify", *paths, *vehicle, *(word for each in methods for word in ("--method", str(each)))]
@@ -193,9 +193,9 @@ class Dashboard:
                 self._reports.mkdir(parents=True, exist_ok=True)
                 return [*words, "--report", str(self._reports / f"{Path(paths[0]).stem}.html")]
             case "add":
-                effect, _, place = str(asked.get("effect")).partition("@")
+                effect, _, place = str(document.get("effect")).partition("@")
                 if effect not in CATALOGUE:
-                    raise HTTPException(400, "no effect of the catalogue")
+                    raise HTTPException(400, "not an effect of the catalogue")
                 there = places_of(library.get(base), CATALOGUE[effect].place)
                 if place and place not in {each.name for each in there}:
                     raise HTTPException(400, "the model has no such place")
@@ -218,7 +218,7 @@ class Dashboard:
         return JSONResponse(job.to_json())
 
     async def _report(self, request: Request) -> Response:
-        """A page of its own, in which nothing can run."""
+        """A report as a separate page, in which no script can run."""
         name = request.path_params["name"]
         there = [each.name for each in self._reports.iterdir()] if self._reports.is_dir() else []
         if name not in there or not name.endswith(".html"):
@@ -243,7 +243,7 @@ def _policy(websocket: str) -> str:
 
 
 class Guard:
-    """Headers of every answer, and the mark that every request which changes something must carry."""
+    """Adds headers to every response, and refuses requests that change something without the header MARK."""
 
     def __init__(self, app: ASGIApp, policy: str) -> None:
         self._app = app
@@ -278,6 +278,6 @@ def _refuse(status: int) -> Callable[[Request, Exception], Awaitable[Response]]:
     return refuse
 
 
-async def _plainly(request: Request, error: Exception) -> Response:
+async def _as_json(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     return JSONResponse({"error": error.detail}, error.status_code)

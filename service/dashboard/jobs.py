@@ -1,6 +1,6 @@
-"""What takes seconds: comparisons, fits and diagnoses, each a run of the command line in a process of its own.
+"""Long-running jobs: comparisons, fits and diagnoses, each a run of the command line in a process of its own.
 
-One at a time, at a low priority, with at most a few waiting: the machine may be the one that balances the vehicle.
+They run one at a time, at a low priority, and only a few may wait: the same machine may balance the vehicle.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ MOST_WAITING = 4
 MOST_KEPT = 20
 NICENESS = 10
 LARGEST = 32 << 20
-"""Bytes of an answer."""
+"""Maximum size of an answer, bytes."""
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 UPRIGHT = (sys.executable, "-c", "from service.cli import main; main()")
 
 
 class TooManyJobs(UprightError):
-    """As many jobs wait as may."""
+    """The maximum number of jobs is waiting."""
 
 
 @dataclass(slots=True)
 class Job:
-    """One run; `result` is the JSON document that it printed, `error` what it said where it failed."""
+    """One run; `result` is the JSON document that it printed, `error` its message if it failed."""
 
     id: int
     kind: str
@@ -60,7 +60,7 @@ class Job:
 
 
 class Jobs:
-    """Runs them one after the other, in a running event loop."""
+    """Runs jobs one after the other, in a running event loop."""
 
     def __init__(self) -> None:
         self._jobs: OrderedDict[int, Job] = OrderedDict()
@@ -68,9 +68,9 @@ class Jobs:
         self._one = asyncio.Lock()
 
     def start(self, kind: str, words: Sequence[str]) -> Job:
-        """Begin `upright WORDS --json`. Raises TooManyJobs."""
+        """Start `upright WORDS --json`. Raises TooManyJobs."""
         if sum(each.state in ("waiting", "running") for each in self._jobs.values()) > MOST_WAITING:
-            raise TooManyJobs("too many jobs wait.", remedy="Wait for one, or cancel one.")
+            raise TooManyJobs("too many jobs are waiting.", remedy="Wait for one to finish, or cancel one.")
         job = Job(next(self._numbers), kind, words)
         self._jobs[job.id] = job
         while len(self._jobs) > MOST_KEPT:
@@ -86,7 +86,7 @@ class Jobs:
             job.task.cancel()
 
     async def close(self) -> None:
-        """End all of them."""
+        """Cancel all jobs."""
         tasks = [job.task for job in self._jobs.values() if job.task is not None and not job.task.done()]
         for task in tasks:
             task.cancel()
@@ -105,7 +105,7 @@ class Jobs:
                     stdout=asyncio.subprocess.PIPE,
                     stderr=asyncio.subprocess.PIPE,
                     env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "NO_COLOR": "1"},
-                    preexec_fn=_give_way,
+                    preexec_fn=_lower_priority,
                     limit=LARGEST,
                 )
                 output, said = await process.communicate()
@@ -125,12 +125,12 @@ class Jobs:
             job.result = json.loads(output) if output.strip() else None
         except ValueError:
             job.result = None
-        # A diagnosis of too little data has status 1 and an answer.
+        # A diagnosis of insufficient data has exit status 1 and an answer.
         job.state = "done" if job.result is not None else "failed"
         if job.state == "failed":
             lines = said.decode(errors="replace").strip().splitlines()
-            job.error = lines[-1][:1000] if lines else f"ended with status {status}"
+            job.error = lines[-1][:1000] if lines else f"ended with exit status {status}"
 
 
-def _give_way() -> None:
+def _lower_priority() -> None:
     os.nice(NICENESS)

@@ -1,4 +1,4 @@
-"""The recordings in a folder, as the dashboard shows them. A name is only ever looked up among those that are there."""
+"""The recordings in a folder, for the dashboard. Names from outside are only looked up among the existing ones."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ class Folder:
         self.path = path.absolute()
 
     def names(self) -> list[str]:
-        """Newest first, as their names begin with the time."""
+        """The names, newest first, since they begin with the time."""
         if not self.path.is_dir():
             return []
         found = [each.name for each in self.path.iterdir() if each.suffix in SUFFIXES and each.is_file()]
         return sorted(found, reverse=True)[:MOST_LISTED]
 
     def find(self, name: str) -> Path:
-        """Raises UnknownRecording. A name that is not in the listing leads nowhere, whatever it contains."""
+        """The path of a recording. Raises UnknownRecording for any name that is not in the listing."""
         if name not in self.names():
-            raise UnknownRecording("there is no recording of that name.", remedy="Load the list again.")
+            raise UnknownRecording("there is no recording with that name.", remedy="Reload the list.")
         return self.path / name
 
     def list(self) -> list[dict[str, Any]]:
-        """Of each recording what its file system and its name say; reading them all would take long."""
+        """The information about each recording from the file system, since reading them all would take long."""
         listed = []
         for name in self.names():
             path = self.path / name
@@ -61,7 +61,7 @@ class Folder:
         return listed
 
     def open(self, name: str, points: int) -> dict[str, Any]:
-        """Channels thinned to at most `points` rows, with metadata and the live estimates beside it.
+        """Channels decimated to at most `points` samples, with metadata and the live estimates.
 
         Raises UnknownRecording, RecordingError.
         """

@@ -1,1 +1,1 @@
-"""`upright demo`: story is what is told, run tells it on a virtual bus, figure draws it."""
+"""`upright demo`: run executes the demo on a virtual bus, figure draws its recordings."""

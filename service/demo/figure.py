@@ -1,6 +1,6 @@
-"""The picture of a run: how the vehicle moved, and the parameters settling with their bands where it estimates live.
+"""The picture of a run: the motion of the vehicle and, if it is estimated live, the convergence of the parameters.
 
-What a person looks at after `upright demo`; drawn from the recording alone, by running it through the live estimator.
+It is the result of `upright demo`, drawn from the recording alone, by running it through the live estimator.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from vehicles.phases import Phase
 from vehicles.views import DARK, LIGHT, Panel, Story
 
 PERIOD = 0.25
-"""s between two looks at the estimates."""
+"""s between two points of the estimates."""
 BAND = 1.96
 """Standard deviations of a 95 % band."""
 CAD = "#b2182b"
 
 
 def save_run(recording: Recording, vehicle: VehicleFile, path: Path) -> None:
-    """Draw `recording` to the PNG at `path`. Raises RecordingError where a channel is missing."""
+    """Draw `recording` to the PNG at `path`. Raises RecordingError if a channel is missing."""
     story = registry.of(vehicle.vehicle.kind).views.story
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     axes = figure.subplots(len(story.panels) + len(story.settling), 1, sharex=True)
@@ -89,7 +89,7 @@ def _parameters(places: list[Axes], story: Story, recording: Recording, vehicle:
         if seen[name]:
             time, value, std = np.array(seen[name]).T
             axes.fill_between(time, value - BAND * std, value + BAND * std, color=LIGHT, alpha=0.7, linewidth=0)
-            axes.plot(time, value, color=DARK, linewidth=1.2, label="identified, with its 95 % band")
+            axes.plot(time, value, color=DARK, linewidth=1.2, label="identified, with 95 % band")
             reach = max(abs(value[-1] - cad), 6.0 * std[-1], 0.02 * value[-1])
             axes.set_ylim(value[-1] - 1.3 * reach, value[-1] + 1.3 * reach)
         axes.set_ylabel(f"{name.replace('_', ' ')},\n{unit}")

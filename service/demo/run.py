@@ -1,8 +1,8 @@
-"""The whole story without hardware: a virtual vehicle on a lock-step bus, the real daemon, and a broker.
+"""The whole demo without hardware: a virtual vehicle on a lock-step bus, the real daemon, and a broker.
 
-The simulation runs in a thread of this process and hands over its time with every frame, so the story runs as fast as
-the machine allows; with the dashboard beside it, at the pace of the wall's clock. All else is what runs on a vehicle:
-the same control loop, observer process, recorder and MQTT.
+The simulation runs in a thread of this process and passes its time with every frame, so the demo runs as fast as the
+machine allows, or in real time with the dashboard. All other parts are the same as on a vehicle: the control loop,
+observer process, recorder and MQTT.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class DemoError(UprightError):
 
 
 Follow = Callable[[Iterator[dict[str, Any]]], dict[str, Any]]
-Told = Callable[[list[Path]], None]
+Evaluate = Callable[[list[Path]], None]
 
 
 def run_demo(
@@ -45,20 +45,20 @@ def run_demo(
     data: Path,
     seed: int,
     follow: Follow,
-    tell: Told,
+    evaluate: Evaluate,
     *,
     port: int | None = None,
 ) -> None:
-    """Run `experiments` on a virtual vehicle. `follow` shows one and gives its result; `tell` what recordings say.
+    """Run `experiments` on a virtual vehicle. `follow` shows one, returning its result; `evaluate` gets the recordings.
 
     With `port` the dashboard is served there meanwhile, and until Ctrl-C.
 
     Raises:
-        DemoError: the vehicle did not get ready, an experiment did not end well, or the port is taken.
+        DemoError: the vehicle did not get ready, an experiment failed, or the port is in use.
     """
-    recordings = asyncio.run(_run(vehicle, hide, experiments, data, seed, follow, tell, port))
+    recordings = asyncio.run(_run(vehicle, hide, experiments, data, seed, follow, evaluate, port))
     if port is None:
-        tell(recordings)
+        evaluate(recordings)
 
 
 async def _run(
@@ -68,7 +68,7 @@ async def _run(
     data: Path,
     seed: int,
     follow: Follow,
-    tell: Told,
+    evaluate: Evaluate,
     port: int | None,
 ) -> list[Path]:
     async with EmbeddedBroker() as broker:
@@ -87,8 +87,8 @@ async def _run(
                 recordings = [await _experiment(name, places.socket, follow) for name in experiments]
                 if port is not None:
                     try:
-                        await asyncio.to_thread(tell, recordings)
-                    except UprightError as error:  # as of a run that was stopped before the vehicle rose
+                        await asyncio.to_thread(evaluate, recordings)
+                    except UprightError as error:  # for example if the run was stopped before the vehicle rose
                         people.print(f"[yellow]No report: {error}[/yellow]")
                     people.print(f"Dashboard: http://localhost:{port}, until Ctrl-C.")
                     await serving
@@ -100,7 +100,7 @@ async def _run(
 
 @contextmanager
 def _dashboard(vehicle: VehicleFile, data: Path, websocket: str, port: int) -> Iterator[None]:
-    """The dashboard on this machine's `port`, in a thread of its own. Raises DemoError where that is taken."""
+    """The dashboard on this machine's `port`, in a thread of its own. Raises DemoError if it is in use."""
     import uvicorn
 
     from service.dashboard.app import Dashboard, Settings

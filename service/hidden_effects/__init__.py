@@ -1,5 +1,5 @@
-"""The benchmark of hidden effects: how often what a virtual vehicle has and the model lacks is called by its name.
+"""The benchmark of hidden effects: how often an effect of a virtual vehicle that the model lacks is named correctly.
 
-`cases` says what is asked, `trial` asks it, `spread` runs it on many cores or machines. methods/ are what is asked: the
-diagnosis, and the baselines that it is compared with. results/ keep the trials and count them.
+`cases` defines the cases, `trial` runs one, `spread` distributes them over cores or machines. methods/ contains the
+diagnosis and the baselines that it is compared with. results/ stores the trials and evaluates them.
 """

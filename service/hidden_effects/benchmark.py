@@ -1,4 +1,4 @@
-"""The whole benchmark: which cases are left, the reference ones first, every line to the file as it comes."""
+"""The whole benchmark: run the remaining cases, the reference cases first, and write every line to the file at once."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from service.hidden_effects.results import trials as results
 from service.hidden_effects.spread import Spread
 from service.hidden_effects.trial import DETECTABLE, Bench, Line
 
-Told = Callable[[int, int], None]
-"""Told how many cases are done, and of how many."""
+Progress = Callable[[int, int], None]
+"""Called with the number of finished cases and of all cases."""
 
 
 def benchmark(
-    cases: Sequence[Case], bench: Bench, path: Path, spread: Spread, progress: Told = lambda done, total: None
+    cases: Sequence[Case], bench: Bench, path: Path, spread: Spread, progress: Progress = lambda done, total: None
 ) -> dict[str, Line]:
-    """Run those of `cases` that the file at `path` does not hold, and return the lines of all of them.
+    """Run those of `cases` that the file at `path` does not contain, and return the lines of all of them.
 
-    The clean records that say how small an effect can be seen come first; where one fails, so do the cases that need
-    it. Raises ResultsError for a file of other conditions; whatever ends it, what is done is in the file.
+    The clean reference records, which give the minimum detectable effects, come first; if one fails, so do the cases
+    that need it. Raises ResultsError for a file with other conditions. If the run is interrupted, all finished cases
+    are in the file.
     """
     lines = results.read(path) if path.exists() else {}
     results.check(path, lines, bench.conditions)
-    asked = list(dict.fromkeys((*references(cases), *cases)))
-    done = len(asked) - len(results.left(asked, bench, lines))
-    progress(done, len(asked))
+    wanted = list(dict.fromkeys((*references(cases), *cases)))
+    done = len(wanted) - len(results.left(wanted, bench, lines))
+    progress(done, len(wanted))
 
     def detectable(case: Case) -> Mapping[str, float]:
         return dict(lines.get(case.reference.key, {}).get(DETECTABLE, {}))
@@ -36,16 +37,16 @@ def benchmark(
         results.append(path, line)
         lines[line["key"]] = line
         done += 1
-        progress(done, len(asked))
+        progress(done, len(wanted))
 
-    # A reference whose diagnosis failed is asked again, since nothing else can be without it.
+    # A reference whose diagnosis failed is repeated, since the other cases depend on it.
     sized = {key: line for key, line in lines.items() if DETECTABLE in line}
     for line in spread(results.left(references(cases), bench, sized), bench, detectable):
         take(line)
     able = []
     for case in results.left(cases, bench, lines):
         if case == case.reference:
-            continue  # has just been asked
+            continue  # has just been run
         if DETECTABLE in lines.get(case.reference.key, {}):
             able.append(case)
         else:
@@ -53,10 +54,10 @@ def benchmark(
             take(results.failed(case, bench, reason))
     for line in spread(able, bench, detectable):
         take(line)
-    return {case.key: lines[case.key] for case in asked if case.key in lines}
+    return {case.key: lines[case.key] for case in wanted if case.key in lines}
 
 
 def _why(line: Line) -> str:
-    """Why a reference case says nothing of sizes."""
-    errors = [told["error"] for told in line["methods"].values() if told["error"]]
+    """The reason why a reference case gives no minimum detectable effects."""
+    errors = [each["error"] for each in line["methods"].values() if each["error"]]
     return line["reason"] or ("; ".join(errors) if errors else "the diagnosis gave no sizes")

@@ -1,5 +1,6 @@
-"""What the benchmark asks: one virtual record a case, with one effect hidden in it, two, one that no catalogue has, or
-none. From a case's key follows everything, its seed included, so that the same key gives the same record anywhere.
+"""The cases of the benchmark: each is a virtual record with one hidden effect, two, one outside the catalogue, or none.
+
+A case's key determines everything, including its seed, so that the same key gives the same record anywhere.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from simulation.registry import UnknownEffectError
 
 
 class Kind(StrEnum):
-    """What is hidden."""
+    """Kind of a case by its hidden effects."""
 
     NOTHING = "nothing"
     ONE = "one"
@@ -27,14 +28,14 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One record. `size` is in multiples of the effect's detectable size, `noise` in multiples of the data sheet's."""
+    """One record. `size` is in multiples of the minimum detectable effect, `noise` in multiples of the data sheet's."""
 
     effects: tuple[str, ...]
     size: float
     noise: float
     excitation: str
     number: int
-    """Which of several records that differ in nothing but their seed."""
+    """Number among records that differ only in their seed."""
 
     @property
     def kind(self) -> Kind:
@@ -50,13 +51,13 @@ class Case:
         return f"{hidden}|size {self.size:g}|noise {self.noise:g}|{self.excitation}|{self.number}"
 
     def seed(self, purpose: str = "record") -> int:
-        """Of the random numbers for `purpose`, 0 to 2^31 - 1."""
+        """Seed of the random numbers for `purpose`, 0 to 2^31 - 1."""
         digest = hashlib.sha256(f"{self.key}|{purpose}".encode()).digest()
         return int.from_bytes(digest[:4], "big") >> 1
 
     @property
     def reference(self) -> Case:
-        """The case with nothing missing whose record says how small an effect can be seen under these conditions."""
+        """The case with nothing missing whose record gives the minimum detectable effects under these conditions."""
         return Case((), 0.0, self.noise, self.excitation, 0)
 
 
@@ -64,7 +65,7 @@ class Case:
 class Grid:
     """All cases of `effects` x `sizes` x `noises` x `excitations`, `seeds` records of each, numbered from `first` on.
 
-    For every noise and excitation there are `seeds` records with nothing missing, too, and as many records of two
+    For every noise and excitation there are also `seeds` records with nothing missing, and as many records of two
     effects at once as there are effects. Raises UnknownEffectError for a name that the virtual vehicle does not have.
     """
 
@@ -83,7 +84,7 @@ class Grid:
                 raise UnknownEffectError(name, message, remedy=f"Use some of: {there}.")
 
     def cases(self) -> tuple[Case, ...]:
-        """Those with nothing missing first."""
+        """All cases, those with nothing missing first."""
         numbers = range(self.first, self.first + self.seeds)
         conditions = list(product(self.noises, self.excitations, numbers))
         nothing = [Case((), 0.0, noise, excitation, number) for noise, excitation, number in conditions]
@@ -106,11 +107,11 @@ QUICK = Grid(
     excitations=("multisine",),
     seeds=1,
 )
-"""A few minutes: whether it works at all, not how well."""
+"""A few minutes, to check that it works, not how well."""
 
 
 def pairs(effects: Sequence[str], number: int) -> Iterator[tuple[str, str]]:
-    """Each effect with a partner, the `number`-th from it on that does not look alike by the catalogue's own word."""
+    """Each effect with a partner: the `number`-th one after it that the catalogue does not call confusable with it."""
     for place, effect in enumerate(effects):
         others = [*effects[place + 1 :], *effects[:place]]
         able = [other for other in others if _apart(effect, other)]
@@ -125,5 +126,5 @@ def _apart(one: str, other: str) -> bool:
 
 
 def references(cases: Iterable[Case]) -> tuple[Case, ...]:
-    """The cases that say how small an effect the others can show."""
+    """The cases that give the minimum detectable effects for the others."""
     return tuple(dict.fromkeys(case.reference for case in cases))

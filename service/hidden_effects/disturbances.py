@@ -1,13 +1,14 @@
-"""Which random disturbance the record of a case has: drawn anew for each, a multiple of the sensor floor, or none.
+"""The random disturbance in the record of a case: drawn for each record, a multiple of the sensor floor, or none.
 
-The sensor floor of a correlation time T is the RMS torque that the gyro's white noise alone makes: the standard
-deviation of a constant torque that is estimated by least squares from the gyro's samples over one T,
+The sensor floor for a correlation time T is the RMS torque due to the gyro's white noise alone: the standard deviation
+of a constant torque that is estimated by least squares from the gyro's samples over one T,
 
     floor = inertia * density * sqrt(6 / T^3)
 
 with the inertia that the torque accelerates (kg m^2) and the gyro's one-sided noise density (rad/s/sqrt(Hz)). n samples
-of a rate with the standard deviation s, T long, give a slope to s sqrt(12 / n) / T, and s is density * sqrt(n / (2 T)):
-the sampling rate falls out. No smaller disturbance of this correlation time is seen from one T.
+of a rate with the standard deviation s over T give its slope with the standard deviation s sqrt(12 / n) / T, and s is
+density * sqrt(n / (2 T)): the sampling rate cancels. A smaller disturbance of this correlation time is not detectable
+from one T.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ from simulation.disturbance import Disturbance
 from vehicles import registry
 
 NONE = "none"
-"""What is written for records without a disturbance."""
+"""The entry for records without a disturbance."""
 DRAW = 25
-"""Spawn key of the random numbers that a disturbance is drawn with: nothing else of the same seed shares them."""
+"""Spawn key of the random numbers for drawing a disturbance: they are independent of others with the same seed."""
 
 Floor = Callable[[float], float]
-"""Correlation time, s, to the sensor floor, N m."""
+"""The sensor floor, N m, as a function of the correlation time, s."""
 
 
 def sensor_floor(truth: Truth, imu: ImuNode, correlation_time: float) -> float:
-    """N m, see above."""
+    """The sensor floor, N m, see above."""
     return truth.falling_inertia * imu.angular_rate_density * math.sqrt(6.0 / correlation_time**3)
 
 
@@ -42,11 +43,11 @@ class Disturbances(Protocol):
 
     @property
     def conditions(self) -> str:
-        """What results have to have in common to be told together, in words."""
+        """The conditions that results in one file must have in common, as text."""
         ...
 
     def of(self, seed: int | None, floor: Floor) -> Disturbance:
-        """That of the record with this seed; of a record that stands for all of them, None."""
+        """The disturbance of the record with this seed; with None, that of a record representing all of them."""
         ...
 
 
@@ -63,7 +64,7 @@ class Drawn:
         return f"disturbance drawn from {low:g} to {high:g} N m RMS and {short:g} to {long:g} s"
 
     def of(self, seed: int | None, floor: Floor) -> Disturbance:
-        """Drawn by the seed; the geometric middle without one. To six digits, as `--hide` is told."""
+        """Drawn with the seed; without one, the geometric mean of the bounds. With six digits, as given to `--hide`."""
         shares = [0.5, 0.5]
         if seed is not None:
             shares = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(DRAW,))).uniform(size=2).tolist()
@@ -90,14 +91,14 @@ class Multiple:
 
 
 def drawn_for(kind: str) -> Drawn:
-    """For a kind of vehicle: from a tenth or a fifth of its virtual vehicle's own disturbance to some times that."""
+    """The range for a kind of vehicle: from a tenth or a fifth of its virtual vehicle's disturbance to a multiple."""
     return Drawn(rms=registry.of(kind).shaken)
 
 
 def parse_disturbances(text: str | None, default: Disturbances) -> Disturbances | None:
-    """`RMS,CORRELATION_TIME` (in sensor floors, and s) or `none`; `default` where nothing is given.
+    """`RMS,CORRELATION_TIME` (in sensor floors, and s) or `none`; `default` if nothing is given.
 
-    Raises ValueError with what is wrong and the remedy.
+    Raises ValueError with the expected format.
     """
     if text is None:
         return default

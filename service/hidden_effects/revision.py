@@ -1,11 +1,12 @@
-"""How much of the error a repair takes away, and how much is left over the floor, as the benchmark sees it.
+"""How much of the error a revision removes, and how much remains compared with the right model, in the benchmark.
 
     closed = (E0 - E1) / (E0 - floor)        left = E1 / floor
 
-E is the mean squared one-step prediction error, whitened: E0 of the nominal model, E1 of the repaired one, floor of the
-right model, which has what the plant has, at its shapes. All were fitted to the record of the case. `closed` is taken
-on a record with another excitation, `left` on the record itself. All predict with the right model's filter gain and are
-weighed by its innovations' covariance: a gain of its own would hide a model's error in process noise.
+E is the mean squared whitened one-step prediction error: E0 of the nominal model, E1 of the revised one, floor of the
+right model, which has the effects of the plant with its shape parameters. All were fitted to the record of the case.
+`closed` is calculated from a record with another excitation, `left` from the record itself. All models predict with the
+right model's filter gain and are weighted by the covariance of its innovations: with a gain of its own, a model's error
+would be hidden in process noise.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Yardstick:
-    """The right model's filter: gain (ny,) of each state by name, and what whitens its innovations (ny, ny)."""
+    """The right model's filter: gain (ny,) of each state by name, and weights (ny, ny) that whiten its innovations."""
 
     gain: dict[str, Array]
     weights: Array
 
     def energy(self, model: Model, recordings: Sequence[Recording], support: float) -> float:
-        """Mean squared whitened prediction error of `model` as it is, its initial states fitted.
+        """Mean squared whitened prediction error of `model` with its present values and fitted initial states.
 
-        Infinite where it runs away.
+        Infinite if the simulation diverges.
         """
         task = problem(model, recordings, support=support)
         outputs = len(task.kernel.outputs)
-        # A state of an effect that the right model does not have follows the motion, uncorrected.
+        # States of effects that the right model does not have are predicted without correction.
         gain = np.array([self.gain.get(state, np.zeros(outputs)) for state in task.kernel.states])
         evaluate = partial(task.evaluate, weights=self.weights, gain=gain)
         found = minimise(
@@ -65,5 +66,5 @@ def fitted(model: Model, recordings: Sequence[Recording], support: float) -> tup
 
 
 def closed(before: float, after: float, floor: float) -> float | None:
-    """The share of the error that is gone; None where the nominal model is no worse than the right one."""
+    """The share of the excess error that is removed; None if the nominal model is not worse than the right one."""
     return (before - after) / (before - floor) if before > floor else None

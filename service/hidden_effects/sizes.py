@@ -1,8 +1,8 @@
-"""From the smallest size that a diagnosis can see to the level of the virtual vehicle's hidden effect, and the truth.
+"""Levels of the virtual vehicle's hidden effects, from the minimum detectable effects of a diagnosis; the right model.
 
-The plant's sizes are in the unit of the catalogue's first amplitude and mean the same, so that a level is a quotient.
-Some shapes differ: bristles instead of tanh, sinh instead of a cube. Where they do, no interval can be held to cover
-the plant's size.
+The plant's sizes have the unit and the meaning of the catalogue's first amplitude, so that a level is a quotient. Some
+formulas differ: bristles instead of tanh, sinh instead of a cube. For these, the coverage of the plant's size by an
+interval cannot be checked.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SAME_EQUATION = {
     "input_gain": "gain",
     "input_asymmetry": "asymmetry",
 }
-"""Effect to its amplitude, where plant and catalogue have one and the same equation and parameter."""
+"""Amplitudes of the effects that have the same equation and parameter in plant and catalogue."""
 
 PLANT_SHAPES = {
     "end_stop.gap": math.radians(0.5),
@@ -41,17 +41,17 @@ PLANT_SHAPES = {
     "flexible_mode.frequency": 7.0,
     "flexible_mode.damping_ratio": 0.03,
 }
-"""Shape parameters as the plant has them; when the torque step begins depends on when the record does."""
+"""Shape parameters of the plant. The start of the torque step depends on the start of the record."""
 
 
 class NotDetectableError(UprightError):
-    """Under these conditions the effect cannot be seen at any size, so there is no multiple of it."""
+    """Under these conditions the effect is not detectable at any size, so there is no multiple of a minimum."""
 
 
 def levels(case: Case, detectable: Mapping[str, float]) -> dict[str, float]:
-    """Effect to level of a case; the sign of those that may have either follows from the seed.
+    """The levels of a case by effect; the sign of those that may have either one is determined by the seed.
 
-    `detectable`: effect to the smallest size that can be seen. Raises NotDetectableError.
+    `detectable`: the minimum detectable sizes by effect. Raises NotDetectableError.
     """
     found = {}
     for name in case.effects:
@@ -59,7 +59,7 @@ def levels(case: Case, detectable: Mapping[str, float]) -> dict[str, float]:
         least = detectable.get(name, math.nan)
         if not (math.isfinite(least) and least > 0.0):
             raise NotDetectableError(
-                f"{name} cannot be seen with {case.excitation}, of whatever size.", remedy="Excite otherwise."
+                f"{name} is not detectable with {case.excitation} at any size.", remedy="Use another excitation."
             )
         sign = -1.0 if effect.signed and case.seed(f"sign of {name}") % 2 else 1.0
         found[name] = sign * case.size * least / abs(effect.size)
@@ -67,14 +67,14 @@ def levels(case: Case, detectable: Mapping[str, float]) -> dict[str, float]:
 
 
 def plant_sizes(given: Mapping[str, float]) -> dict[str, float]:
-    """Effect to size in its own unit."""
+    """The sizes by effect, in their own units."""
     return {name: level * (HIDDEN | UNLISTED)[name].size for name, level in given.items()}
 
 
 def right_model(model: Model, given: Mapping[str, float], event: float) -> Model:
-    """`model` with the effects that the plant has, at its sizes and shapes; `event` s is when a torque step begins.
+    """`model` with the effects of the plant, with its sizes and shapes; a torque step starts at `event` s.
 
-    An effect that the catalogue does not have comes from `unlisted`.
+    Effects outside the catalogue are taken from `unlisted`.
     """
     from service.hidden_effects.unlisted import UNLISTED_EFFECTS
 

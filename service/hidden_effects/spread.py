@@ -1,8 +1,8 @@
-"""Cases over the cores of this machine, or over machines with Dask. Either gives the lines as they come.
+"""Distribute cases over the cores of this machine, or over machines with Dask. Both yield lines as they are finished.
 
-A worker process that is killed (memory, a crash in compiled code) takes no case with it: what it was at is begun again,
-at most `TRIES` times. Cases that were under way together when one was killed go on one by one, so that only the one at
-fault runs out of tries.
+If a worker process is killed (memory, a crash in compiled code), no case is lost: its case is started again, at most
+`TRIES` times. Cases that were running together when a worker was killed are repeated one by one, so that only the one
+at fault reaches the limit.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from service.hidden_effects.trial import Bench, Line
 from telemetry.errors import UprightError
 
 TRIES = 3
-"""Times that a case is begun whose worker dies."""
+"""Maximum number of starts of a case whose worker dies."""
 CONNECT_TIMEOUT = 10.0
-"""s to find a Dask scheduler."""
+"""Timeout for a Dask scheduler, s."""
 
 Detectable = Callable[[Case], Mapping[str, float]]
-"""What a case's reference says of how small an effect can be seen."""
+"""The minimum detectable sizes for a case, from its reference case."""
 Spread = Callable[[Sequence[Case], Bench, Detectable], Iterator[Line]]
 """Runs cases in any order."""
 
 
 class SchedulerError(UprightError):
-    """The machines cannot be reached. `address` is the scheduler's."""
+    """The scheduler at `address` cannot be reached."""
 
     def __init__(self, address: str, message: str, *, remedy: str) -> None:
         super().__init__(f"scheduler {address}: {message}.", remedy=remedy)
@@ -41,7 +41,7 @@ class SchedulerError(UprightError):
 
 
 def processes(workers: int) -> Spread:
-    """Over `workers` processes of this machine."""
+    """Distribute over `workers` processes of this machine."""
 
     def spread(cases: Sequence[Case], bench: Bench, detectable: Detectable) -> Iterator[Line]:
         suspects: list[Case] = []
@@ -57,12 +57,12 @@ def processes(workers: int) -> Spread:
 def _together(
     waiting: list[Case], suspects: list[Case], workers: int, bench: Bench, detectable: Detectable
 ) -> Iterator[Line]:
-    """Runs what is `waiting` until all is done or the pool breaks; what was under way then becomes `suspects`."""
+    """Run the `waiting` cases until all are finished or the pool breaks; then running cases become `suspects`."""
     with _Pool(workers) as pool:
         running: dict[Future[Line], Case] = {}
         broken = False
         while running or (waiting and not broken):
-            # No more are submitted than there are workers: what is under way when one dies is then what it was at.
+            # At most one case per worker is submitted, so that only cases being run are affected when a worker dies.
             while waiting and len(running) < workers and not broken:
                 case = waiting.pop()
                 try:
@@ -78,12 +78,12 @@ def _together(
                 except BrokenProcessPool:
                     suspects.append(case)
                     broken = True
-                except Exception as error:  # a mistake in one case must not cost the others
+                except Exception as error:  # a failure of one case must not affect the others
                     yield failed(case, bench, f"{type(error).__name__}: {error}")
 
 
 def _alone(case: Case, bench: Bench, detectable: Detectable) -> Line:
-    """A case whose worker may have died once already."""
+    """Run a case whose worker may have died once before."""
     for _ in range(TRIES - 1):
         with _Pool(1) as pool:
             try:
@@ -96,7 +96,7 @@ def _alone(case: Case, bench: Bench, detectable: Detectable) -> Line:
 
 
 class _Pool:
-    """A pool of spawned processes that leaves none behind, whatever ends it."""
+    """A pool of spawned processes that are terminated in any case when it ends."""
 
     def __init__(self, workers: int) -> None:
         spawn = multiprocessing.get_context("spawn")
@@ -110,7 +110,7 @@ class _Pool:
         if kind is None:
             self._pool.shutdown()
             return
-        # Interrupted: what is under way is not waited for. It is not in the file, so a later run begins it again.
+        # Interrupted: running cases are not awaited. They are not in the file, so a later run repeats them.
         started = set(multiprocessing.active_children()) - self._before
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in started:
@@ -118,18 +118,18 @@ class _Pool:
 
 
 def _quiet() -> None:
-    """Ctrl-C in a terminal goes to all of its processes; the first one sees to the end of these."""
+    """Ignore Ctrl-C, which a terminal sends to all of its processes; the first process ends the workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def machines(address: str) -> Spread:
-    """Over the workers of the Dask scheduler at `address`, as tcp://HOST:8786. Raises SchedulerError."""
+    """Distribute over the workers of the Dask scheduler at `address`, as tcp://HOST:8786. Raises SchedulerError."""
     try:
         import distributed
     except ImportError as error:
         remedy = "install it here and on every worker: pip install 'upright[bench]'."
         raise SchedulerError(address, "Dask is not installed", remedy=remedy) from error
-    # It has no types that could be checked.
+    # It has no type annotations.
     dask: Any = distributed
 
     def spread(cases: Sequence[Case], bench: Bench, detectable: Detectable) -> Iterator[Line]:
@@ -142,13 +142,13 @@ def machines(address: str) -> Spread:
             raise SchedulerError(address, f"does not answer ({error})", remedy=remedy) from error
         with client:
             futures = {
-                # Keys of Dask's are for ever: a case that is run again needs another.
+                # Dask keeps keys permanently: a case that is run again needs a new one.
                 client.submit(trial.run, case, bench, detectable(case), key=f"{case.key}|{uuid4().hex}"): case
                 for case in cases
             }
             try:
                 for future in dask.as_completed(list(futures), loop=client.loop):
-                    # The scheduler itself begins a case again whose worker died, and gives up after three deaths.
+                    # The scheduler itself restarts a case whose worker died, and gives up after three times.
                     wrong = future.exception()
                     if wrong is None:
                         yield future.result()

@@ -1,4 +1,4 @@
-"""One case from the record to its line in the results: what each method said, its time, what its repair does."""
+"""One case from the record to its line in the results: the answer of each method, its time, its revised model."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ from telemetry.recording import Recording
 from vehicles.file import load
 
 Record = Callable[[str, Mapping[str, float], float, float, int, Vehicle, Disturbance | None], Recording]
-"""Of excitation, levels of the hidden effects, noise, duration in s, seed, vehicle and random disturbance."""
+"""Makes a record from excitation, levels of the hidden effects, noise, duration in s, seed, vehicle and random
+disturbance."""
 Line = dict[str, Any]
-"""What the results file keeps of a case."""
+"""The entry of a case in the results file."""
 
 SUBJECT = "upright"
-"""The method that is judged: its clean record says which sizes are asked."""
+"""The method under test: its minimum detectable effects on the clean record define the sizes of the cases."""
 DETECTABLE = "detectable"
 WITHIN_95 = 1.959964
-"""Standard deviations to either side that hold 95 %."""
+"""Standard deviations on either side of a 95 % interval."""
 
 
 def virtual(
@@ -49,14 +50,14 @@ def virtual(
     vehicle: Vehicle,
     disturbance: Disturbance | None = None,
 ) -> Recording:
-    """A record of the virtual MONOCAB, its IMU `noise` times as noisy as the data sheet says."""
+    """A record of the virtual MONOCAB; its IMU has `noise` times the noise of the data sheet."""
     from service.virtual.run import record
 
     def configured(configuration: SimulationConfig) -> SimulationConfig:
         louder = noisy(configuration.imu, noise)
         return vehicle.configured(replace(configuration, imu=louder))
 
-    # Levels are told to six digits, as the plant gets them.
+    # Levels have six digits, as the plant gets them.
     hide = [f"{name}={level:.6g}" for name, level in hidden.items()]
     if disturbance is not None:
         hide.append(f"disturbance={disturbance.rms:.6g},{disturbance.correlation_time:.6g}")
@@ -72,24 +73,24 @@ def noisy(imu: ImuNode, noise: float) -> ImuNode:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """What is asked of every case: `methods` by name, of which SUBJECT is one, on records of `duration` s."""
+    """The setting for all cases: `methods` by name, including SUBJECT, on records of `duration` s."""
 
     methods: Mapping[str, Method] = field(default_factory=lambda: {SUBJECT: diagnosis})
     duration: float = 30.0
     record: Record = virtual
     model: str = "monocab_roll"
-    """One that lacks nothing where nothing is hidden. The gimbals' speed loops are more than the one lag that
-    `monocab_reduced` has for them, so that there a clean record is not one with nothing missing."""
+    """A model that lacks nothing if nothing is hidden. `monocab_reduced` has a single lag for the gimbals' speed loops,
+    which are more than that, so that for it something is missing even in a clean record."""
     disturbances: Disturbances | None = None
-    """Of the records; None: nothing shakes them."""
+    """The disturbances of the records; None: no disturbance."""
 
     @property
     def conditions(self) -> str:
-        """What must be the same for all lines of a file."""
-        confusable = f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
+        """The conditions that must be the same for all lines of a file."""
+        common = f"{self.model}, {self.duration:g} s, vehicles as far off as their file says"
         if self.disturbances is None:
-            return confusable
-        return f"{confusable}, {self.disturbances.conditions}, sizes of what each shows beside its own"
+            return common
+        return f"{common}, {self.disturbances.conditions}, sizes of what each shows beside its own"
 
     @property
     def nominal(self) -> Model:
@@ -101,12 +102,12 @@ class Bench:
 
 
 def held_out(excitation: str) -> str:
-    """The experiment of the record that a repair is judged by."""
+    """The experiment of the record on which a revised model is evaluated."""
     return "multisine" if excitation == "sweep" else "sweep"
 
 
 def beginning(case: Case, bench: Bench) -> Line:
-    """What the line of a case begins with, however it ends."""
+    """The first part of the line of a case, whatever its status."""
     return {
         "key": case.key,
         "kind": case.kind.value,
@@ -121,10 +122,10 @@ def beginning(case: Case, bench: Bench) -> Line:
 
 
 def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
-    """The line of `case`. `detectable`: effect to the smallest size that can be seen, from the reference case; beside a
-    disturbance it is from the same record with nothing hidden, since more is seen beside a small one.
+    """The line of `case`. `detectable`: the minimum detectable sizes by effect from the reference case. With a
+    disturbance they are taken from the same record with nothing hidden instead, since they depend on its size.
 
-    What goes wrong in the case is told in the line; nothing is raised but what is a mistake in the program.
+    A failure of the case is reported in the line; only programming errors raise exceptions.
     """
     line = beginning(case, bench)
     try:
@@ -145,20 +146,20 @@ def run(case: Case, bench: Bench, detectable: Mapping[str, float]) -> Line:
         return {**line, "status": "not_detectable", "reason": str(error), "methods": {}}
     except UprightError as error:
         return {**line, "status": "not_recorded", "reason": str(error), "methods": {}}
-    return {**line, "status": "ok", "reason": "", **_asked(case, bench, hidden, recording, other, disturbance)}
+    return {**line, "status": "ok", "reason": "", **_answered(case, bench, hidden, recording, other, disturbance)}
 
 
 def _detectable(bench: Bench, clean: Recording) -> Mapping[str, float]:
-    """Effect to the smallest size that can be seen on the record `clean`, of the catalogue and beyond it."""
+    """The minimum detectable sizes by effect in the record `clean`, for effects of the catalogue and outside it."""
     candidates: list[str | Effect] = [*CATALOGUE, *UNLISTED_EFFECTS.values()]
     return bench.methods[SUBJECT](bench.nominal, [clean], load("monocab").support, candidates=candidates).detectable
 
 
 def disturbance_of(case: Case, bench: Bench, vehicle: Vehicle) -> tuple[Disturbance | None, Line | None]:
-    """What shakes the vehicle in the records of `case`, and what its line says of that.
+    """The disturbance in the records of `case`, and its entry in the line.
 
-    The reference case stands for all: its disturbance is the middle of those that are drawn, so that the sizes that are
-    asked do not hang on one draw.
+    The reference case represents all cases: its disturbance is the middle of the range, so that the sizes do not depend
+    on a single draw.
     """
     if bench.disturbances is None:
         return None, None
@@ -168,7 +169,7 @@ def disturbance_of(case: Case, bench: Bench, vehicle: Vehicle) -> tuple[Disturba
     return found, {"rms": found.rms, "correlation_time": found.correlation_time, "over_floor": over_floor}
 
 
-def _asked(
+def _answered(
     case: Case,
     bench: Bench,
     hidden: Mapping[str, float],
@@ -186,7 +187,7 @@ def _asked(
             answer = method(model, [recording], support)
             seconds = time.perf_counter() - began
             methods[name] = {"seconds": seconds, **judge.of(answer), "error": ""}
-        except Exception as error:  # one method's failure is its result, and does not touch the others
+        except Exception as error:  # the failure of a method is its result, and does not affect the others
             methods[name] = {"seconds": time.perf_counter() - began, "error": f"{type(error).__name__}: {error}"}
             continue
         if name == SUBJECT and case == case.reference:
@@ -197,7 +198,7 @@ def _asked(
 
 
 class _Judge:
-    """Holds the answers about one record against the truth. Fits are kept: several methods may name the same effect."""
+    """Compares the answers for one record with the truth. Fits are cached: several methods may name the same effect."""
 
     def __init__(
         self,
@@ -232,19 +233,19 @@ class _Judge:
         return line | self._revise(answer)
 
     def _covered(self, answer: Answer) -> dict[str, bool]:
-        """By effect that was found, whether the 95 % interval of its size holds the plant's."""
+        """For each effect that was found, whether the 95 % interval of its size contains the plant's."""
         sizes = plant_sizes(self._hidden)
         covered = {}
         for each in answer.found:
             local = SAME_EQUATION.get(each.effect, "")
-            told = each.parameters.get(local) or each.parameters.get(f"{each.effect}.{local}")
-            if each.effect in sizes and told is not None:
-                value, deviation = told
+            estimate = each.parameters.get(local) or each.parameters.get(f"{each.effect}.{local}")
+            if each.effect in sizes and estimate is not None:
+                value, deviation = estimate
                 covered[each.effect] = abs(value - sizes[each.effect]) <= WITHIN_95 * deviation
         return covered
 
     def _disturbance_covered(self, answer: Answer) -> dict[str, bool]:
-        """Whether the 95 % intervals of the disturbance's numbers hold the plant's; they are of their logarithms."""
+        """Whether the 95 % intervals of the disturbance's numbers, on a logarithmic scale, contain the plant's."""
         if self._disturbance is None:
             return {}
         truth = {"rms": self._disturbance.rms, "correlation_time": self._disturbance.correlation_time}
@@ -254,7 +255,7 @@ class _Judge:
         }
 
     def _revise(self, answer: Answer) -> Line:
-        """What the repair does to the error; what cannot be worked out is None, with the reason."""
+        """The error of the revised model; None, with the reason, if it cannot be calculated."""
         nothing: Line = {"held_out_closed": None, "energy_over_floor": None}
         try:
             right = self._right()
@@ -301,7 +302,7 @@ class _Judge:
 
 
 def _event(recording: Recording) -> float:
-    """s from the first row on at which the plant's torque step begins: so long after the first SYNC."""
+    """Time of the plant's torque step, s from the first sample on; it is fixed relative to the first SYNC."""
     from service.virtual.run import BOOT_TIME
     from simulation.vehicle import START_NS
 

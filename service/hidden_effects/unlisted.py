@@ -1,8 +1,8 @@
-"""The effects that no catalogue has, as a model would have them: only to tell how small one could just be told from all
-that the catalogue has.
+"""Model formulas for the effects outside the catalogue, only used to find the minimum size of one that is
+distinguishable from all effects of the catalogue.
 
-The virtual vehicle has its own formulas for them (simulation.monocab.roll_effects). A diagnosis is never given these as
-candidates where it is asked what is missing.
+The virtual vehicle has its own formulas for them (simulation.monocab.roll_effects). They are never candidates of a
+diagnosis that has to find a missing effect.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ def _torque(name: str, title: str, unit: str, scale: str, shape: str, cosine: st
     amplitudes = [EffectParameter("coefficient", unit, "size", amplitude=True, scale=scale)]
     force = f"coefficient * {shape}"
     if cosine:
-        amplitudes.append(EffectParameter("cosine", unit, "the same a quarter later", amplitude=True, scale=scale))
+        amplitudes.append(EffectParameter("cosine", unit, "amplitude of the cosine part", amplitude=True, scale=scale))
         force += f" + cosine * {cosine}"
     return Effect(
         name=name,
@@ -28,7 +28,7 @@ def _torque(name: str, title: str, unit: str, scale: str, shape: str, cosine: st
         signature="",
         confused_with=(),
         separated_by="",
-        # Smaller, it is to the record the effect of the catalogue that does most of what it does.
+        # Below that size, the record cannot distinguish it from the most similar effect of the catalogue.
         beyond=tuple(CATALOGUE),
         force=force,
     )
@@ -68,4 +68,4 @@ UNLISTED_EFFECTS: dict[str, Effect] = {
         ),
     )
 }
-"""By the name that `simulation.monocab.hidden.UNLISTED` has."""
+"""By the names in `simulation.monocab.hidden.UNLISTED`."""

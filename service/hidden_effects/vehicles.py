@@ -1,7 +1,8 @@
-"""Vehicles that differ from their vehicle file by what it says of itself: no two are alike, and what is told with a +-
-holds in 95 % of them or does not.
+"""Vehicles whose parameters differ from their vehicle file within its uncertainty, so that the coverage of the
+estimated +- can be checked.
 
-What the record tells better than the file (inertia, gravity stiffness) is the virtual vehicle's own, 14 % off.
+The parameters that the record determines better than the file (inertia, gravity stiffness) are those of the virtual
+vehicle, 14 % off.
 """
 
 from __future__ import annotations
@@ -16,32 +17,32 @@ from simulation.monocab.truth import PlantTruth
 from vehicles.file import VehicleFile, load
 
 LATENCY = 0.006
-"""s of the IMU, as the vehicle file has it: more than the real one may be shorter by, for no IMU tells the future."""
+"""Latency of the IMU in the vehicle file, s: it exceeds the maximum deviation, since a true latency is not negative."""
 FARTHEST = 2.5
-"""Standard deviations: a vehicle that is further off is none of these."""
+"""Maximum deviation, in standard deviations: larger ones are drawn again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """One of them: its physics, and the `latency` (s) of its IMU, as they really are."""
+    """One vehicle: its true physics, and the true `latency` (s) of its IMU."""
 
     plant: PlantTruth
     latency: float
 
     @property
     def file(self) -> VehicleFile:
-        """What is known of it: the shipped file, with an IMU that is LATENCY late."""
+        """The known data: the shipped file, with the latency LATENCY of the IMU."""
         file = load("monocab")
         return file.model_copy(update={"imu": file.imu.model_copy(update={"latency": LATENCY})})
 
     def configured(self, configuration: SimulationConfig) -> SimulationConfig:
-        """The virtual vehicle as it really is."""
+        """The configuration of the virtual vehicle with the true values."""
         return replace(configuration, plant=self.plant, imu=replace(configuration.imu, latency=self.latency))
 
 
 def drawn(seed: int) -> Vehicle:
-    """The vehicle of this seed: each number as far from the file's as its standard deviation says, the IMU's latency as
-    far as the model says that its instants and the drives' are known."""
+    """The vehicle of this seed: each parameter deviates from the file according to its standard deviation, the IMU's
+    latency according to the model's uncertainty of the time offset between IMU and drives."""
     random = np.random.default_rng(seed)
     known = load("monocab").parameters
 
@@ -58,7 +59,7 @@ def drawn(seed: int) -> Vehicle:
         trim_mass=true("trim_mass"),
         trim_height=true("trim_height"),
         gimbal_inertia=true("gimbal_inertia"),
-        # A speed loop lags by four of its small time constants.
+        # The lag of a speed loop is four times its small time constant.
         gimbal_time_constant=0.25 * true("speed_loop_lag"),
     )
     return Vehicle(plant, off(LATENCY, get("monocab_roll").parameter("drive_offset").std))

@@ -1,2 +1,2 @@
-"""MQTT: topics say what is published, payloads make it, the client tells a broker, from a thread of its own; commands
-and replies are the way back."""
+"""MQTT: topics defines the messages, payloads builds them, client sends them to a broker, from a thread of its own;
+commands and replies are the reverse direction."""

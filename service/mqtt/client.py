@@ -1,10 +1,10 @@
-"""MQTT: tells a broker what the vehicle does, and never minds whether there is one.
+"""MQTT: publishes the vehicle's data at a broker, and works on without one.
 
 Topics, under BASE/VEHICLE: `status` (online/offline, with last will), `state`, `parameters` and `diagnosis` retained,
-`telemetry` batches, `progress`, `event` and replies; `cmd/+` is subscribed to where commands are enabled, and what
-comes there is handed on unread (`service.mqtt.command_inbox`). Whoever publishes here only leaves a message; one task
-talks to the broker, and comes back by itself when it went away. Of a retained topic the latest message counts; the
-others wait in bounded queues, and what does not fit is dropped and counted.
+`telemetry` batches, `progress`, `event` and replies. `cmd/+` is subscribed to if commands are enabled, and its messages
+are forwarded unread (`service.mqtt.command_inbox`). Publishing only queues a message; one task communicates with the
+broker, and reconnects by itself. Of a retained topic only the latest message is kept; the others wait in bounded
+queues, and messages that do not fit are dropped and counted.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ FIRST_RETRY, LONGEST_RETRY = 0.25, 10.0
 """s before the first and between later attempts to reach the broker; doubled each time."""
 
 ANSWER_TIME = 5.0
-"""s that the broker may take for an answer."""
+"""Timeout of an answer by the broker, s."""
 
 KEEPALIVE = 10
-"""s: after one and a half times this without a sign of life the broker tells the last will."""
+"""s: after one and a half times this without a message the broker publishes the last will."""
 
 GOODBYE_TIME = 2.0
-"""s that the last messages get when the process ends."""
+"""Time limit for the last messages when the process ends, s."""
 
 MOST_TELEMETRY = 60
 MOST_EVENTS = 200
-"""Messages that wait for the broker, the oldest are dropped."""
+"""Maximum number of messages that wait for the broker; the oldest are dropped."""
 
 RETAINED = ("state", "parameters", "diagnosis")
-"""Topics whose last message the broker keeps; with `status`."""
+"""Topics whose last message the broker keeps, besides `status`."""
 
 MOST_COMMANDS = 200
-"""Commands that wait to be looked at; further ones are lost."""
+"""Maximum number of commands that wait to be processed; further ones are lost."""
 
 OnCommand = Callable[[str, bytes, bool], None]
 """Called with verb, payload, and whether it was retained."""
@@ -55,8 +55,8 @@ class MqttConfigError(UprightError):
 
 @dataclass(frozen=True, slots=True)
 class MqttConfig:
-    """Where to publish. `topic` is BASE/VEHICLE; `client_id` names the session, one a vehicle, so that a new one ends
-    an old one that hangs (and its last will comes before our `online`)."""
+    """Where to publish. `topic` is BASE/VEHICLE; `client_id` identifies the session, one per vehicle, so that a new one
+    ends an old one that hangs (and its last will comes before our `online`)."""
 
     host: str
     port: int
@@ -69,12 +69,12 @@ class MqttConfig:
 
     @classmethod
     def of(cls, section: dict[str, Any], vehicle: str) -> MqttConfig | None:
-        """From the vehicle file's section [mqtt]; None where no broker is given. Raises MqttConfigError."""
+        """From the vehicle file's section [mqtt]; None if no broker is given. Raises MqttConfigError."""
         if not section["broker"]:
             return None
         host, _, port = section["broker"].rpartition(":")
         if not 0 < int(port) < 65536:
-            raise MqttConfigError(f"mqtt.broker: there is no port {port}.", remedy="The usual one is 1883.")
+            raise MqttConfigError(f"mqtt.broker: there is no port {port}.", remedy="The standard port is 1883.")
         password = None
         if section["password_file"]:
             try:
@@ -103,13 +103,13 @@ def _tls(ca_file: str) -> ssl.SSLContext:
     except (OSError, ssl.SSLError) as error:
         raise MqttConfigError(
             f"mqtt.ca_file {ca_file}: {error.strerror or error}.",
-            remedy="Give a PEM file that the service may read, with the certificate of whoever signed the broker's.",
+            remedy="Give a PEM file that the service may read, with the CA certificate that signed the broker's.",
         ) from error
 
 
 @dataclass(slots=True)
 class MqttStatistics:
-    """Counts since the start. `trouble` says why there is no connection, empty while there is one."""
+    """Counts since the start. `trouble` is the reason why there is no connection, empty while there is one."""
 
     connected: bool = False
     connections: int = 0
@@ -119,9 +119,10 @@ class MqttStatistics:
 
 
 class MqttPublisher:
-    """Publishes for one vehicle. `run()` is the task that talks to the broker; the rest neither waits nor fails.
+    """Publishes for one vehicle. `run()` is the task that communicates with the broker; other methods neither wait nor
+    fail.
 
-    `on_command` gets what comes on cmd/+, where the configuration takes commands. `announced` are topics, whole, and
+    `on_command` gets the messages on cmd/+, if the configuration enables commands. `announced` are full topics and
     documents that are retained on each connection.
     """
 
@@ -143,7 +144,7 @@ class MqttPublisher:
         self._closing = asyncio.Event()
 
     def retain(self, name: str, document: Any) -> None:
-        """The new value of topic `name`, one of RETAINED."""
+        """Publish the new value of topic `name`, one of RETAINED."""
         payload = encode(document)
         if self._retained.get(name) != payload:
             self._retained[name] = payload
@@ -151,7 +152,7 @@ class MqttPublisher:
             self._wake.set()
 
     def telemetry(self, payload: bytes) -> None:
-        """One batch; without a broker it is dropped, as nobody wants old telemetry."""
+        """Publish one batch; without a broker it is dropped, since old telemetry is useless."""
         if not self.statistics.connected:
             self.statistics.dropped += 1
             return
@@ -161,8 +162,9 @@ class MqttPublisher:
         self._telemetry.append(payload)
         self._wake.set()
 
-    def tell(self, name: str, document: Any) -> None:
-        """A message of a topic that is not retained (`progress`, `event`, `reply/CLIENT`); it waits for the broker."""
+    def publish(self, name: str, document: Any) -> None:
+        """Publish a message of a topic that is not retained (`progress`, `event`, `reply/CLIENT`). It waits for the
+        broker."""
         if len(self._events) >= MOST_EVENTS:
             self._events.popleft()
             self.statistics.dropped += 1
@@ -177,7 +179,7 @@ class MqttPublisher:
                 async with self._client() as client:
                     retry = FIRST_RETRY
                     await self._serve(client)
-            except (aiomqtt.MqttError, UnicodeError, OSError) as error:  # a name that cannot be one; a bad certificate
+            except (aiomqtt.MqttError, UnicodeError, OSError) as error:  # an invalid host name; a bad certificate
                 self.statistics.trouble = str(error) or type(error).__name__
             finally:
                 self.statistics.connected = False
@@ -186,7 +188,7 @@ class MqttPublisher:
             retry = min(2.0 * retry, LONGEST_RETRY)
 
     def close(self) -> None:
-        """Publish what waits and `offline`, and end `run`; to be given `GOODBYE_TIME` for it."""
+        """Publish the waiting messages and `offline`, and end `run`; allow `GOODBYE_TIME` for it."""
         self._closing.set()
         self._wake.set()
 
@@ -206,7 +208,7 @@ class MqttPublisher:
         )
 
     async def _serve(self, client: aiomqtt.Client) -> None:
-        """While the connection holds. Raises MqttError when it is lost, also while nothing is published."""
+        """Serve while the connection lasts. Raises MqttError when it is lost, even while nothing is published."""
         listening = asyncio.create_task(self._listen(client), name="listen to the broker")
         publishing = asyncio.create_task(self._publish(client), name="publish")
         try:
@@ -220,7 +222,7 @@ class MqttPublisher:
                 raise outcome
 
     async def _listen(self, client: aiomqtt.Client) -> None:
-        """Hand on what comes on cmd/+; ends when the connection does, also where nothing is subscribed to."""
+        """Forward the messages on cmd/+; ends with the connection, even if nothing is subscribed to."""
         prefix = f"{self._config.topic}/cmd/"
         async for message in client.messages:
             topic = str(message.topic)

@@ -1,6 +1,6 @@
-"""Commands over MQTT on their way to the control process, and the replies on their way back.
+"""Forward commands from MQTT to the control process, and the replies back.
 
-What the gate refuses is answered here; a repetition gets the reply that the first one got. Nothing is kept for long.
+Commands that the gate refuses are answered here; a repetition gets the reply to the first one. Memory is bounded.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 from service.mqtt.commands import CommandGate, Passed
 
 MOST_REPLIES = 64
-"""Replies that are remembered for repetitions."""
+"""Number of replies that are kept for repetitions."""
 
 
 class CommandInbox:
-    """`forward(command)` hands a command to control and says whether that took it; `publish(topic, reply)` answers;
-    `clock()` is Unix seconds."""
+    """`forward(command)` passes a command to control and returns whether it was accepted; `publish(topic, reply)`
+    answers; `clock()` is Unix seconds."""
 
     def __init__(
         self,
@@ -32,12 +32,12 @@ class CommandInbox:
         self._replies: OrderedDict[tuple[str, str], dict[str, Any]] = OrderedDict()
 
     def take(self, verb: str, payload: bytes, retained: bool) -> None:
-        """What came on cmd/`verb`."""
+        """Take a message on cmd/`verb`."""
         found = self.gate.judge(verb, payload, retained=retained, now=self._clock())
         if isinstance(found, Passed):
             command = {"verb": verb, "client": found.client, "id": found.id, "arguments": found.arguments}
             if not self._forward(command):
-                self._answer(found.client, found.id, "unreachable", "The control process does not listen.")
+                self._answer(found.client, found.id, "unreachable", "The control process cannot be reached.")
             return
         before = self._replies.get((found.client, found.id)) if found.again else None
         if before is not None:
@@ -46,7 +46,7 @@ class CommandInbox:
             self._answer(found.client, found.id, found.code, found.text)
 
     def reply(self, client: str, reply: dict[str, Any]) -> None:
-        """What control answers."""
+        """Publish the reply of control."""
         self._replies[client, reply["id"]] = reply
         if len(self._replies) > MOST_REPLIES:
             self._replies.popitem(last=False)

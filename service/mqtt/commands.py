@@ -1,7 +1,7 @@
-"""The gate that a command over MQTT has to pass. Pure: whoever calls says what time it is.
+"""The gate that a command over MQTT has to pass. Pure: the caller provides the time.
 
-What is retained, too large, not a command, late, a repetition or out of order goes no further, and is counted. A stop
-is let through late and out of order, too: it can only bring the vehicle to rest. Nothing here can grow without bound.
+A message that is retained, too large, not a command, late, a repetition or out of order is refused, and counted. A stop
+passes even late and out of order: it can only bring the vehicle to rest. All memory is bounded.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from pydantic import ValidationError
 from service.mqtt.topics import ARGUMENTS, Command
 
 LARGEST = 4096
-"""Bytes of a command."""
+"""Maximum size of a command, bytes."""
 
 OLDEST = 2.0
-"""s by which a command's time stamp may differ from the time here, either way."""
+"""s by which a command's time stamp may differ from the local time, in either direction."""
 
 MOST_A_SECOND = 100
-"""Commands that are looked at in one second."""
+"""Maximum number of commands that are processed in one second."""
 
 MOST_CLIENTS = 64
-"""Clients of which is known what they sent last."""
+"""Number of clients whose last commands are kept."""
 
 MOST_KNOWN = 64
-"""Ids of a client that are known again."""
+"""Number of ids of a client by which repetitions are detected."""
 
 UNORDERED = ("stop",)
-"""Verbs that are obeyed however late they come."""
+"""Verbs that are executed even if they are late."""
 
 
 @dataclass(frozen=True, slots=True)
 class Passed:
-    """A command to be obeyed."""
+    """A command to be executed."""
 
     verb: str
     client: str
@@ -46,8 +46,8 @@ class Passed:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A command that is not, and why; `client` is empty where nobody can be answered. `again`: a repetition, whose
-    first reply may be given once more."""
+    """A command that is refused, and why; `client` is empty if there is nobody to answer. `again`: a repetition, which
+    gets the first reply again."""
 
     code: str
     text: str
@@ -63,7 +63,7 @@ class _Client:
 
 
 class CommandGate:
-    """Judges commands of one vehicle. `counts` says how many passed and how many did not, by reason."""
+    """Checks commands for one vehicle. `counts` are the numbers of passed and refused commands, by reason."""
 
     def __init__(self) -> None:
         self.counts = dict.fromkeys(
@@ -74,18 +74,18 @@ class CommandGate:
         self._in_second = 0
 
     def judge(self, verb: str, payload: bytes, *, retained: bool, now: float) -> Passed | Refused:
-        """What to do with `payload` on cmd/`verb` at `now`, Unix seconds."""
+        """Check `payload` on cmd/`verb` at `now`, Unix seconds."""
         found = self._judge(verb, payload, retained, now)
         self.counts["passed" if isinstance(found, Passed) else found.code] += 1
         return found
 
     def _judge(self, verb: str, payload: bytes, retained: bool, now: float) -> Passed | Refused:
         if retained:
-            return Refused("retained", "A retained command is not obeyed: who knows when it was meant.")
+            return Refused("retained", "A retained command is not executed: it may be outdated.")
         if len(payload) > LARGEST:
             return Refused("huge", f"A command has at most {LARGEST} bytes.")
         if verb not in UNORDERED and self._is_flood(now):
-            return Refused("flood", f"More than {MOST_A_SECOND} commands a second.")
+            return Refused("flood", f"More than {MOST_A_SECOND} commands per second.")
         model = ARGUMENTS.get(verb)
         try:
             document = json.loads(payload)
@@ -101,13 +101,13 @@ class CommandGate:
             return Refused("malformed", f"{verb}: {_words(error)}.", *who)
         client = self._client(command.client)
         if command.id in client.known:
-            return Refused("duplicate", "This command has come before.", *who, again=True)
+            return Refused("duplicate", "This command has already been received.", *who, again=True)
         if verb not in UNORDERED:
             if abs(now - command.timestamp) > OLDEST:
-                text = f"Its time is {now - command.timestamp:+.1f} s off the vehicle's: late, or a clock is wrong."
+                text = f"Its time stamp is {now - command.timestamp:+.1f} s off: it is late, or a clock is wrong."
                 return Refused("stale", text, *who)
             if command.timestamp < client.latest:
-                return Refused("reordered", "A later command has come before it.", *who)
+                return Refused("reordered", "A later command has already been received.", *who)
             client.latest = command.timestamp
         client.known.append(command.id)
         return Passed(verb, command.client, command.id, arguments)

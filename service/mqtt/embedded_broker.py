@@ -1,6 +1,6 @@
-"""An MQTT broker inside this process, for the demo and for trying things out; on a vehicle use a real one.
+"""An MQTT broker inside this process, for the demo and for experiments; on a vehicle use a real one.
 
-amqtt, MQTT 3.1.1, on the loopback interface alone, open to every process of this machine.
+amqtt, MQTT 3.1.1, only on the loopback interface, open to every process of this machine.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class EmbeddedBroker:
         self._broker: Any = None
 
     async def __aenter__(self) -> Self:
-        # They log every connection as a warning or worse.
+        # These libraries log every connection as a warning or worse.
         for name in ("amqtt", "transitions", "websockets"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with socket.socket() as probe, socket.socket() as other:

@@ -1,8 +1,8 @@
-"""How a vehicle presents itself to Home Assistant: MQTT discovery, sensors only. Opt-in ([mqtt] home_assistant).
+"""Integration into Home Assistant: MQTT discovery, sensors only. Opt-in ([mqtt] home_assistant).
 
 Source: Home Assistant's documentation, "MQTT", section "MQTT Discovery". Each entity is one retained message on
-homeassistant/COMPONENT/NODE/OBJECT/config. There is nothing to press: no component that takes a command is used.
-Telemetry is left out, as twenty values a second are nothing for its recorder.
+homeassistant/COMPONENT/NODE/OBJECT/config. No component that sends commands is used. Telemetry is left out, as its
+recorder is not suited for twenty values per second.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ PREFIX = "homeassistant"
 
 
 def discovery(topic: str, vehicle: str, version: str, parameters: Mapping[str, str]) -> Iterable[tuple[str, Any]]:
-    """Topic and document of each entity. `topic` is BASE/VEHICLE; `parameters` name to unit."""
+    """Topic and document of each entity. `topic` is BASE/VEHICLE; `parameters` are units by name."""
     node = f"upright-{vehicle}"
     common = {
         "availability_topic": f"{topic}/status",

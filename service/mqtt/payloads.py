@@ -1,7 +1,7 @@
-"""What goes over MQTT: telemetry in batches and parameters, as JSON documents.
+"""The payloads of MQTT messages: telemetry in batches and parameters, as JSON documents.
 
-telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    row i was measured at t0 + i * dt
-            now and then with "health" (how control does) and "predictions" (what the model says)
+telemetry   {"t0": s, "dt": s, CHANNEL: [value, ...], ...}    sample i was measured at t0 + i * dt
+            some batches also have "health" (of the control process) and "predictions" (of the model)
 parameters  {NAME: {"value", "std", "unit", "status", "method", "coverage_percent", "reason"}}
             beside the vehicle's own, disturbance.JOINT.rms and disturbance.JOINT.correlation_time
             (models.random.disturbance)
@@ -18,15 +18,15 @@ from estimators.contract import Status
 from telemetry.samples import Frame
 
 LONGEST_STEP = 1.5
-"""Periods from one row to the next within a batch; a gap begins a new batch, as its rows share one `dt`."""
+"""Maximum periods between samples of a batch; after a gap a new batch begins, since its samples share one `dt`."""
 
 
 MOST_PREDICTIONS = 8
-"""Stretches in one batch."""
+"""Maximum number of segments in one batch."""
 
 
 class TelemetryBatches:
-    """Cuts control cycles of channels `names`, `rate` a second, into `batch_rate` batches a second of data time."""
+    """Groups control cycles of channels `names`, `rate` per second, into `batch_rate` batches per s of data time."""
 
     def __init__(self, names: Sequence[str], rate: float, batch_rate: float) -> None:
         self._names = tuple(names)
@@ -39,17 +39,17 @@ class TelemetryBatches:
         self._longest_ns = 0
 
     def health(self, report: Mapping[str, Any]) -> None:
-        """Goes along with the next batch, with the longest time between two cycles since the one before."""
+        """Add the report to the next batch, with the longest time between two cycles since the previous report."""
         self._health = {**report, "longest_step": round(self._longest_ns * 1e-9, 6) if self._longest_ns else None}
         self._longest_ns = 0
 
-    def prediction(self, stretch: dict[str, Any]) -> None:
-        """Goes along with the next batch."""
-        self._predictions.append(stretch)
+    def prediction(self, segment: dict[str, Any]) -> None:
+        """Add the segment to the next batch."""
+        self._predictions.append(segment)
         del self._predictions[:-MOST_PREDICTIONS]
 
     def add(self, frames: Sequence[Frame]) -> Iterator[bytes]:
-        """The batches that are complete with these cycles, each a JSON document."""
+        """The batches that are completed by these cycles, each a JSON document."""
         for frame in frames:
             self._longest_ns = max(self._longest_ns, frame.timestamp_ns - self._last_ns) if self._last_ns else 0
             self._last_ns = frame.timestamp_ns
@@ -78,12 +78,12 @@ class TelemetryBatches:
 
 
 def _numbers(values: Sequence[float]) -> str:
-    """Seven digits, as a float has; what is not known is null."""
+    """Numbers with seven digits, as in a 32-bit float; unknown values are null."""
     return ",".join([f"{value:.7g}" if isfinite(value) else "null" for value in values])
 
 
 def parameters(estimates: Mapping[str, Any]) -> dict[str, Any]:
-    """One entry a parameter from the results of several methods: of those that have a value, the last one's."""
+    """One entry per parameter from the results of several methods: that of the last method with a value."""
     chosen: dict[str, Any] = {}
     for method, estimate in estimates.items():
         for name, entry in estimate["parameters"].items():
@@ -97,10 +97,10 @@ def parameters(estimates: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _disturbance(joint: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """What shakes the vehicle at `joint`, as estimators.fit.disturbance tells it, in the shape of parameters."""
+    """The random disturbance at `joint`, as estimated by estimators.fit.disturbance, as parameters."""
     shown, unit = found["shown"], found["unit"]
     reason = "" if shown else f"no disturbance shows: less than {found['rms']:.2g} {unit} RMS"
-    alike = {
+    common = {
         "status": Status.OK.value if shown else Status.TOO_LITTLE_EXCITATION.value,
         "coverage_percent": 100.0 if shown else 0.0,
         "reason": reason,
@@ -108,6 +108,6 @@ def _disturbance(joint: str, found: Mapping[str, Any]) -> dict[str, Any]:
     rms = {"value": found["rms"] if shown else None, "std": found["rms_std"], "unit": unit}
     time = {"value": found["correlation_time"], "std": found["correlation_time_std"], "unit": "s"}
     return {
-        f"disturbance.{joint}.rms": {**rms, **alike},
-        f"disturbance.{joint}.correlation_time": {**time, **alike},
+        f"disturbance.{joint}.rms": {**rms, **common},
+        f"disturbance.{joint}.correlation_time": {**time, **common},
     }

@@ -1,8 +1,8 @@
-"""MQTT in a thread of its own, so that commands and signs of life pass while the observer's event loop computes.
+"""MQTT in a thread of its own, so that commands and lease renewals are processed while the observer's loop is busy.
 
-The estimators run in that loop, and now and then go through all cycles again, which takes the better part of a second
-on a busy machine; a lease of 0.3 s would not outlast that. Compiled kernels let other threads run meanwhile. What is
-published may wait for what it comes from; what is commanded must not.
+The estimators run in the observer's event loop, and sometimes process all cycles again, which takes the better part of
+a second on a busy machine; a lease of 0.3 s would expire. Compiled kernels let other threads run meanwhile. Published
+data may wait; commands must not.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from service.mqtt.command_inbox import CommandInbox
 
 
 class MqttThread:
-    """Publishes for one vehicle, and hands its commands to `forward`, which is called in the thread.
+    """Publishes for one vehicle, and passes its commands to `forward`, which is called in the thread.
 
-    It begins at once, in a running event loop; `ended` is done when the thread is, and says what that failed on. The
-    methods are for the thread that made it, and neither wait nor fail.
+    It starts at once, in a running event loop. `ended` is done when the thread has ended, with its exception if it
+    failed. The methods are for the thread that created it, and neither wait nor fail.
     """
 
     def __init__(
@@ -33,27 +33,27 @@ class MqttThread:
     ) -> None:
         self._loop = asyncio.new_event_loop()
         self._publisher = MqttPublisher(config, self._take, announced)
-        self._inbox = CommandInbox(forward, self._publisher.tell, time.time)
+        self._inbox = CommandInbox(forward, self._publisher.publish, time.time)
         self.ended = beside(self._work, "mqtt")
 
     def close(self) -> None:
-        """Say goodbye and end, for which `service.mqtt.client.GOODBYE_TIME` is enough."""
+        """Send the last messages and end; allow `service.mqtt.client.GOODBYE_TIME` for it."""
         self._call(self._publisher.close)
 
     def retain(self, name: str, document: Any) -> None:
-        """The new value of a retained topic."""
+        """Publish the new value of a retained topic."""
         self._call(self._publisher.retain, name, document)
 
-    def tell(self, name: str, document: Any) -> None:
-        """A message of a topic that is not retained."""
-        self._call(self._publisher.tell, name, document)
+    def publish(self, name: str, document: Any) -> None:
+        """Publish a message of a topic that is not retained."""
+        self._call(self._publisher.publish, name, document)
 
     def telemetry(self, payload: bytes) -> None:
-        """One batch."""
+        """Publish one batch."""
         self._call(self._publisher.telemetry, payload)
 
     def reply(self, client: str, reply: dict[str, Any]) -> None:
-        """What control answers to a command."""
+        """Publish the reply of control to a command."""
         self._call(self._inbox.reply, client, reply)
 
     def summary(self) -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""What every MQTT topic carries, as pydantic models: the JSON Schemas under docs/reference/mqtt are made from these.
+"""The payloads of all MQTT topics as pydantic models, from which the schemas in docs/reference/mqtt are generated.
 
     python -m service.mqtt.topics FOLDER     writes the schemas
 
-Messages of this service are made by other modules, without pydantic, as they come many times a second; tests hold them
-against these models. Commands come from others and are checked against them here.
+Other modules build the messages of this service without pydantic, as there are many per second; tests check them
+against these models. Commands come from other programs and are checked with these models at run time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Fault(Message):
 
 
 class State(Message):
-    """What the vehicle does, and what keeps it from more."""
+    """The state of the vehicle, and its interlocks."""
 
     vehicle: str
     mode: Literal["starting", "disarmed", "running", "fault"]
@@ -38,21 +38,21 @@ class State(Message):
     code: str
     reason: str
     interlocks: list[str]
-    """What keeps an experiment from being started, each in words."""
+    """Reasons that prevent an experiment, as sentences."""
     faults: list[Fault]
     version: str
     since: float
-    """Unix seconds of the data."""
+    """Time of the last change of mode or reason, Unix seconds of the data."""
     held_by: str | None
-    """Whoever holds the lease on the running experiment."""
+    """The client that holds the lease on the running experiment."""
     commands: bool
-    """Whether commands are taken over MQTT."""
+    """Whether commands over MQTT are enabled."""
 
 
 class BusHealth(Message):
     address: str
     load_percent: Number
-    """Of the bit rate, stuffing counted as badly as can be."""
+    """Load in percent of the bit rate, with worst-case bit stuffing."""
     dropped: int
     error_frames: int
 
@@ -61,37 +61,37 @@ class Health(Message):
     cycles: int
     missed_cycles: int
     rate: Number
-    """Control cycles a second."""
+    """Control cycles per second."""
     buses: list[BusHealth]
     longest_step: Number
-    """s, the longest time between two cycles since the report before."""
+    """s, the longest time between two cycles since the previous report."""
 
 
 class Prediction(Message):
-    """What the model predicts from the measured state at `t0` on, and how far off it is one step ahead."""
+    """The model's prediction from the measured state at `t0` on, and its one-step prediction errors."""
 
     t0: float
     dt: float
     values: dict[str, list[Number]]
-    """Channel to what the model says, left alone from `t0` on."""
+    """Simulation from `t0` on without correction, by channel."""
     innovations: dict[str, list[Number]]
-    """Channel to measured less predicted one step ahead."""
+    """Measurement minus one-step prediction, by channel."""
 
 
 class Telemetry(BaseModel):
-    """Control cycles: row i was measured at `t0 + i * dt`. Every other key is a channel, null where not known."""
+    """Control cycles: sample i was measured at `t0 + i * dt`. All other keys are channels, with null if not known."""
 
     model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
     __pydantic_extra__: dict[str, list[Number]]
 
     t0: float
-    """Unix seconds of the first row."""
+    """Unix seconds of the first sample."""
     dt: float
-    """s between rows."""
+    """s between samples."""
     health: Health | None = None
-    """Once a second: how the control process does."""
+    """Health of the control process, once a second."""
     predictions: list[Prediction] | None = None
-    """Stretches that were predicted since the batch before."""
+    """Segments that were predicted since the previous batch."""
 
 
 class Parameter(Message):
@@ -105,11 +105,11 @@ class Parameter(Message):
 
 
 class Disturbance(Message):
-    """The random force at a joint that no effect explains: first order, with these two numbers."""
+    """The random force at a joint that no effect explains: a first-order process with RMS and correlation time."""
 
     unit: str
     rms: float
-    """Where none shows, a bound that it is less than."""
+    """An upper bound if `shown` is false."""
     rms_std: Number
     correlation_time: Number
     """s."""
@@ -125,7 +125,7 @@ class Finding(BaseModel):
 
 
 class Diagnosis(BaseModel):
-    """As `upright diagnose --json`, as far as the run shows it."""
+    """As `upright diagnose --json`, as far as it is known during the run."""
 
     model_config = ConfigDict(extra="allow", use_attribute_docstrings=True)
 
@@ -133,14 +133,14 @@ class Diagnosis(BaseModel):
     verdict: Literal["adequate", "missing_effect", "unknown", "insufficient_data"]
     findings: list[Finding]
     disturbance: dict[str, Disturbance] | None = None
-    """By joint; absent or empty until something is known."""
+    """By joint; absent or empty until it is known."""
 
 
 class Progress(Message):
     task: str
     fraction: Annotated[float, Field(ge=0.0, le=1.0)]
     remaining: float
-    """s, roughly."""
+    """s, approximately."""
 
 
 class Event(Message):
@@ -159,20 +159,20 @@ class ExperimentArguments(Message):
 
 class StopArguments(Message):
     now: bool = False
-    """Quick stop at once: the vehicle falls onto its supports."""
+    """Immediate quick stop: the vehicle falls onto its supports."""
 
 
 class Command(Message):
-    """A command, the same for every verb; `arguments` are the verb's own."""
+    """A command, the same for all verbs; `arguments` depend on the verb."""
 
     model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     id: Name
-    """Chosen by the sender, new for each command; the reply carries it."""
+    """Chosen by the sender, new for each command; the reply contains it."""
     client: Name
-    """The reply goes to reply/CLIENT, and leases are held in this name."""
+    """The reply goes to reply/CLIENT, and leases are held under this name."""
     timestamp: Annotated[float, Field(allow_inf_nan=False)]
-    """Unix seconds when it was sent."""
+    """Time of sending, Unix seconds."""
     arguments: dict[str, Any] = {}
 
 
@@ -195,7 +195,7 @@ ARGUMENTS: dict[str, type[Message]] = {
     "renew": NoArguments,
     "release": NoArguments,
 }
-"""Verb to what its `arguments` are."""
+"""The model of `arguments` by verb."""
 
 
 TOPICS: dict[str, type[BaseModel]] = {
@@ -208,7 +208,7 @@ TOPICS: dict[str, type[BaseModel]] = {
     "cmd": Command,
     "reply": Reply,
 }
-"""Topic to its model; `parameters` is an object of these by name, `status` is plain text."""
+"""The model by topic; `parameters` is an object of these by name, `status` is plain text."""
 
 
 def schemas() -> dict[str, dict[str, Any]]:
@@ -236,7 +236,7 @@ def schemas() -> dict[str, dict[str, Any]]:
 
 
 def write(folder: Path) -> None:
-    """A file for each topic."""
+    """Write a file for each topic."""
     folder.mkdir(parents=True, exist_ok=True)
     for topic, schema in schemas().items():
         (folder / f"{topic}.schema.json").write_text(json.dumps(schema, indent=2) + "\n", encoding="utf-8")

@@ -1,6 +1,6 @@
-"""Listens to one SocketCAN interface in batches, with a socket of its own: what a raw log needs of a bus.
+"""Listens to one SocketCAN interface in batches, with a socket of its own, for the raw log.
 
-No python-can and no event loop: the raw log is a small process that must outlive all others.
+It uses neither python-can nor an event loop: the raw log is a small process that must outlive all others.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from drivers.socketcan import SocketcanPort
 from telemetry.samples import CanFrame
 
 RECEIVE_BUFFER = 4 << 20
-"""Bytes asked for; without privilege the kernel gives what net.core.rmem_max allows, usually some 500 frames."""
+"""Bytes requested; without privileges the kernel grants what net.core.rmem_max allows, usually some 500 frames."""
 
 _CAN_RAW_ERR_FILTER = 2
 _SO_RCVBUFFORCE = 33
@@ -34,7 +34,7 @@ class _Listener:
 class CanTap:
     """A listening socket on interface `channel`, whose frames get bus index `bus`.
 
-    Raises OSError where there is no such interface.
+    Raises OSError if there is no such interface.
     """
 
     def __init__(self, channel: str, bus: int) -> None:
@@ -53,11 +53,11 @@ class CanTap:
 
     @property
     def lost(self) -> int:
-        """Frames that found the buffer full."""
+        """Number of frames lost because the buffer was full."""
         return self._port.receive_dropped
 
     def read(self, into: list[CanFrame]) -> None:
-        """Take all that has gathered. Raises OSError once when the interface went down; it is heard again when up."""
+        """Take all waiting frames. Raises OSError once when the interface goes down; it is read again when up."""
         while frames := self._port.receive():
             into.extend(frames)
 

@@ -1,7 +1,7 @@
-"""The control process' end of the observer: starts it, feeds it, hears from it, and never waits for it.
+"""The client of the observer in the control process: starts it, exchanges messages with it, and never waits for it.
 
-On SocketCAN a process of its own logs the raw frames from its own sockets (`service.observer.raw_log`). It is started
-here too, so that the log goes on when the observer, or this process, is gone.
+On SocketCAN a separate process logs the raw frames with its own sockets (`service.observer.raw_log`). It is started
+here, too, so that the log continues if the observer, or this process, ends.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from vehicles import registry
 ORDERS = ("start_recording", "stop_recording")
 """Messages that must not be lost."""
 ORDERLY_END = 10.0
-"""s that the observer gets to end by itself."""
+"""Time limit for the observer to end by itself, s."""
 
 
 class ObserverClient:
     """Starts and feeds one observer process. All methods are called in the event loop's thread.
 
-    `hello` is what the observer must know of the vehicle (`service.control.assembly.observer_hello`). `lossless` is for
-    a simulated bus whose time stands still meanwhile: a full pipe is then waited for.
+    `hello` has the data about the vehicle for the observer (`service.control.assembly.observer_hello`). `lossless` is
+    for a simulated bus whose time can stand still: the client then waits while the pipe is full.
     """
 
     def __init__(self, hello: dict[str, Any], *, lossless: bool = False) -> None:
         self.estimates: dict[str, Any] = {}
-        """Latest results of the running or last recording: method to `Estimate.to_json`."""
+        """Latest results of the running or last recording: `Estimate.to_json` by method."""
         self.diagnosis: dict[str, Any] | None = None
-        """What the running or last recording's live diagnosis says, as `diagnose --json`."""
+        """The live diagnosis of the running or last recording, as `diagnose --json`."""
         self.on_exit: Callable[[int], None] = lambda status: None
-        """Called with the exit status when the observer ended without being told to."""
+        """Called with the exit status if the observer ended unexpectedly."""
         self.on_command: Callable[[dict[str, Any]], None] = lambda command: None
-        """Called with a command that came over MQTT: verb, client, id, arguments."""
+        """Called with a command received by MQTT: verb, client, id, arguments."""
         self._hello = hello
         self._lossless = lossless
         self._counts = PipeStatistics()
@@ -62,12 +62,12 @@ class ObserverClient:
 
     @property
     def alive(self) -> bool:
-        """Whether there is an observer to talk to."""
+        """Whether there is a connected observer."""
         return self._pipe is not None and self._pipe.is_open
 
     @property
     def ready(self) -> bool:
-        """Whether the observer has said that it is up."""
+        """Whether the observer has reported that it is up."""
         return self.alive and bool(self._report)
 
     @property
@@ -83,7 +83,7 @@ class ObserverClient:
         await self.restart()
 
     async def restart(self) -> None:
-        """Start the observer where there is none. What the old one had begun to record is not taken up again."""
+        """Start the observer if there is none. A recording that the old one had started is not resumed."""
         if self.alive:
             return
         self._report = {}
@@ -101,7 +101,7 @@ class ObserverClient:
             pipe.post(self._state)
 
     async def stop(self) -> None:
-        """Let the observer finish its recording, say goodbye to the broker and end; killed after `ORDERLY_END` s."""
+        """Let the observer finish its recording, disconnect from the broker and end; killed after `ORDERLY_END` s."""
         self._stopping = True
         if self._pipe is not None and self._process is not None and self._watch is not None:
             await self._pipe.end(1.0)
@@ -124,15 +124,15 @@ class ObserverClient:
             self._counts.exits += 1
             self.on_exit(status)
 
-    # What control tells the observer
+    # Messages from control to the observer
 
     def offer(self, frame: Frame) -> None:
-        """One control cycle."""
+        """Send one control cycle."""
         if self._pipe is not None:
             self._pipe.offer(frame)
 
     def offer_can(self, frame: CanFrame) -> None:
-        """One raw frame, on buses that no second process can listen to. Kept only while a recording runs."""
+        """Send one raw frame, for buses that a second process cannot listen to. Only while a recording runs."""
         if self._recording and self._pipe is not None:
             self._pipe.offer_can(frame)
 
@@ -151,26 +151,26 @@ class ObserverClient:
         self._dropped_before = self._counts.frames_dropped
         if self._raw_log is not None:
             self._raw_log.open(raw_log, start_ns)
-        self._tell(
+        self._post(
             "start_recording", stem=str(stem), start_ns=start_ns, metadata=metadata, raw_log=self._raw_log is None
         )
 
     def stop_recording(self, reason: str, end_ns: int) -> None:
-        """Record up to and with the cycle of `end_ns`, which may not be offered yet; then give the final results."""
-        # The setpoints that answer the last cycle are to be in the raw log, the next complete IMU frame set is not.
+        """Record up to and including the cycle of `end_ns`, which may not be offered yet; then await the results."""
+        # The raw log shall contain the setpoints of the last cycle, but not the next complete IMU frame set.
         raw_end_ns = end_ns + round(0.5e9 / self._hello["rate"])
         if self._raw_log is not None:
             self._raw_log.close(raw_end_ns)
         if self._pipe is not None:
             self._pipe.flush()
         dropped = self._counts.frames_dropped - self._dropped_before
-        self._tell("stop_recording", reason=reason, end_ns=end_ns, raw_end_ns=raw_end_ns, dropped_frames=dropped)
+        self._post("stop_recording", reason=reason, end_ns=end_ns, raw_end_ns=raw_end_ns, dropped_frames=dropped)
 
     async def finished_recording(self, timeout: float = 15.0) -> dict[str, Any]:
         """The running or last recording, once it is on the disk: recording, raw_log (paths), rows, failure, estimates,
         diagnosis.
 
-        Where it is not finished within `timeout` s, `failure` says so; empty where nothing was ever recorded.
+        If it is not finished within `timeout` s, `failure` says so; empty if nothing was ever recorded.
         """
         if self._finished is None:
             return {}
@@ -180,36 +180,36 @@ class ObserverClient:
             return self._unfinished(f"not finished within {timeout:g} s")
 
     def publish_state(self, state: dict[str, Any]) -> None:
-        """The retained state; an observer that is started later is told it, too."""
+        """Send the state to be retained; an observer that is started later gets it, too."""
         self._state = link.pack_json({"type": "state", "state": state})
         if self._pipe is not None:
             self._pipe.post(self._state)
 
     def progress(self, task: str, fraction: float, remaining: float) -> None:
-        """How far a running task is, 0 to 1, and how many s it still needs."""
-        self._tell("progress", task=task, fraction=fraction, remaining=remaining)
+        """Send the progress of a running task, 0 to 1, and its remaining time, s."""
+        self._post("progress", task=task, fraction=fraction, remaining=remaining)
 
     def event(self, severity: str, code: str, text: str) -> None:
-        """Something happened: severity "info", "warning" or "error", a code for programs, a text for people."""
-        self._tell("event", severity=severity, code=code, text=text)
+        """Send an event: severity "info", "warning" or "error", a code for programs, a text for users."""
+        self._post("event", severity=severity, code=code, text=text)
 
     def health(self, report: dict[str, Any]) -> None:
-        """How the control process does; goes along with the telemetry."""
-        self._tell("health", health=report)
+        """Send the health of the control process, which is published with the telemetry."""
+        self._post("health", health=report)
 
     def reply(self, client: str, reply: dict[str, Any]) -> None:
-        """The answer to a command that came over MQTT."""
-        self._tell("reply", client=client, reply=reply)
+        """Send the answer to a command received by MQTT."""
+        self._post("reply", client=client, reply=reply)
 
     def statistics(self) -> dict[str, Any]:
-        """For `upright status`: counts of the pipe, and what the observer said last of itself."""
+        """For `upright status`: counts of the pipe, and the last report of the observer."""
         return {"alive": self.alive, **asdict(self._counts), **self._report}
 
-    def _tell(self, type: str, **message: Any) -> None:
+    def _post(self, type: str, **message: Any) -> None:
         if self._pipe is not None:
             self._pipe.post(link.pack_json({"type": type, **message}), order=type in ORDERS)
 
-    # What the observer tells control
+    # Messages from the observer to control
 
     def _handle(self, message: dict[str, Any]) -> None:
         match message.pop("type"):

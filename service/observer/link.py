@@ -1,8 +1,8 @@
 """The pipe between control and observer: messages over a SOCK_SEQPACKET pair of Unix sockets.
 
-A message is one packet, and its first byte its kind: a batch of control cycles, a batch of raw CAN frames, or a JSON
-object. Packets are whole or not at all, so that a message that finds the pipe full is dropped whole, and nothing that
-comes after it is out of step. Numbers are in the machine's own byte order, as both ends are on one machine.
+A message is one packet, and its first byte is its kind: a batch of control cycles, a batch of raw CAN frames, or a JSON
+object. Packets are sent completely or not at all: if the pipe is full, the message is dropped, and the following ones
+stay synchronised. Numbers are in the machine's own byte order, as both ends are on one machine.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ CAN_FRAMES = b"C"
 JSON = b"J"
 
 LARGEST = 131072
-"""Bytes of a packet. Half of the kernel's usual socket buffer: one must fit beside what waits already."""
+"""Maximum size of a packet, bytes: half of the kernel's default socket buffer, so that it fits beside waiting ones."""
 
 BUFFER = 1 << 20
-"""Bytes of socket buffer asked for, half a minute of 250 Hz; the kernel gives what net.core.wmem_max allows."""
+"""Bytes of socket buffer requested, half a minute at 250 Hz; the kernel grants what net.core.wmem_max allows."""
 
 _CAN = struct.Struct("=qIBBB8s")
 _EXTENDED, _REMOTE, _ERROR = 1, 2, 4
@@ -80,10 +80,10 @@ def unpack_can(packet: bytes) -> list[CanFrame]:
 
 
 def pack_json(message: dict[str, Any]) -> bytes:
-    """One packet of a JSON object. Raises ValueError where it is larger than a packet can be."""
+    """One packet of a JSON object. Raises ValueError if it is larger than the maximum size."""
     packet = JSON + json.dumps(message, separators=(",", ":")).encode()
     if len(packet) > LARGEST:
-        raise ValueError(f"a message of {len(packet)} bytes; {LARGEST} fit")
+        raise ValueError(f"a message of {len(packet)} bytes; the limit is {LARGEST}")
     return packet
 
 

@@ -1,8 +1,8 @@
-"""What the model predicts while the vehicle moves, to be drawn over what was measured.
+"""The model's predictions while the vehicle moves, for display over the measurements.
 
-Every half second of free motion is predicted by itself: the model starts from the measured state and is left alone
-from there on, driven by the measured inputs. Beside it, with a Kalman gain, how far off it is one step ahead: the
-innovations. The parameters are the nominal ones until estimates are given.
+Every half second of free motion is predicted separately: the model starts from the measured state and is then simulated
+without correction, driven by the measured inputs. The innovations are calculated in addition, with a Kalman gain. The
+parameters are the nominal ones until estimates are given.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from vehicles.registry import nominal_model
 Array = NDArray[np.float64]
 
 WINDOW = 0.5
-"""s that are predicted in one."""
+"""Length of a predicted segment, s."""
 
 MOST_POINTS = 60
-"""Of a stretch: as fine as a screen shows it."""
+"""Maximum number of points of a segment: the resolution of a screen."""
 
 
 class LivePrediction:
-    """Predictions of the vehicle's own model. To make one compiles it, which may take seconds.
+    """Predictions of the vehicle's own model. The constructor compiles it, which may take seconds.
 
     Raises EstimationError for a kind of vehicle that has no model.
     """
@@ -57,8 +57,8 @@ class LivePrediction:
         self._noise = NoiseModel.of(self._problem)
         self._gain = self._new_gain()
 
-    def believe(self, estimates: Mapping[str, Any]) -> None:
-        """Predict with these parameters from now on, as `service.mqtt.payloads.parameters` gives them."""
+    def use(self, estimates: Mapping[str, Any]) -> None:
+        """Predict with these parameters from now on, as returned by `service.mqtt.payloads.parameters`."""
         given = {
             name: entry["value"]
             for name, entry in estimates.items()
@@ -70,20 +70,20 @@ class LivePrediction:
             self._gain = self._new_gain()
 
     def update(self, frames: Iterable[Frame]) -> Iterator[dict[str, Any]]:
-        """The stretches that these cycles complete, JSON-ready."""
+        """The segments that are completed by these cycles, JSON-ready."""
         for frame in frames:
             chunk = self._chunks.update(frame)
             if chunk is not None:
-                yield self._stretch(chunk, frame)
+                yield self._segment(chunk, frame)
 
     def _new_gain(self) -> Array | None:
         return self._noise.gain(self._values, np.zeros(self._noise.size))
 
-    def _stretch(self, chunk: Chunk, latest: Frame) -> dict[str, Any]:
+    def _segment(self, chunk: Chunk, latest: Frame) -> dict[str, Any]:
         segment, rows = chunk.segment, chunk.rows
         alone, corrected = self._run(chunk, None), self._run(chunk, self._gain)
         time = segment.time[rows]
-        # The latest cycle is the segment's last row: that is where its time meets the data's.
+        # The latest cycle is the segment's last sample, which relates its time to that of the data.
         begin = latest.timestamp_ns * 1e-9 - float(segment.time[-1] - time[0])
         step = max(1, -(-len(time) // MOST_POINTS))
         names = self._problem.kernel.outputs
@@ -117,7 +117,7 @@ class LivePrediction:
 
 
 def live_prediction(hello: Mapping[str, Any], channels: ChannelTable) -> LivePrediction | None:
-    """For what control says of the vehicle; None for a kind without a model."""
+    """The prediction for the vehicle in `hello`; None for a kind without a model."""
     given = hello["parameters"]
     values = {name: entry["value"] for name, entry in given.items()}
     deviations = {name: entry["std"] for name, entry in given.items()}

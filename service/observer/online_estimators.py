@@ -1,8 +1,8 @@
-"""Which estimators run along with a vehicle of a kind, live in the observer and in a replay, and the live diagnosis.
+"""The estimators that run for a kind of vehicle, live in the observer and in a replay, and the live diagnosis.
 
-The recursion on a compiled model, and a diagnosis that looks over its shoulder, are made late: on the first start on a
-computer their models are compiled for some seconds, and neither the recording nor the other estimators wait for that.
-Their cycles do: they are kept until both join, so that they give the same as if they had been there from the beginning.
+The recursive estimator of the compiled model and the diagnosis that monitors it are created late: on the first start on
+a computer their models are compiled for some seconds, and neither the recording nor the other estimators wait for that.
+The cycles are kept until both join, so that the results are the same as if they had run from the beginning.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ STARTING = {
 def online_estimators(
     kind: str, parameters: Mapping[str, float], deviations: Mapping[str, float], support: float
 ) -> EstimatorBank:
-    """The estimators of a vehicle `kind`, the preferred one last: its own regressions, and the prediction error of its
-    compiled model.
+    """The estimators of a vehicle `kind`, the preferred one last: its own regressions, and the recursive prediction
+    error of its compiled model.
 
     `parameters` are the CAD values, `deviations` their standard deviations, `support` rad the angle on a support.
-    Raises EstimationError where a parameter is missing.
+    Raises EstimationError if a parameter is missing.
     """
     found = registry.of(kind)
     own = found.identification().regressions.values()
@@ -58,9 +58,10 @@ def _live_diagnosis(
 
 
 class EstimatorBank:
-    """Several estimators over the same cycles. One that fails is left out from there on, its failure its result.
+    """Several estimators over the same cycles. An estimator that fails is left out from then on; its failure is its
+    result.
 
-    `late` ones, method to what makes it with the diagnosis around it, take no part until `join`.
+    `late` ones, given by method as factories of the estimator with its diagnosis, are inactive until `join`.
     """
 
     def __init__(
@@ -77,17 +78,17 @@ class EstimatorBank:
 
     @property
     def complete(self) -> bool:
-        """Whether no estimator is missing."""
+        """Whether all estimators have joined."""
         return not self._late
 
     def join(self) -> None:
-        """Make the late ones, which may take seconds, and let them catch up."""
+        """Create the late estimators, which may take seconds, and process the cycles so far."""
         late, self._late = self._late, {}
         waiting, self._waiting = self._waiting, []
         for method, make in late.items():
             try:
                 live = make()
-            except Exception as error:  # Whatever it is, the recording and the others go on without it.
+            except Exception as error:  # In any case the recording and the others continue without it.
                 self._fail(method, error)
             else:
                 self._live = live
@@ -103,7 +104,7 @@ class EstimatorBank:
             self._feed(estimator, frames)
 
     def results(self) -> dict[str, Any]:
-        """Method to result, JSON-ready, as in `upright identify --json`."""
+        """The results by method, JSON-ready, as in `upright identify --json`."""
         results: dict[str, Any] = {}
         for estimator in self._estimators:
             if estimator.method not in self._failed:
@@ -116,8 +117,8 @@ class EstimatorBank:
         return {**results, **dict.fromkeys(self._late, STARTING), **self._failed}
 
     def diagnosis(self) -> dict[str, Any] | None:
-        """Which effect is missing, as far as it shows, JSON-ready as in `upright diagnose --json`; None for a kind that
-        nothing diagnoses live."""
+        """The live diagnosis so far, JSON-ready as in `upright diagnose --json`; None for a kind of vehicle without a
+        live diagnosis."""
         if self._live is not None:
             return self._live.result().to_json()
         if self._diagnoses and (self._late or self._failed):

@@ -1,8 +1,8 @@
-"""The sending side of the pipe to the observer: frames in batches, messages in their place between them, never waiting.
+"""The sending side of the pipe to the observer: batches of frames and messages, in their order, without waiting.
 
-What finds the pipe full waits in a bounded queue, which a stalled observer may take half a minute to empty; what finds
-that full is dropped and counted. A pipe that is `lossless` waits itself; that is for a simulated bus, whose time stands
-still meanwhile.
+If the pipe is full, packets wait in a bounded queue, which is sufficient for an observer that stalls for half a minute.
+If the queue is full, too, they are dropped and counted. A `lossless` pipe waits instead; that is for a simulated bus,
+whose time can stand still.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from service.observer import link
 from telemetry.samples import CanFrame, Frame
 
 BATCH_NS = 20_000_000
-"""Time in the data that one batch spans."""
+"""Time span of a batch, by the data's clock."""
 
 MOST_FRAMES = 32
 MOST_CAN_FRAMES = 512
-"""Frames of a batch that is sent whatever its time: a clock that was set back must not hold it up."""
+"""Frames at which a batch is sent regardless of its time: a clock that was set back must not delay it."""
 
 MOST_WAITING = 2 << 20
-"""Bytes that wait for room in the pipe: half a minute of 250 Hz; less where its raw frames wait, too."""
+"""Maximum bytes that wait for room in the pipe: half a minute at 250 Hz, less if raw frames wait, too."""
 
 RESERVED = 64 << 10
-"""Bytes of it that are for messages: they are few, and what they tell matters more than one more cycle."""
+"""Bytes of it that are reserved for messages: they are few, and more important than another cycle."""
 
 PACKETS_A_TURN = 32
-"""Packets that waited and are sent in one go."""
+"""Maximum number of waiting packets that are sent in one turn."""
 
 LONGEST_WAIT = 5.0
 """s that a lossless pipe waits for room."""
@@ -40,7 +40,7 @@ LONGEST_WAIT = 5.0
 
 @dataclass(slots=True)
 class PipeStatistics:
-    """Counts of all pipes to one observer. `dropped` found pipe and queue full, or the observer gone."""
+    """Counts of all pipes to one observer. `dropped`: pipe and queue were full, or the observer had ended."""
 
     frames: int = 0
     frames_dropped: int = 0
@@ -53,7 +53,7 @@ class PipeStatistics:
 class ObserverPipe:
     """Control's end `connection`, in a running event loop, for cycles of `channels` values.
 
-    `on_message` gets the JSON objects that come back. `is_open` is False once the other end is gone.
+    `on_message` gets the JSON objects from the observer. `is_open` is False once the other end is closed.
     """
 
     def __init__(
@@ -78,39 +78,39 @@ class ObserverPipe:
         self._flush_can_at_ns = 0
         self._waiting: deque[bytes] = deque()
         self._waiting_size = 0
-        self._room_wanted = False
+        self._awaits_room = False
         self._loop.add_reader(connection, self.receive)
 
     def offer(self, frame: Frame) -> None:
-        """One control cycle."""
+        """Send one control cycle."""
         self._frames.append(frame)
         if frame.timestamp_ns >= self._flush_at_ns or len(self._frames) >= MOST_FRAMES:
             self._flush_at_ns = frame.timestamp_ns + BATCH_NS
             self._flush_frames()
 
     def offer_can(self, frame: CanFrame) -> None:
-        """One raw frame."""
+        """Send one raw frame."""
         self._can_frames.append(frame)
         if frame.timestamp_ns >= self._flush_can_at_ns or len(self._can_frames) >= MOST_CAN_FRAMES:
             self._flush_can_at_ns = frame.timestamp_ns + BATCH_NS
             self._flush_can_frames()
 
     def post(self, packet: bytes, *, order: bool = False) -> None:
-        """A message: after the frames that came before it. An `order` is never dropped, however much waits."""
+        """Send a message after all earlier frames. An `order` is never dropped, however many bytes are waiting."""
         self.flush()
-        self._flush_at_ns = 0  # The next cycle may be the last one that an order asks for.
+        self._flush_at_ns = 0  # The next cycle may be the last one needed for an order.
         if not self._send(packet, MOST_WAITING if not order else None):
             self._statistics.messages_dropped += 1
 
     def flush(self) -> None:
-        """Send what has gathered."""
+        """Send all collected frames."""
         if self._frames:
             self._flush_frames()
         if self._can_frames:
             self._flush_can_frames()
 
     async def end(self, time: float) -> None:
-        """Tell the other end that nothing more comes, after all that waits, for which it gets `time` s."""
+        """Shut down the sending direction, after the waiting packets, for which there are `time` s."""
         self.flush()
         limit = self._loop.time() + time
         while self._waiting and self.is_open and self._loop.time() < limit:
@@ -119,7 +119,7 @@ class ObserverPipe:
             self._socket.shutdown(socket.SHUT_WR)
 
     def close(self) -> None:
-        """Forget what waits, and close this end."""
+        """Discard waiting packets, and close this end."""
         if self.is_open:
             self.is_open = False
             self._loop.remove_reader(self._socket)
@@ -127,7 +127,7 @@ class ObserverPipe:
             self._socket.close()
 
     def receive(self) -> None:
-        """Take what the observer sent."""
+        """Read the messages of the observer."""
         while self.is_open:
             try:
                 packet = self._socket.recv(link.LARGEST)
@@ -155,20 +155,20 @@ class ObserverPipe:
             self._statistics.can_frames_dropped += len(frames)
 
     def _send_waiting(self) -> bool:
-        """Whether nothing waits any more, after a few packets: the next control cycle is not to wait for them."""
+        """Send a few waiting packets, not to delay the next control cycle; return whether none are left."""
         for _ in range(min(PACKETS_A_TURN, len(self._waiting))):
             if not self._try_send(self._waiting[0]):
                 return False
             self._waiting_size -= len(self._waiting.popleft())
         if self._waiting:
             return False
-        if self._room_wanted and self.is_open:
-            self._room_wanted = False
+        if self._awaits_room and self.is_open:
+            self._awaits_room = False
             self._loop.remove_writer(self._socket)
         return True
 
     def _send(self, packet: bytes, most_waiting: int | None) -> bool:
-        """Whether the packet is sent, or waits, after which at most so many bytes do (None: any number)."""
+        """Send or queue the packet; False if more than `most_waiting` bytes would wait (None: no limit)."""
         while not (self._send_waiting() and self._try_send(packet)):
             if not (self._lossless and self._wait_for_room()):
                 return self._queue(packet, most_waiting)
@@ -180,8 +180,8 @@ class ObserverPipe:
             return False
         self._waiting.append(packet)
         self._waiting_size = size
-        if not self._room_wanted:
-            self._room_wanted = True
+        if not self._awaits_room:
+            self._awaits_room = True
             self._loop.add_writer(self._socket, self._send_waiting)
         return True
 
@@ -193,7 +193,7 @@ class ObserverPipe:
         except BlockingIOError:
             return False
         except OSError:
-            self.close()  # The observer is gone; its exit status follows.
+            self.close()  # The observer has ended; its exit status follows.
             return False
         return True
 

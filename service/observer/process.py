@@ -2,11 +2,11 @@
 
     python -m service.observer.process SOCKET_FD
 
-Its pipe brings `hello` first (`service.control.assembly.observer_hello`), then cycles and orders. The end of the pipe
-is the order to end: a running recording is finished, `offline` is published, and it exits, whether control said goodbye
-or died. The recorder and the estimators take exactly the same cycles, those from a recording's agreed start to its end,
-so that a replay of the recording gives the same numbers. It runs at a lower priority than control and never makes it
-wait. MQTT has a thread of its own (`service.mqtt.thread`), at control's priority, as commands come through it.
+Its pipe delivers `hello` first (`service.control.assembly.observer_hello`), then cycles and orders. When the pipe ends,
+whether control closed it or died, the process finishes a running recording, publishes `offline`, and exits. The
+recorder and the estimators get exactly the same cycles, those from a recording's agreed start to its end, so that a
+replay of the recording gives the same numbers. The process runs at a lower priority than control and never makes it
+wait. MQTT has a thread of its own (`service.mqtt.thread`), at control's priority, since it forwards commands.
 """
 
 from __future__ import annotations
@@ -41,35 +41,35 @@ from vehicles import registry
 NICENESS = 5
 
 SWITCH_INTERVAL = 1e-3
-"""s after which a thread that computes lets MQTT's run: a command needs several such turns."""
+"""s after which a computing thread yields to MQTT's: a command needs several such switches."""
 
 WRITE_PERIOD = 1.0
-"""s between two batches on the disk."""
+"""s between two writes of batches to the disk."""
 
 ESTIMATE_PERIOD = 0.25
 """s between two sets of estimates."""
 
 LAST_DATA = 0.5
-"""s that the last rows of a recording may take after the order to stop it."""
+"""Time limit for the last samples of a recording after the order to stop it, s."""
 
 LATE_ESTIMATES = 5.0
-"""s that the end of a recording waits for estimators that are still being made."""
+"""Time limit at the end of a recording for estimators that are still being compiled, s."""
 
 PACKETS_A_TURN = 32
-"""Packets that are handled before other tasks get their turn."""
+"""Number of packets that are handled before other tasks run."""
 
 RAW_BUSES = ("can0", "can1")
 """Names of in-process buses in a raw log."""
 
 
-def _give_way() -> None:
-    """This thread runs only where nobody else wants the processor, least of all the control process."""
+def _lower_priority() -> None:
+    """Give this thread the lowest priority, so that it delays neither the control process nor others."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
 
 
 class Observer:
-    """One observer over the pipe `connection`, with what `hello` says of the vehicle. To be made in a running loop."""
+    """One observer at the pipe `connection`, for the vehicle described in `hello`. Create it in a running loop."""
 
     def __init__(self, connection: socket.socket, hello: Mapping[str, Any]) -> None:
         self._connection = connection
@@ -100,10 +100,10 @@ class Observer:
                 announced = discovery(config.topic, hello["vehicle"], hello["version"], units)
                 self._mqtt = MqttThread(config, self._forward, announced if hello["mqtt"]["home_assistant"] else ())
         except MqttConfigError as error:
-            self._complain("mqtt", str(error))
+            self._report_error("mqtt", str(error))
 
     async def run(self) -> None:
-        """Until the pipe ends, or an error of its own making outside of MQTT, which leaves the recording complete."""
+        """Run until the pipe ends, or until an error outside of MQTT; in both cases the recording is completed."""
         reading = asyncio.create_task(self._read(), name="read")
         tasks = [
             reading,
@@ -127,7 +127,7 @@ class Observer:
             if failure is not None:
                 raise failure
 
-    # What comes through the pipe
+    # Packets from the pipe
 
     async def _read(self) -> None:
         loop = asyncio.get_running_loop()
@@ -146,7 +146,7 @@ class Observer:
             case link.CAN_FRAMES:
                 self._take_can(link.unpack_can(packet))
             case _:
-                self._obey(link.unpack_json(packet))
+                self._execute(link.unpack_json(packet))
 
     def _take(self, frames: list[Frame]) -> None:
         if self._recorder is not None:
@@ -162,11 +162,11 @@ class Observer:
         if self._prediction is None:
             return
         try:
-            for stretch in self._prediction.update(frames):
-                self._telemetry.prediction(stretch)
+            for segment in self._prediction.update(frames):
+                self._telemetry.prediction(segment)
         except (ArithmeticError, ValueError) as error:
             self._prediction = None
-            self._complain("prediction", f"nothing is predicted any more: {type(error).__name__}: {error}")
+            self._report_error("prediction", f"nothing is predicted any more: {type(error).__name__}: {error}")
 
     def _take_can(self, frames: list[CanFrame]) -> None:
         if self._recorder is not None:
@@ -174,7 +174,7 @@ class Observer:
             if self._recorder.complete:
                 self._close_recording()
 
-    def _obey(self, message: dict[str, Any]) -> None:
+    def _execute(self, message: dict[str, Any]) -> None:
         match message.pop("type"):
             case "start_recording":
                 self._start_recording(message)
@@ -183,7 +183,7 @@ class Observer:
             case "state" if self._mqtt is not None:
                 self._mqtt.retain("state", message["state"])
             case "progress" | "event" as topic if self._mqtt is not None:
-                self._mqtt.tell(topic, message)
+                self._mqtt.publish(topic, message)
             case "health":
                 self._telemetry.health(message["health"])
             case "reply" if self._mqtt is not None:
@@ -202,7 +202,7 @@ class Observer:
         try:
             self._recorder = Recorder(stem, self._channels, order["start_ns"], order["metadata"], raw_buses)
         except OSError as error:
-            self._complain("recorder", f"nothing is recorded: {error}")
+            self._report_error("recorder", f"nothing is recorded: {error}")
             self._send(
                 {
                     "type": "finished",
@@ -214,7 +214,7 @@ class Observer:
             )
 
     def _stop_recording(self, order: dict[str, Any]) -> None:
-        """The last rows may still be on their way: the recording is closed when they are in, or late."""
+        """Close the recording when its last samples have arrived, or after a time limit."""
         recorder = self._recorder
         if recorder is None or self._end:
             return
@@ -226,7 +226,7 @@ class Observer:
             self._end_timer = asyncio.get_running_loop().call_later(LAST_DATA, self._close_recording)
 
     def _close_recording(self) -> None:
-        """No more rows: final results, and the rest of the file."""
+        """Get the final results, and write the rest of the file."""
         recorder, self._recorder = self._recorder, None
         end, self._end = self._end, {}
         if self._end_timer is not None:
@@ -252,7 +252,7 @@ class Observer:
                 await asyncio.to_thread(recorder.finish, end, estimates, diagnosis)
             except OSError as error:
                 failure = f"the recording could not be completed: {error}"
-                self._complain("recorder", failure)
+                self._report_error("recorder", failure)
         self._send({
             "type": "finished",
             "recording": str(recorder.path),
@@ -271,7 +271,7 @@ class Observer:
                     try:
                         await asyncio.to_thread(recorder.write, recorder.take())
                     except OSError as error:
-                        self._complain("recorder", f"{recorder.path}: {error}")
+                        self._report_error("recorder", f"{recorder.path}: {error}")
             self._send({
                 "type": "report",
                 "mqtt": self._mqtt.summary() if self._mqtt else None,
@@ -281,12 +281,13 @@ class Observer:
     # Results
 
     async def _compile(self) -> None:
-        """Once in a thread, so that from then on all estimators are made at once. The end does not wait for it."""
+        """Compile once in a thread, after which estimators are created immediately. The process does not wait for it to
+        exit."""
 
         def work() -> LivePrediction | None:
-            _give_way()
+            _lower_priority()
             self._new_bank().join()
-            with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimates do without it
+            with contextlib.suppress(ArithmeticError, ValueError, UprightError):  # estimation works without it
                 return self._new_prediction() if self._mqtt is not None else None
             return None
 
@@ -303,12 +304,12 @@ class Observer:
                 self._publish(estimates, diagnosis)
 
     async def _run_mqtt(self, mqtt: MqttThread) -> None:
-        """A recording must not end because of MQTT, whatever happens there."""
+        """Await the thread of MQTT. No failure there may end a recording."""
         try:
             await mqtt.ended
         except Exception as error:
             self._mqtt = None
-            self._complain("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
+            self._report_error("mqtt", f"nothing is published any more: {type(error).__name__}: {error}")
 
     def _publish(self, estimates: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> None:
         if self._mqtt is None:
@@ -317,26 +318,26 @@ class Observer:
             found = parameters(estimates)
             self._mqtt.retain("parameters", found)
             if self._prediction is not None:
-                self._prediction.believe(found)
+                self._prediction.use(found)
         if diagnosis is not None and diagnosis != self._published:
             self._published = diagnosis
             self._mqtt.retain("diagnosis", diagnosis)
             for text in self._news.of(diagnosis):
-                self._mqtt.tell("event", {"severity": "warning", "code": "missing_effect", "text": text})
+                self._mqtt.publish("event", {"severity": "warning", "code": "missing_effect", "text": text})
 
-    def _complain(self, code: str, text: str) -> None:
-        """To the log, the broker and, with the next report, to control."""
+    def _report_error(self, code: str, text: str) -> None:
+        """Report an error to the log, the broker and, with the next report, to control."""
         logging.getLogger(__name__).error("%s", text)
         self._trouble = text
         if self._mqtt is not None:
-            self._mqtt.tell("event", {"severity": "error", "code": code, "text": text})
+            self._mqtt.publish("event", {"severity": "error", "code": code, "text": text})
 
     def _forward(self, command: dict[str, Any]) -> bool:
-        """Called in the thread of MQTT: a packet is whole, whoever sends another one at the same time."""
+        """Called in the thread of MQTT: packets are atomic, so that two threads may send at the same time."""
         return self._send({"type": "command", **command})
 
     def _send(self, message: dict[str, Any]) -> bool:
-        """To control, unless it is gone or does not listen, which is False: the next message tells it more."""
+        """Send to control; False if it has ended or does not read. Later messages contain newer data."""
         try:
             self._connection.send(link.pack_json(message))
         except OSError:
@@ -349,12 +350,12 @@ async def observe(connection: socket.socket) -> None:
     packet = await asyncio.get_running_loop().sock_recv(connection, link.LARGEST)
     if packet:
         observer = Observer(connection, link.unpack_json(packet))
-        os.nice(NICENESS)  # of this thread and those to come, but not MQTT's, which passes commands on
+        os.nice(NICENESS)  # of this thread and later ones, but not of MQTT's, which forwards commands
         await observer.run()
 
 
 def main(descriptor: int) -> None:
-    # Ends by its pipe alone: a stopped service ends its experiment first, and that shall be recorded.
+    # Only the end of the pipe ends this process: a stopped service first ends its experiment, which shall be recorded.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.setswitchinterval(SWITCH_INTERVAL)

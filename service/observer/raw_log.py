@@ -1,11 +1,11 @@
-"""The raw log process: every frame on one or two SocketCAN interfaces into a candump file, while it is told to.
+"""The raw log process: writes all frames on one or two SocketCAN interfaces to candump files, on request.
 
     python -m service.observer.raw_log can0 [can1]
 
-Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each file closed, and for each trouble,
-a line of JSON goes to stdout. It has sockets of its own with the kernel's receive times, reads what has gathered every
-20 ms and writes it in the order of time. When stdin ends without `quit`, its master has died: it logs for `GRACE` s
-more, so that the log shows how the drives stopped, and then closes the file. It imports next to nothing.
+Orders come as lines on stdin: `open START_NS PATH`, `close END_NS`, `quit`. For each closed file and each error, a line
+of JSON is written to stdout. The process has sockets of its own with the kernel's receive times, reads the waiting
+frames every 20 ms and writes them in the order of time. If stdin ends without `quit`, its master has died: it logs for
+`GRACE` s more, so that the log shows how the drives stopped, and then closes the file. It imports very little.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from telemetry.candump import format_frames
 from telemetry.samples import CanFrame
 
 READ_PERIOD = 0.02
-"""s between two looks at the sockets."""
+"""s between two reads of the sockets."""
 
 SYNC_PERIOD = 1.0
-"""s after which what is written is on the disk."""
+"""s between two synchronisations of the file with the disk."""
 
 GRACE = 2.0
 """s of logging after the master's death."""
 
 SETTLED_NS = 5_000_000
-"""A frame is written when it is older than this: by then those of the other interface are in their socket, too."""
+"""A frame is written when it is older than this: by then the other interface has delivered its older ones, too."""
 
 NICENESS = 5
 
@@ -46,7 +46,7 @@ class RawLog:
     def __init__(self, channels: Sequence[str]) -> None:
         self.channels = tuple(channels)
         self.end_ns = 0
-        """The file is closed when this time is over; 0 while nobody has said when."""
+        """The file is closed after this time; 0 while it is not known."""
         self._file: IO[str] | None = None
         self._taps: list[CanTap] = []
         self._waiting: list[CanFrame] = []
@@ -71,7 +71,7 @@ class RawLog:
             raise
 
     def step(self) -> None:
-        """Read, and write what no older frame can come before. Raises OSError."""
+        """Read, and write the frames that no older frame can precede any more. Raises OSError."""
         horizon_ns = time.time_ns() - SETTLED_NS
         for tap in self._taps:
             listen(tap, self._waiting)
@@ -84,7 +84,7 @@ class RawLog:
             self.close()
 
     def close(self) -> None:
-        """Write what has come in, close the file, if one is open, and account for it on stdout. Raises OSError."""
+        """Write all received frames, close the file, if one is open, and report it on stdout. Raises OSError."""
         file, taps, waiting = self._file, self._taps, self._waiting
         self._file, self._taps, self._waiting = None, [], []
         for tap in taps:
@@ -99,7 +99,7 @@ class RawLog:
                 file.flush()
                 os.fsync(file.fileno())
         finally:
-            say(path=file.name, frames=self._frames, lost=sum(tap.lost for tap in taps))
+            report(path=file.name, frames=self._frames, lost=sum(tap.lost for tap in taps))
 
     def _write(self, horizon_ns: int) -> None:
         self._waiting.sort(key=lambda frame: frame.timestamp_ns)
@@ -116,15 +116,15 @@ class RawLog:
 
 
 def listen(tap: CanTap, into: list[CanFrame]) -> None:
-    """Take what has come in; an interface that went down is told, and listened to until it is back."""
+    """Take the received frames. An interface that goes down is reported, and read again when it is back."""
     try:
         tap.read(into)
     except OSError as error:
-        say(error=f"{tap.channel}: {error.strerror}")
+        report(error=f"{tap.channel}: {error.strerror}")
 
 
-def say(**account: object) -> None:
-    """A line of JSON for the master; unheard where it is gone."""
+def report(**account: object) -> None:
+    """Write a line of JSON for the master; discard it if the master has ended."""
     try:
         sys.stdout.write(json.dumps(account) + "\n")
         sys.stdout.flush()
@@ -133,7 +133,7 @@ def say(**account: object) -> None:
 
 
 def main(channels: Sequence[str]) -> None:
-    # Ends by its stdin alone: a stopped service ends its experiment first, and that shall be in the log.
+    # Only the end of stdin ends this process: a stopped service first ends its experiment, which shall be in the log.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.nice(NICENESS)
@@ -155,7 +155,7 @@ def main(channels: Sequence[str]) -> None:
 
 
 class Orders:
-    """Lines of stdin, read without waiting. `ended`: no more will come; `quit`: because the master said so."""
+    """Lines of stdin, read without waiting. `ended`: there will be no more; `quit`: the master requested it."""
 
     def __init__(self) -> None:
         self.ended = False
@@ -180,17 +180,17 @@ def obey(log: RawLog, order: str) -> None:
 
 
 def follow(log: RawLog) -> None:
-    """Log what has come in; a disk that is full ends the file."""
+    """Log the received frames; an error, such as a full disk, closes the file."""
     if log.is_open and not attempt(log.step):
         attempt(log.close)
 
 
 def attempt(action: Callable[[], None]) -> bool:
-    """Whether `action` went well; told on stdout where it did not."""
+    """Execute `action`; return whether it succeeded, and report a failure on stdout."""
     try:
         action()
     except OSError as error:
-        say(error=f"raw log: {error}")
+        report(error=f"raw log: {error}")
         return False
     return True
 

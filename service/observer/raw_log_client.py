@@ -1,4 +1,4 @@
-"""The control process' end of the raw log: starts `service.observer.raw_log`, gives it orders, hears how it fared."""
+"""The client of the raw log in the control process: starts `service.observer.raw_log`, sends orders, reads reports."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pathlib import Path
 
 
 class RawLogProcess:
-    """One raw log process over SocketCAN `channels`; its troubles go to `event(severity, code, text)`.
+    """One raw log process for the SocketCAN `channels`; its errors go to `event(severity, code, text)`.
 
-    To be made in a running event loop.
+    Create it in a running event loop.
     """
 
     def __init__(self, channels: Sequence[str], event: Callable[[str, str, str], None]) -> None:
@@ -32,7 +32,7 @@ class RawLogProcess:
         assert self._process.stdout is not None
         self._orders, self._answers = self._process.stdin, self._process.stdout
         os.set_blocking(self._answers.fileno(), False)
-        asyncio.get_running_loop().add_reader(self._answers, self._hear)
+        asyncio.get_running_loop().add_reader(self._answers, self._read)
 
     @property
     def pid(self) -> int:
@@ -40,11 +40,11 @@ class RawLogProcess:
 
     def open(self, path: Path, start_ns: int) -> None:
         """Log the frames from `start_ns` on to the new file `path`."""
-        self._tell(f"open {start_ns} {path}")
+        self._order(f"open {start_ns} {path}")
 
     def close(self, end_ns: int) -> None:
         """Log no frame after `end_ns`."""
-        self._tell(f"close {end_ns}")
+        self._order(f"close {end_ns}")
 
     async def stop(self) -> None:
         """Close the file, if one is open, and end the process."""
@@ -58,18 +58,18 @@ class RawLogProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             await asyncio.to_thread(self._process.wait)
-        self._hear()
+        self._read()
         asyncio.get_running_loop().remove_reader(self._answers)
         self._answers.close()
 
-    def _tell(self, order: str) -> None:
+    def _order(self, order: str) -> None:
         try:
             self._orders.write(order.encode() + b"\n")
         except BrokenPipeError:
             self._event("error", "raw_log", "the raw log process ended: raw frames are not logged any more")
 
-    def _hear(self) -> None:
-        """Lines of JSON: an error, or the account of a file that was closed."""
+    def _read(self) -> None:
+        """Read lines of JSON: an error, or the report of a closed file."""
         while True:
             heard = self._answers.read(65536)
             if heard is None:

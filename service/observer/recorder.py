@@ -1,9 +1,9 @@
-"""The recorder: one experiment into files that can be read whatever happens.
+"""The recorder: writes an experiment to files that are readable even after a crash.
 
-`STEM.arrow` gets all control cycles from the agreed start to the agreed end, a batch a second, each on the disk before
-the next; `STEM.log` the raw frames, where no process of its own logs them; `STEM.estimates.json` the final results and
-the live diagnosis.
-Nothing here awaits: `write` may take long (disks do) and is called in a thread, while the loop goes on adding.
+`STEM.arrow` gets all control cycles from the agreed start to the agreed end, in one batch per second, each on the disk
+before the next; `STEM.log` gets the raw frames, if no separate process logs them; `STEM.estimates.json` gets the final
+results and the live diagnosis.
+Nothing here awaits: `write` may take long and is called in a thread, while the event loop adds further cycles.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NEVER_NS = 1 << 62
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What is to be written next."""
+    """The data to be written next."""
 
     frames: list[Frame]
     can_frames: list[CanFrame]
@@ -36,7 +36,7 @@ class Batch:
 class Recorder:
     """One recording. `stem` is its path without a suffix; `raw_buses` names the buses of raw frames to log, if any.
 
-    Raises OSError where the files cannot be made.
+    Raises OSError if the files cannot be created.
     """
 
     def __init__(
@@ -68,8 +68,8 @@ class Recorder:
     def add(self, frames: list[Frame]) -> list[Frame]:
         """Take control cycles, and return those that belong to the recording.
 
-        A cycle that is not later than the one before is left out: in a recording time rises, also where a clock was
-        set back.
+        A cycle that is not later than the previous one is left out: time is monotonic in a recording, even if a clock
+        was set back.
         """
         taken = []
         self._seen_ns = frames[-1].timestamp_ns
@@ -87,17 +87,17 @@ class Recorder:
 
     @property
     def complete(self) -> bool:
-        """Whether everything up to the agreed end has come in."""
+        """Whether everything up to the agreed end has been received."""
         return self._seen_ns > self.end_ns and (self._raw_log is None or self._seen_can_ns > self.raw_end_ns)
 
     def take(self) -> Batch:
-        """What has gathered since the last time, for `write`."""
+        """The data collected since the last call, for `write`."""
         batch = Batch(self._frames, self._can_frames)
         self._frames, self._can_frames = [], []
         return batch
 
     def write(self, batch: Batch) -> None:
-        """See a batch onto the disk. One call at a time. Raises OSError; from then on nothing is written any more."""
+        """Write a batch to the disk. One call at a time. Raises OSError; after that nothing is written any more."""
         if self._broken:
             return
         frames = batch.frames
@@ -117,7 +117,7 @@ class Recorder:
     def finish(
         self, metadata: Mapping[str, str], estimates: Mapping[str, Any], diagnosis: Mapping[str, Any] | None = None
     ) -> None:
-        """Write the rest, what became known at the end, and the final results. Raises OSError."""
+        """Write the rest, the final metadata and the final results. Raises OSError."""
         try:
             self.write(self.take())
         finally:

@@ -1,2 +1,2 @@
-"""Recordings once they are made: replay reads and runs them again, export writes them, machine says whose they are,
-next_experiment what to record next, trail what a diagnosis leaves behind."""
+"""Work on finished recordings: replay reads and replays them, export converts them, machine finds which machine they
+are of, next_experiment chooses what to record next, trail writes the result of a diagnosis."""

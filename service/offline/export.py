@@ -1,6 +1,6 @@
 """Recordings in the formats of other tools: MAT (MATLAB), MF4 (ASAM MDF 4, measurement tools) and MCAP (Foxglove).
 
-The last two need packages that upright does not bring along: the extras `upright[mf4]` and `upright[mcap]`.
+The last two need optional packages: the extras `upright[mf4]` and `upright[mcap]`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def export(recording: Recording, path: Path) -> None:
     """
     writers = {".mat": save_mat, ".mf4": save_mf4, ".mcap": save_mcap}
     with path.open("wb"):
-        pass  # A place that cannot be written is told by the system here, not by a library in its own words.
+        pass  # If `path` is not writable, this raises the system's error, not one of a library.
     try:
         writers[path.suffix](recording, path)
     except ModuleNotFoundError as error:
@@ -34,7 +34,7 @@ def export(recording: Recording, path: Path) -> None:
 
 
 def save_mat(recording: Recording, path: Path) -> None:
-    """A MATLAB 5 file: `time` (s) and a column vector a channel, `timestamp_ns`, and the texts as structs."""
+    """A MATLAB 5 file: `time` (s) and a column vector per channel, `timestamp_ns`, and the texts as structs."""
     from scipy.io import savemat
 
     columns = {"time": recording.time, "timestamp_ns": recording.timestamp_ns, **recording.values}
@@ -44,7 +44,7 @@ def save_mat(recording: Recording, path: Path) -> None:
 
 
 def save_mf4(recording: Recording, path: Path) -> None:
-    """One channel group over `time` (s); units and meanings with the channels, the metadata as the file's comment."""
+    """One channel group over `time` (s), with units and meanings of the channels, and the metadata as a comment."""
     from asammdf import MDF, Signal
 
     signals = [
@@ -57,7 +57,7 @@ def save_mf4(recording: Recording, path: Path) -> None:
 
 
 def save_mcap(recording: Recording, path: Path) -> None:
-    """One topic `/vehicle` of JSON messages, a message a row, at the recording's own time."""
+    """One topic `/vehicle` of JSON messages, one per sample, with the time stamps of the recording."""
     from mcap.writer import Writer
 
     properties = {

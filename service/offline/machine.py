@@ -1,7 +1,7 @@
-"""Whose recordings are these: the vehicle's of the file, or those of a machine of which there is nothing but a model?
+"""Find whether a model is that of a vehicle file, or of another machine for which there is only a model file.
 
-A pendulum on a bench has a model file and no vehicle file. What a vehicle file says (the angle of its supports, CAD
-values, controller, experiments) is not its own, and must not be taken for it.
+A pendulum on a test bench has a model file and no vehicle file. The contents of a vehicle file (the angle of its
+supports, CAD values, controller, experiments) must not be applied to it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from vehicles.sections import VehicleFile
 
 
 def is_of(model: Model, vehicle: VehicleFile) -> bool:
-    """Whether `model` is one of this vehicle: whether it balances the coordinate that the vehicle's own model does."""
+    """Whether `model` is one of this vehicle, that is, has the same balanced coordinate as the vehicle's own model."""
     try:
         own = nominal_model(vehicle.vehicle.kind)
     except EstimationError:
@@ -22,10 +22,10 @@ def is_of(model: Model, vehicle: VehicleFile) -> bool:
 
 
 def support_of(model: Model, vehicle: VehicleFile) -> float | None:
-    """rad, the angle at which the supports carry; None for a machine that is not the vehicle."""
+    """The angle of the supports, rad; None for a machine that is not the vehicle."""
     return vehicle.support if is_of(model, vehicle) else None
 
 
 def name_of(model: Model, vehicle: VehicleFile) -> str:
-    """What a report is on: the vehicle's id, or the model's name."""
+    """The subject of a report: the vehicle's id, or the model's name."""
     return vehicle.vehicle.id if is_of(model, vehicle) else model.name

@@ -1,4 +1,4 @@
-"""Which model or effect is meant: the vehicle's own with its CAD values, a shipped one, or a file's."""
+"""Models and effects by their names on the command line: the vehicle's own with CAD values, shipped ones, or files."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from vehicles.file import VehicleFile
 from vehicles.registry import nominal_model
 
 SUFFIXES = (".toml", ".py")
-"""Of a file with an effect of one's own."""
+"""Suffixes of files with an effect of one's own."""
 
 
 def identified_model(name: str | None, vehicle: VehicleFile) -> Model:
-    """A model file as it is, a shipped model (by default the vehicle's) with the CAD values of the vehicle file.
+    """A model file unchanged, or a shipped model (by default the vehicle's) with the CAD values of the vehicle file.
 
     Raises ModelError, EstimationError.
     """

@@ -1,7 +1,7 @@
-"""The vehicle's own experiments as the diagnosis predicts them, and which of them to run next.
+"""Predict the vehicle's own experiments, and choose which of them to run next.
 
-Joins what the control loop runs (controller, excitation, limits of the vehicle file) to `diagnosis.next_experiment`,
-which knows no vehicle. How the loop of one kind of vehicle is predicted is in its own package.
+This connects the control loop (controller, excitation, limits of the vehicle file) with `diagnosis.next_experiment`,
+which is independent of vehicles. The prediction of the loop is in the package of each kind of vehicle.
 """
 
 from __future__ import annotations
@@ -25,24 +25,25 @@ from vehicles.excitation import ExcitationError
 from vehicles.sections import REST, VehicleFile
 
 SMALL = 0.03
-"""Share of its typical size at which an effect is looked at to find the size at which it just shows."""
+"""Share of its typical size with which an effect is simulated to find its minimum detectable size."""
 MOST_RIVALS = 4
 MOST_UNDETECTABLE = 3
-"""Effects that might have been missed that are looked at."""
+"""Number of possibly missed effects that are considered."""
 DETECTABLE = 10.8
-"""nats that the smallest effect is worth that is found with 99 % probability at 1 % false alarms: (2 x 2.33)^2 / 2."""
+"""Expected rise of the log-likelihood, nats, of the smallest effect that is found with 99 % probability at 1 % false
+alarms: (2 x 2.33)^2 / 2."""
 
 
 def experiments_of(vehicle: VehicleFile) -> tuple[list[Experiment], dict[str, str]]:
-    """The experiments of a vehicle file that can be predicted, and by name why the others are none."""
+    """The experiments of a vehicle file that can be predicted, and the reasons against the others by name."""
     prediction = registry.of(vehicle.vehicle.kind).prediction()
     predict = prediction.of(vehicle)
     found, left_out = [], {}
     for name, section in vehicle.experiments.items():
         if section.excitation == "none":
-            left_out[name] = "moves nothing"
+            left_out[name] = "has no excitation"
         elif section.at == REST:
-            left_out[name] = "begins on a support, which the models do not know"
+            left_out[name] = "starts on a support, which the models do not include"
         else:
             try:
                 found.append(predict(name))
@@ -59,25 +60,25 @@ def suggest_for(
     progress: Progress | None = None,
     budget: Budget = UNLIMITED,
 ) -> Mapping[str, Any] | None:
-    """What to record next after a `diagnosis` of `model` from `recordings`, as `Diagnosis.suggested_experiment`.
+    """The experiment after a `diagnosis` of `model` from `recordings`, as `Diagnosis.suggested_experiment`.
 
-    Tied effects are to be told apart. Where no effect was found, it is asked what would show the largest that may have
-    been missed; where the recordings could not be used, what tells dry from viscous friction. None where nothing is in
-    question, no experiment of the vehicle tells it, or the vehicle's loop cannot be predicted with this model.
+    It shall separate tied effects. If no effect was found, it shall show the largest that may have been missed. If the
+    recordings could not be used, it shall separate dry and viscous friction. None if there is no open question, if no
+    experiment of the vehicle answers it, or if the vehicle's loop cannot be predicted with this model.
     Raises OutOfTime after `budget`.
     """
 
-    def tell(text: str, share: float) -> None:
+    def report(text: str, share: float) -> None:
         budget.check()
         if progress is not None:
             progress(text, share)
 
     try:
-        return _suggestion(vehicle, diagnosis, model, recordings, tell, budget)
+        return _suggestion(vehicle, diagnosis, model, recordings, report, budget)
     except OutOfTime:
         raise
     except (UprightError, *FAILURES):
-        # A diagnosis is worth having without a suggestion.
+        # A diagnosis is useful even without a suggestion.
         return None
 
 
@@ -121,7 +122,7 @@ def separating(
     recordings: Sequence[Recording] = (),
     progress: Progress | None = None,
 ) -> Choice:
-    """The experiment that tells `effects` apart, as `recordings` show them, or else at the smallest size that shows.
+    """The experiment that separates `effects`, with sizes from `recordings`, or else with minimum detectable sizes.
 
     Raises ModelError for an effect that the model cannot have, and DataError for recordings that cannot be used.
     """
@@ -142,7 +143,7 @@ def _as_json(choice: Choice) -> Mapping[str, Any] | None:
 
 
 def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
-    """The experiments of a vehicle. Raises ModelError where its controller and `model` do not fit together."""
+    """The experiments of a vehicle. Raises ModelError if its controller and `model` do not fit together."""
     prediction = registry.of(vehicle.vehicle.kind).prediction()
     lacking = prediction.needs - {each.name for each in model.outputs}
     lacking |= {each.name for each in model.inputs if each.usual is None} - prediction.gives
@@ -153,7 +154,7 @@ def _predictable(vehicle: VehicleFile, model: Model) -> list[Experiment]:
 
 
 def _undetectable(model: Model, sizes: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Effects and the size up to which they may have been missed, the largest against its typical size first."""
+    """Effects with the size up to which they may have been missed, in descending order relative to the typical size."""
     found = []
     for name, size in sizes.items():
         attached = with_named(model, name).effects[-1]
@@ -170,7 +171,7 @@ def _with(model: Model, effect: str, size: float) -> Model:
 
 
 def _just_visible(model: Model, effect: str, alone: Rival, experiments: Sequence[Experiment]) -> Rival:
-    """`model` with `effect` as small as the best of `experiments` would just show it: nats grow with the square."""
+    """`model` with `effect` at its minimum detectable size in the best of `experiments`; nats grow with its square."""
     attached = with_named(model, effect).effects[-1]
     size = SMALL * next(p for p in attached.parameters if p.name == attached.amplitudes[0]).typical
     tried = Rival.assumed(effect, _with(model, effect, size))
@@ -178,6 +179,6 @@ def _just_visible(model: Model, effect: str, alone: Rival, experiments: Sequence
     nats = [expected_log_odds(tried, course.rows, alone) for course in courses.values() if not course.broken]
     if not nats or max(nats) <= 0.0:
         refused = [f"{name}: {course.broken}" for name, course in courses.items() if course.broken]
-        told = "; ".join(["no safe experiment shows it", *refused])
-        raise ModelError(f"effect {effect}", told, remedy="give recordings of it.")
+        reasons = "; ".join(["no safe experiment shows it", *refused])
+        raise ModelError(f"effect {effect}", reasons, remedy="give recordings of it.")
     return Rival.assumed(effect, _with(model, effect, size * (DETECTABLE / max(nats)) ** 0.5))

@@ -1,4 +1,4 @@
-"""Where a report comes from, for its foot."""
+"""The provenance of a report, for its footer."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ from diagnosis.report import Provenance
 
 
 def provenance(vehicle: str, recordings: Sequence[Path]) -> Provenance:
-    """Of what `recordings` are now: minutes later a file may be another. Raises OSError."""
+    """The provenance with the present contents of `recordings`, as files may change later. Raises OSError."""
     hashes = {path.name: sha256(path.read_bytes()).hexdigest() for path in recordings}
     return Provenance(vehicle, version("upright"), datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), hashes)

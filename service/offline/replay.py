@@ -1,8 +1,8 @@
-"""Recordings again: from any file, from the raw frames, through the live estimators, into other formats.
+"""Read recordings from any file or from raw frames, replay them through the live estimators, convert them.
 
-A recording begins at an agreed time at which the daemon forgot all that was measured before, so the raw log that begins
-at the same time rebuilds the same rows bit for bit. What was never on the bus (`not_on_the_bus`) comes, instant by
-instant, from the recording that lies beside the log; without it, it is unknown (NaN).
+A recording begins at an agreed time at which the daemon discarded all earlier measurements, so that the raw log that
+begins at the same time reproduces the same samples bit by bit. Values that were never on the bus (`not_on_the_bus`) are
+taken, by time stamp, from the recording beside the log; without it, they are unknown (NaN).
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from vehicles.file import VehicleFile
 AGE = "drive_age"
 """The channels after this one, reference, excitation and phase, were never on the bus."""
 BATCH = 1000
-"""Rows between two looks at the time."""
+"""Samples between two checks of the time."""
 
 CONVERTED = (*storage.SUFFIXES, *export.SUFFIXES)
 
 
 def load(path: Path, vehicle: VehicleFile) -> Recording:
-    """A recording from a file of any kind, raw logs included, with the time stamps that it has.
+    """A recording from a file of any kind, including raw logs, with its original time stamps.
 
     Raises:
-        RecordingError: the file cannot be read, or holds no frames of this vehicle.
+        RecordingError: the file cannot be read, or contains no frames of this vehicle.
     """
     if Path(path).suffix == ".log":
         return from_raw_log(path, vehicle)
@@ -46,15 +46,16 @@ def load(path: Path, vehicle: VehicleFile) -> Recording:
 
 
 def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
-    """The recording with the drives sampled with the row where it does not say when: others record no such channel.
+    """The recording with the channel AGE. If it is missing, as in recordings by others, it is set to zero: the drives
+    are then assumed to be sampled together with the other channels.
 
-    One that has no channel of the vehicle is of another machine, and stays as it is.
+    A recording without any channel of the vehicle is of another machine, and is not changed.
     """
     table = assembly.channels(vehicle)
     foreign = set(table.names).isdisjoint(recording.values)
     if foreign or AGE in recording.values or AGE not in table.names or recording.rate <= 0.0:
         return recording
-    note = f"there is no channel {AGE}: the drives are taken as sampled with each row, give or take a time offset"
+    note = f"there is no channel {AGE}: the drives are assumed to be sampled with the other channels, up to an offset"
     return replace(
         recording,
         channels=ChannelTable((*recording.channels, table[table.index_of(AGE)])),
@@ -64,17 +65,17 @@ def with_age(recording: Recording, vehicle: VehicleFile) -> Recording:
 
 
 def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
-    """The recording that the daemon made of the frames in a candump log.
+    """The recording that the daemon made from the frames in a candump log.
 
     Raises:
-        RecordingError: a line is no CAN frame, or no complete row can be made of the frames.
+        RecordingError: a line is not a CAN frame, or the frames give no complete sample.
     """
     channels = assembly.channels(vehicle)
     io = assembly.vehicle_io(vehicle)
     log = CandumpReader(path)
     rows = list(rows_from_frames(log, io, registry.kind_of(vehicle, io), assembly.roll_filter(vehicle)))
     if not rows:
-        raise RecordingError(str(path), "", f"no row can be made of its frames: {_missing(io)}", remedy=_CHECK)
+        raise RecordingError(str(path), "", f"its frames give no complete sample: {_missing(io)}", remedy=_CHECK)
     table = np.array([row.values for row in rows], dtype=np.float64)
     rebuilt = Recording(
         channels=channels,
@@ -97,23 +98,23 @@ def from_raw_log(path: Path, vehicle: VehicleFile) -> Recording:
 
 
 def not_on_the_bus(channels: ChannelTable) -> tuple[str, ...]:
-    """The channels that no frame tells: what was aimed at, the excitation and the phase."""
+    """The channels that are in no frame: references, excitation and phase."""
     return channels.names[channels.index_of(AGE) + 1 :]
 
 
 def replay(recording: Recording, vehicle: VehicleFile) -> dict[str, Any]:
-    """Run a recording through the estimators that ran live: method to result, as the live run gave it at its end.
+    """Replay a recording through the live estimators; return the results by method, as at the end of the live run.
 
     Raises:
-        RecordingError: a channel that the estimators take is missing.
+        RecordingError: a channel that the estimators need is missing.
     """
     return _replayed(recording, vehicle).results()
 
 
 def live_diagnosis(recording: Recording, vehicle: VehicleFile, budget: Budget = UNLIMITED) -> dict[str, Any] | None:
-    """Which effect a run of the recording would have shown, and since when; None where nothing diagnoses this kind.
+    """The live diagnosis of a replay of the recording; None for a kind of vehicle without a live diagnosis.
 
-    Raises RecordingError as `replay` does, OutOfTime after `budget`.
+    Raises RecordingError like `replay`, and OutOfTime after `budget`.
     """
     return _replayed(recording, vehicle, budget).diagnosis()
 
@@ -158,7 +159,7 @@ _CHECK = "Compare the log's CAN ids with [imu] and [[drive]] of the vehicle file
 
 
 def _missing(io: Any) -> str:
-    """What the frames lacked, in words."""
+    """What is missing in the frames, as text."""
     if io.imu.statistics.sets == 0:
         return io.imu.fault_text or f"no complete IMU frame set (ids {', '.join(f'{i:X}' for i in io.imu.can_ids)})"
     silent = [drive.config.name for drive in io.drives if drive.timestamp_ns == 0]
@@ -166,7 +167,7 @@ def _missing(io: Any) -> str:
 
 
 def _completed(rebuilt: Recording, beside: Recording) -> Recording:
-    """`rebuilt` with what only the recording beside it knows."""
+    """`rebuilt` with the values that only the recording beside it has."""
     _, here, there = np.intersect1d(rebuilt.timestamp_ns, beside.timestamp_ns, return_indices=True)
     values = dict(rebuilt.values)
     for name in set(not_on_the_bus(rebuilt.channels)).intersection(beside.channels.names):

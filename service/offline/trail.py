@@ -1,4 +1,4 @@
-"""What `upright diagnose --auto` leaves behind: the model with all that was found in it, and how it came about."""
+"""The output of `upright diagnose --auto`: the model with all effects found, and a record of the steps."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from models.model import Model
 def write_trail(
     target: Path, found: Diagnosis, nominal: Model, hashes: Mapping[str, str], own: Mapping[str, Path]
 ) -> None:
-    """The repaired model to `target`, with its history, and every step to `target` with the suffix .trail.json.
+    """Write the revised model to `target`, with its history, and all steps to `target` with the suffix .trail.json.
 
-    What is missing in the vehicle's actuators goes to a model of theirs beside it, NAME-actuators.toml.
+    Effects missing in the vehicle's actuators are written to a separate model beside it, NAME-actuators.toml.
 
     `hashes`: SHA-256 of the recordings, by name. `own`: the files of effects of the user's own, by the effect's name.
-    Raises OSError and ModelError where that cannot be written.
+    Raises OSError and ModelError if the files cannot be written.
     """
     assert found.revised is not None
     for part in found.parts[1:]:

@@ -1,10 +1,10 @@
-"""A recording of the virtual vehicle without a bus: the control loop and the plant hand each other every frame.
+"""Record the virtual vehicle without a bus: control loop and plant exchange every frame directly.
 
     recording = record("monocab", "multisine", hide=["coulomb_friction"], seed=3)
 
-What runs is what runs on a bus: the daemon's control loop with its drivers, roll filter, sequence and safety, against
-the virtual vehicle's nodes, in lock-step, some ten times faster than real time. Only the bus and the observer process
-are left out. Nothing here asks a clock, so that a seed gives the same bits every time.
+The same code runs as on a bus: the daemon's control loop with its drivers, roll filter, sequence and safety, with the
+virtual vehicle's nodes, in lock-step, some ten times faster than real time. Only the bus and the observer process are
+left out. Nothing here reads a clock, so that a seed always gives the same bits.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ Configure = Callable[[SimulationConfig], SimulationConfig]
 BOOT_TIME = 0.2
 """s until the drives answer."""
 SETTLING_TIME = 3.0
-"""s of SYNCs before the first experiment: every value is known, the interlocks are released."""
+"""s of SYNCs before the first experiment, until every value is known and the interlocks are released."""
 STEP = 0.1
-"""s between two looks at how far a run is."""
+"""s between two checks of the progress of a run."""
 MODES_OF_OPERATION = bytes((0x2F, 0x60, 0x60, 0))
-"""Beginning of an SDO download of one byte to 6060h."""
+"""Start of an SDO download of one byte to 6060h."""
 
 
 class VirtualRunError(UprightError):
-    """A virtual run did not do what it should. `experiment` names it, `reason` says why.
+    """A virtual run of `experiment` failed, for `reason`.
 
-    `recording` is what had been recorded by then, None where nothing was.
+    `recording` is the data recorded up to then, None if there are none.
     """
 
     def __init__(self, experiment: str, reason: str, recording: Recording | None = None, *, remedy: str = "") -> None:
@@ -58,7 +58,7 @@ class VirtualRunError(UprightError):
 
 @dataclass(slots=True)
 class Witness:
-    """Stands where the observer process is: keeps what the loop tells it."""
+    """Replaces the observer process: stores the messages of the loop."""
 
     ready: bool = True
     frames: list[Frame] = field(default_factory=list)
@@ -84,11 +84,11 @@ class Witness:
 
 
 class ClosedLoop:
-    """One vehicle under control, its drives set up. `log` gets every frame that is exchanged, as a bus log would.
+    """One vehicle under control, with its drives set up. `log` gets every exchanged frame, like a bus log.
 
     Raises:
-        UnknownEffectError: a hidden effect that does not exist.
-        UnknownFaultError: likewise, a fault.
+        UnknownEffectError: a hidden effect does not exist.
+        UnknownFaultError: a fault does not exist.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class ClosedLoop:
         for _ in range(round(seconds * self.vehicle.control.rate)):
             plant.begin_cycle()
             plant.advance_steps(answer)
-            # What arrived up to now is one wake-up: the IMU set, then the drives' answers to the SYNC.
+            # The frames up to now are one wake-up: the IMU set, then the drives' answers to the SYNC.
             while self._inbox:
                 frames, self._inbox = self._inbox, []
                 on_frames(frames)
@@ -145,12 +145,12 @@ class ClosedLoop:
             if over():
                 return
             self.advance(STEP)
-        raise VirtualRunError(self.loop.reason or "virtual run", f"not over after {limit:g} s: {self.loop.state()}")
+        raise VirtualRunError(self.loop.reason or "virtual run", f"not finished after {limit:g} s: {self.loop.state()}")
 
     def run(self, name: str, limit: float = 150.0, progress: Callable[[float], None] | None = None) -> None:
-        """A whole experiment. `progress` is told the share of it that is over, 0 to 1.
+        """Run a whole experiment. `progress` gets the share that is done, 0 to 1.
 
-        Raises VirtualRunError where an interlock holds it back, or it is not over after `limit` s.
+        Raises VirtualRunError if an interlock prevents it, or if it is not finished after `limit` s.
         """
         interlocks = self.loop.interlocks()
         if interlocks:
@@ -165,7 +165,7 @@ class ClosedLoop:
         self.until(over, limit)
 
     def recording(self, source: str) -> Recording:
-        """The last recording, whole as the recorder writes it. Only after an experiment has ended."""
+        """The last recording, as the recorder would write it. Only after an experiment has ended."""
         (_, start_ns), metadata = self.witness.recordings[-1], self.witness.metadata[-1]
         reason, end_ns = self.witness.ended[-1]
         frames = [frame for frame in self.witness.frames if start_ns <= frame.timestamp_ns <= end_ns]
@@ -204,15 +204,15 @@ def record(
     """Run an experiment of the vehicle file on the virtual vehicle, from rest to rest, and return its recording.
 
     `hide` names effects that the virtual vehicle has and the models lack, with their level, as in "input_delay=2", and
-    its random torque, as in "disturbance=8,0.3"; without that there is none. `seed` is that of the sensors' noise and
-    of the disturbance; the same seed gives the same bits. `duration` (s) replaces that of the experiment. `configure`
-    may change the virtual vehicle, such as the noise of its IMU. `progress` is told the share that is over, 0 to 1.
+    its random torque, as in "disturbance=8,0.3"; by default there is none. `seed` is that of the sensors' noise and of
+    the disturbance; the same seed gives the same bits. `duration` (s) replaces that of the experiment. `configure` may
+    change the virtual vehicle, for example the noise of its IMU. `progress` gets the share that is done, 0 to 1.
 
     Raises:
         VehicleFileError: the vehicle file cannot be used.
         UnknownEffectError: there is no such hidden effect.
         ExcitationError: the experiment's signal does not fit into `duration`.
-        VirtualRunError: no such experiment, or it ended otherwise than it should, with the reason.
+        VirtualRunError: there is no such experiment, or it failed, with the reason.
     """
     file = _with_duration(load(vehicle) if isinstance(vehicle, str) else vehicle, experiment, duration)
     closed = ClosedLoop(file, hide=hide, seed=seed, configure=configure)
@@ -233,7 +233,7 @@ def record(
 
 
 def _with_duration(vehicle: VehicleFile, experiment: str, duration: float | None) -> VehicleFile:
-    """The vehicle with the experiment that is to be run. Raises VirtualRunError."""
+    """The vehicle with the duration of the experiment changed. Raises VirtualRunError."""
     if experiment not in vehicle.experiments:
         near = difflib.get_close_matches(experiment, vehicle.experiments, n=1)
         raise VirtualRunError(

@@ -1,8 +1,8 @@
-"""A virtual vehicle in the daemon's own process, in lock-step, as a rule at the pace of the wall's clock.
+"""A virtual vehicle in the daemon's own process, in lock-step, usually in real time.
 
-For showing and for tests, where the vehicle is to take its time as a real one does, and a machine that is held up must
-not make it fall: in lock-step the plant waits for its master, and what was lost is made up for. Real time against a
-daemon of its own is `upright simulate`.
+It is for demonstrations and tests, in which the vehicle shall need as much time as a real one, but shall not fall if
+the computer is busy: in lock-step the plant waits for its master, and catches up afterwards. `upright simulate` runs in
+strict real time with a separate daemon.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ BUS = "virtual:upright-virtual"
 
 
 class PunctualBus:
-    """A bus on which no message leaves before its time; their time is the wall's from the first one on.
+    """A bus on which no message is sent before its time stamp, shifted to wall clock time at the first message.
 
-    `bus` does the rest. Where the sender is late, its messages leave at once until it has caught up.
+    `bus` does the rest. If the sender is late, its messages are sent at once until it has caught up.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -57,11 +57,11 @@ def virtual_vehicle_beside(
     punctual: bool = True,
     disturbance: Disturbance | None = None,
 ) -> Iterator[None]:
-    """The virtual vehicle on the in-process `bus`, for as long as the block lasts.
+    """The virtual vehicle on the in-process `bus`, until the end of the block.
 
-    It keeps to the wall's clock, or where it need not be `punctual` runs as fast as the daemon answers. It has the
-    random `disturbance` where `hide` says nothing of one.
-    Raises UnknownEffectError for a `hide` that names no hidden effect.
+    It runs in real time, or, if not `punctual`, as fast as the daemon answers. It has the random `disturbance` unless
+    `hide` defines one.
+    Raises UnknownEffectError if `hide` names an unknown effect.
     """
     configuration = virtual_vehicle.configuration(vehicle, hide, seed, disturbance=disturbance)
     stop = threading.Event()

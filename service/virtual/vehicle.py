@@ -1,7 +1,7 @@
-"""The virtual vehicle of a vehicle file: its configuration, and running it on the buses of the command line.
+"""The virtual vehicle of a vehicle file: its configuration, and its run on the buses of the command line.
 
-The simulation knows no vehicle files and no bus addresses; this is where it gets both, and where the kind of vehicle
-chooses the physics.
+The simulation is independent of vehicle files and bus addresses. This module connects it with both, and selects the
+physics by the kind of vehicle.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from vehicles.sections import VehicleFile
 
 
 def usual_disturbance(vehicle: VehicleFile) -> Disturbance:
-    """The random disturbance of a virtual vehicle that a person starts and says nothing of it: level 1. Programs and
-    tests ask for theirs."""
+    """The default random disturbance of a virtual vehicle that a user starts: level 1. Programs and tests define their
+    own."""
     return registry.of(vehicle.vehicle.kind).twin().truth.registry.disturbance
 
 
-def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
-    """The random disturbance of a virtual vehicle that a person starts with `hide`. Raises UnknownEffectError."""
+def requested_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | None:
+    """The random disturbance of a virtual vehicle that a user starts with `hide`. Raises UnknownEffectError."""
     hidden = registry.of(vehicle.vehicle.kind).twin().truth.registry
     return parse_disturbance(hide, hidden, usual_disturbance(vehicle))[1]
 
@@ -37,10 +37,11 @@ def asked_disturbance(vehicle: VehicleFile, hide: list[str]) -> Disturbance | No
 def configuration(
     vehicle: VehicleFile, hide: list[str], seed: int, *, disturbance: Disturbance | None = None
 ) -> SimulationConfig:
-    """The virtual vehicle that speaks as this vehicle file says. Its physics are its own, not the file's CAD values.
+    """The virtual vehicle with the communication of this vehicle file. Its physics do not depend on the file's CAD
+    values.
 
-    It has the random `disturbance` where `hide` says nothing of one.
-    Raises UnknownEffectError for a `hide` that names no hidden effect.
+    It has the random `disturbance` unless `hide` defines one.
+    Raises UnknownEffectError if `hide` names an unknown effect.
     """
     imu, twin = vehicle.imu, registry.of(vehicle.vehicle.kind).twin()
     drives = [

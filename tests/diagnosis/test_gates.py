@@ -105,7 +105,7 @@ def test_a_table_decides_what_was_decided_and_tells_what_it_lacks() -> None:
     other["rounds"][0]["tried"][1]["log_likelihood"] = 400.0
     ((_, how),) = decisions.decided_again(other)
     assert how == (
-        "coulomb_friction = stribeck_friction is now stribeck_friction, and asks held-out data about stribeck_friction"
+        "coulomb_friction = stribeck_friction is now stribeck_friction, and needs held-out data about stribeck_friction"
     )
     changed = {**line, "named": [["stribeck_friction"]]}
     (told,) = decisions.difference({line["case"]: line}, {line["case"]: changed})

@@ -344,7 +344,7 @@ def test_the_terminal_says_what_it_is_since_when_and_what_else_it_may_be() -> No
     told = missing_effects({"verdict": "missing_effect", "findings": [finding], "reason": "", "seconds": 30})
     assert "coulomb_friction since 26 s: torque 31.25 ± 2.2 N m, or asymmetric_friction" in told
     nothing = missing_effects({"verdict": "adequate", "findings": [], "reason": "", "seconds": 30})
-    assert nothing == "missing effect: none shows in 30 s"
+    assert nothing == "missing effect: none detected in 30 s"
     early = missing_effects({"verdict": "insufficient_data", "findings": [], "reason": "no [free] motion"})
     assert r"no \[free] motion" in early
     assert missing_effects(None) == ""

@@ -329,7 +329,7 @@ def test_the_table_fits_the_terminal(
     assert "±" in rows[0]
     assert any(line.startswith("CAD") and "1450 ±200" in line for line in lines)
     assert any(line.startswith("truth") and "+13.8" in line for line in lines)
-    assert "To rely on: prediction_error" in lines
+    assert "Recommended method: prediction_error" in lines
     assert "no transfer function contains it" in " ".join(" ".join(lines).split())
     assert not any("drive_offset" in line for line in lines)
 

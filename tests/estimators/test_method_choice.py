@@ -162,7 +162,7 @@ class TestAnUnstablePlant:
         monkeypatch.setattr("service.cli.pages.identify.page", Console(width=100, highlight=False))
         print_methods(alone, {})
         shown = " ".join(capsys.readouterr().out.split())
-        assert "To rely on: none of these methods" in shown
+        assert "Recommended method: none" in shown
         assert "run prediction_error." in shown
         page = write_identification(alone, "axis")
         assert "No method to rely on" in page

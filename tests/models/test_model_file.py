@@ -675,10 +675,10 @@ def test_new_takes_a_vehicles_values_and_overwrites_nothing(tmp_path: Path) -> N
     assert model.parameter("speed_loop_lag").value == 0.04
     assert read(path).history[0]["action"] == "new"
     before = path.read_text()
-    with pytest.raises(ModelError, match="is there already"):
+    with pytest.raises(ModelError, match="already exists"):
         upright("new", path, "--base", "axis")
     assert path.read_text() == before
-    with pytest.raises(ModelError, match=r"let it end in \.toml"):
+    with pytest.raises(ModelError, match=r"use the suffix \.toml"):
         upright("new", tmp_path / "mine", "--base", "axis")
     with pytest.raises(ModelError, match="there is no such model"):
         upright("new", tmp_path / "other.toml", "--base", "monocab")

@@ -87,10 +87,10 @@ def test_an_operator_ends_it_in_order() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
-    closed.loop.end_experiment("an operator asked for the end")
+    closed.loop.end_experiment("an operator requested the end")
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 30.0)
     assert closed.loop.mode is Mode.DISARMED
-    assert closed.loop.reason == "an operator asked for the end"
+    assert closed.loop.reason == "an operator requested the end"
     assert_rests_disarmed(closed)
 
 
@@ -109,7 +109,7 @@ def test_an_immediate_stop_brakes_the_drives_and_is_latched() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
-    closed.loop.stop_now("an operator asked for an immediate stop")
+    closed.loop.stop_now("an operator requested an immediate stop")
     assert closed.loop.mode is Mode.FAULT
     closed.advance(3.0)
     assert closed.loop.io.state is State.SWITCH_ON_DISABLED

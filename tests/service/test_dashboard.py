@@ -148,7 +148,7 @@ def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Re
         watched.show(view)
         watched.picture(screenshots / f"{view}-running-light.png")
     watched.show("experiments")
-    expect(page.locator("#outcome")).to_contain_text("did what it should", timeout=PATIENCE)
+    expect(page.locator("#outcome")).to_contain_text("completed within the limits", timeout=PATIENCE)
     expect(page.locator("#outcome")).to_have_attribute("data-ok", "true")
     name = page.inner_text("#outcome").rpartition("Recording: ")[2].strip()
     return load_recording(parts.recordings / name), read
@@ -419,12 +419,12 @@ def test_stop_stops_the_drives_from_the_keyboard(watched: Watched, parts: Topolo
     watched.show("recordings")
     watched.page.keyboard.press("Escape")
     status = parts.until("mode", "disarmed", limit=20.0)
-    assert status["reason"] == "an operator asked for the end"
+    assert status["reason"] == "an operator requested the end"
     assert {drive["state"] for drive in status["drives"]} == {"Switch on disabled"}
     expect(watched.page.locator("#mode")).to_have_text("disarmed")
     # In its order, but not accepted.
     expect(watched.page.locator("#outcome")).to_have_attribute("data-ok", "early")
-    expect(watched.page.locator("#outcome")).to_contain_text("ended early: an operator asked for the end")
+    expect(watched.page.locator("#outcome")).to_contain_text("ended early: an operator requested the end")
     assert watched.wrong == []
 
 
@@ -436,7 +436,7 @@ def test_a_fault_is_shown_and_reset(watched: Watched, parts: Topology) -> None:
     expect(page.locator("#mode")).to_have_text("fault")
     expect(page.locator("[data-experiment=hold]")).to_be_disabled()
     watched.show("live")
-    expect(page.locator("#interlocks")).to_contain_text("an operator asked for an immediate stop")
+    expect(page.locator("#interlocks")).to_contain_text("an operator requested an immediate stop")
     watched.show("experiments")
     page.focus("#reset")
     page.keyboard.press("Enter")
@@ -464,7 +464,7 @@ def test_a_browser_that_is_killed_ends_its_experiment(browser: Browser, parts: T
     for process in renderers(browser) - before:
         os.kill(process, signal.SIGKILL)
     status = parts.until("mode", "disarmed", limit=20.0)
-    assert status["reason"] == f"{holder} has given no sign for {1e3 * LEASE:.0f} ms"
+    assert status["reason"] == f"{holder} has not renewed the lease for {1e3 * LEASE:.0f} ms"
     context.close()
 
 
@@ -498,7 +498,10 @@ def test_a_wrong_password_is_told_and_asked_for_and_a_page_that_is_closed_ends_i
     holder = parts.status()["lease"]["holder"]
     context.close()
     status = parts.until("mode", "disarmed", limit=20.0)
-    assert status["reason"] in (f"{holder} let go", f"{holder} has given no sign for {1e3 * LEASE:.0f} ms")
+    assert status["reason"] in (
+        f"{holder} released the lease",
+        f"{holder} has not renewed the lease for {1e3 * LEASE:.0f} ms",
+    )
 
 
 def test_a_slow_link_is_told_does_not_pile_up_and_lets_a_stop_through(
@@ -508,7 +511,7 @@ def test_a_slow_link_is_told_does_not_pile_up_and_lets_a_stop_through(
     # The policy of the page lets it talk to its broker only.
     context = browser.new_context(bypass_csp=True)
     slow = Watched(context, parts.page, None, websocket=f"ws://127.0.0.1:{link.port}")
-    expect(slow.page.locator("#link")).to_contain_text("late: what is shown is up to", timeout=PATIENCE)
+    expect(slow.page.locator("#link")).to_contain_text("late: data are up to", timeout=PATIENCE)
     parts.until("interlocks", [])
     start(watched, "hold")
     ages = [slow.page.evaluate(AGE) for _ in range(25) if slow.page.wait_for_timeout(100) is None]
@@ -517,7 +520,7 @@ def test_a_slow_link_is_told_does_not_pile_up_and_lets_a_stop_through(
     assert max(ages) < 7.0, ages
     slow.page.click("#stop")
     status = parts.until("mode", "disarmed", limit=20.0)
-    assert status["reason"] == "an operator asked for the end"
+    assert status["reason"] == "an operator requested the end"
     assert slow.wrong == []
     context.close()
     link.close()
@@ -546,10 +549,10 @@ def test_methods_stand_side_by_side(asked: None, watched: Watched) -> None:
     expect(inertia).to_be_visible(timeout=120_000)
     assert inertia.locator("tbody tr").count() == len(METHODS)
     choice = watched.page.locator("#methods-choice")
-    expect(choice).to_contain_text("To rely on: ")
+    expect(choice).to_contain_text("Recommended method: ")
     expect(choice).to_contain_text("it is sound here")
     expect(choice).to_contain_text("Why not the others")
-    expect(choice).to_contain_text("Disturbance that prediction_error found beside these: ")
+    expect(choice).to_contain_text("Disturbance estimated by prediction_error: ")
     for method in METHODS:
         row = inertia.get_by_role("row").filter(has=watched.page.get_by_role("rowheader", name=method, exact=True))
         # Without the friction a model of the roll motion explains it by another inertia, but not by any.

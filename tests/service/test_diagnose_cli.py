@@ -69,7 +69,7 @@ def upright(*arguments: Any, code: int = 0) -> str:
 
 def test_for_people(recording: Path) -> None:
     text = upright(recording, *EFFECTS)
-    for part in ("missing effect", "1. viscous_friction", "Innovation energy", "smallest effects", "N m s/rad"):
+    for part in ("missing effect", "1. viscous_friction", "Normalised innovation", "Minimum detectable", "N m s/rad"):
         assert part in text
     said = " ".join(text.split())
     assert "Disturbance: " in said
@@ -111,7 +111,7 @@ def test_what_is_negligible_is_listed_below_and_makes_no_headline(capsys: pytest
     print_diagnosis(of_little_matter(), 60.0)
     text = " ".join(capsys.readouterr().out.split())
     assert text.startswith("negligible effect: nothing is missing that matters.")
-    above, below = text.split("Negligible: what shows, and makes less than 1 % of the error")
+    above, below = text.split("Negligible: significant, but less than 1 % of the error")
     assert "coulomb_friction" not in above
     assert "1. coulomb_friction" in below
 
@@ -218,7 +218,7 @@ def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp
     save(record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0), path)
     first = json.loads(upright(path, *EFFECTS, *UNHURRIED, "--json"))
     assert first["verdict"] == "unknown"
-    assert "viscous_friction shows in late.arrow since" in first["reason"]
+    assert "viscous_friction sets in at" in first["reason"]
     begin = first["reason"].rsplit("--from ", 1)[1].rstrip(".")
     rest = json.loads(upright(path, *EFFECTS, "--from", begin, "--json"))
     assert rest["verdict"] == "missing_effect"

@@ -129,7 +129,7 @@ def test_a_level_is_the_multiple_of_what_can_be_seen() -> None:
     }
     assert found == {1.0, -1.0}
     for unseen in ({}, {"coulomb_friction": float("inf")}, {"coulomb_friction": float("nan")}):
-        with pytest.raises(NotDetectableError, match="coulomb_friction cannot be seen with multisine"):
+        with pytest.raises(NotDetectableError, match="coulomb_friction is not detectable with multisine"):
             levels(CASE, unseen)
 
 
@@ -631,10 +631,10 @@ def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        (["--sizes", "two"], "no positive numbers"),
-        (["--noise", "0"], "no positive numbers"),
-        (["--excitations", "multisin"], "is none of hold"),
-        (["--baseline", "sindy"], "is none of differentiate_sindy"),
+        (["--sizes", "two"], "list of positive numbers"),
+        (["--noise", "0"], "list of positive numbers"),
+        (["--excitations", "multisin"], "is not one of hold"),
+        (["--baseline", "sindy"], "is not one of differentiate_sindy"),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(arguments: list[str], what: str) -> None:

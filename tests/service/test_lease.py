@@ -48,7 +48,7 @@ def test_it_is_over_when_none_comes_and_no_late_sign_brings_it_back() -> None:
     while lease.pass_time(LOOK):
         held += 1
     assert held * LOOK == pytest.approx(LENGTH)
-    assert lease.ended == "me has given no sign for 300 ms"
+    assert lease.ended == "me has not renewed the lease for 300 ms"
     assert not lease.renew("me")
     assert not lease.pass_time(LOOK)
     assert not lease.release("me", "late")
@@ -56,16 +56,16 @@ def test_it_is_over_when_none_comes_and_no_late_sign_brings_it_back() -> None:
 
 def test_a_farewell_ends_it_at_once_and_only_once() -> None:
     lease = Lease("me", LENGTH)
-    assert lease.release("me", "me let go")
+    assert lease.release("me", "me released the lease")
     assert not lease.release("me", "again")
-    assert lease.ended == "me let go"
+    assert lease.ended == "me released the lease"
     assert not lease.pass_time(0.0)
 
 
 def test_nobody_else_can_hold_or_end_it() -> None:
     lease = Lease("me", LENGTH)
     assert not lease.renew("you")
-    assert not lease.release("you", "you let go")
+    assert not lease.release("you", "you released the lease")
     assert lease.pass_time(LOOK)
 
 
@@ -112,7 +112,7 @@ async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
         # Never a sign, though the connection is open and what comes is read.
         _, writer = await connect(tmp_path)
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
-        assert "no sign" in await _ended(daemon)
+        assert "not renewed" in await _ended(daemon)
         # A late sign is refused and brings nothing back.
         assert daemon.commands.sign({"verb": "renew", "client": daemon.commands.lease.holder})["code"] == "no_lease"  # type: ignore[union-attr]
         assert daemon.loop.mode is Mode.DISARMED
@@ -126,18 +126,18 @@ async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
         assert daemon.loop.run is not None
         assert not daemon.loop.run.end_reason
         writer.write(b'{"verb": "release"}\n')
-        assert "let go" in await _ended(daemon)
+        assert "released the lease" in await _ended(daemon)
         writer.close()
         # The connection is cut.
         _, writer = await connect(tmp_path)
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
         writer.transport.abort()
-        assert "went away" in await _ended(daemon)
+        assert "disconnected" in await _ended(daemon)
         # Nonsense instead of a sign.
         _, writer = await connect(tmp_path)
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
         writer.write(b"nonsense\n")
-        assert "went away" in await _ended(daemon)
+        assert "disconnected" in await _ended(daemon)
         writer.close()
 
 
@@ -173,7 +173,7 @@ def _await(socket: Path, what: Any, limit: float = 40.0) -> dict[str, Any]:
     raise AssertionError(status)
 
 
-@pytest.mark.parametrize(("blow", "word"), [(signal.SIGKILL, "went away"), (signal.SIGSTOP, "no sign")])
+@pytest.mark.parametrize(("blow", "word"), [(signal.SIGKILL, "disconnected"), (signal.SIGSTOP, "not renewed")])
 def test_a_terminal_that_is_killed_or_suspended_ends_its_experiment(
     blow: signal.Signals, word: str, served: Path
 ) -> None:

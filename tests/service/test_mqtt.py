@@ -59,14 +59,14 @@ async def test_an_experiment_as_the_broker_tells_it(client: ObserverClient, brok
         await until(lambda: watcher.of("state"))
         assert ("status", "online", True) in watcher.messages
         assert ("state", STATE, True) in watcher.messages
-        client.event("warning", "end", "an operator asked for the end")
+        client.event("warning", "end", "an operator requested the end")
         client.progress("sweep", 0.25, 30.0)
         summary = await record(client, frames)
         await until(lambda: watcher.of("parameters") and watcher.of("telemetry"))
         await until(lambda: watcher.of("parameters")[-1] == parameters(summary["estimates"]))
         await until(lambda: watcher.of("diagnosis") and watcher.of("diagnosis")[-1] == summary["diagnosis"])
         told = {each["code"]: each for each in watcher.of("event")}
-        assert told.pop("end") == {"severity": "warning", "code": "end", "text": "an operator asked for the end"}
+        assert told.pop("end") == {"severity": "warning", "code": "end", "text": "an operator requested the end"}
         # What was named at the end, and perhaps others before it: each is told once.
         named = summary["diagnosis"]["findings"]
         events = [each["text"] for each in watcher.of("event") if each["code"] == "missing_effect"]
@@ -205,7 +205,7 @@ async def test_queues_are_bounded_without_a_broker() -> None:
     assert config is not None
     publisher = MqttPublisher(config)
     for i in range(3 * MOST_EVENTS):
-        publisher.tell("event", {"number": i})
+        publisher.publish("event", {"number": i})
         publisher.telemetry(b"{}")
     assert publisher.statistics.dropped == 2 * MOST_EVENTS + 3 * MOST_EVENTS
     publisher.statistics.connected = True

@@ -324,10 +324,10 @@ def running(seconds: float, **options: object) -> ClosedLoop:
 @pytest.mark.parametrize("after", [0.5, 4.3, 4.5, 6.0, 9.0])
 def test_an_operator_ends_it_in_order_from_every_phase(after: float) -> None:
     closed = running(0.2 + after)
-    closed.loop.end_experiment("an operator asked for the end")
+    closed.loop.end_experiment("an operator requested the end")
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 20.0)
     assert closed.loop.mode is Mode.DISARMED
-    assert closed.loop.reason == "an operator asked for the end"
+    assert closed.loop.reason == "an operator requested the end"
     assert_lies_disarmed(closed)
 
 
@@ -338,7 +338,7 @@ def test_another_experiment_is_refused_while_one_runs() -> None:
 
 def test_an_immediate_stop_shorts_the_motors_and_is_latched() -> None:
     closed = running(8.0)
-    closed.loop.stop_now("an operator asked for an immediate stop")
+    closed.loop.stop_now("an operator requested an immediate stop")
     closed.advance(3.0)
     assert closed.loop.mode is Mode.FAULT
     assert "A fault is latched: an operator" in closed.loop.interlocks()[0]

@@ -37,7 +37,7 @@ async def test_a_recording_that_is_not_whole_is_no_success(tmp_path: Path) -> No
             pass
         writer.close()
         assert (answer["exit_code"], answer["code"]) == (ExitCode.FAILED, "recording")
-        assert "let go, but its recording is not whole: the observer process ended." in answer["text"]
+        assert "released the lease, but its recording is incomplete: the observer process ended." in answer["text"]
         assert daemon.loop.mode is Mode.DISARMED
         kept = load(Path(answer["recording"]))
         assert len(kept) > 100

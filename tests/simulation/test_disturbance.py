@@ -247,9 +247,9 @@ def test_a_vehicle_that_a_person_starts_is_shaken(vehicle: str) -> None:
     registry = vehicles_registry.of(vehicle).twin().truth.registry
     assert any(joint.disturbance is not None for joint in nominal_model(vehicle).joints)
     for hide in ([], ["static_torque"]):
-        assert virtual_vehicle.asked_disturbance(file, hide) == registry.disturbance
-    assert virtual_vehicle.asked_disturbance(file, ["disturbance=0"]) is None
-    assert virtual_vehicle.asked_disturbance(file, ["disturbance"]) == registry.disturbance
+        assert virtual_vehicle.requested_disturbance(file, hide) == registry.disturbance
+    assert virtual_vehicle.requested_disturbance(file, ["disturbance=0"]) is None
+    assert virtual_vehicle.requested_disturbance(file, ["disturbance"]) == registry.disturbance
 
 
 @pytest.mark.parametrize("words", [["demo"], ["serve", "monocab", "--virtual"], ["simulate", "monocab"]])
@@ -410,7 +410,7 @@ def test_a_file_of_before_is_read_and_shown_as_ever(tmp_path: Path) -> None:
     path.write_text(json.dumps(old) + "\n")
     shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path)])
     assert shown.exit_code == 0, shown.output
-    assert "shaken" not in shown.output
+    assert "with disturbance" not in shown.output
     path.write_text(json.dumps(line_of(8.6, "adequate")) + "\n")
     shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path)])
-    assert "shaken by 8.6 N m" in shown.output
+    assert "with disturbance 8.6 N m" in shown.output

@@ -221,7 +221,7 @@ def test_the_torques_of_another_controller_are_found_out() -> None:
 def test_its_experiments_can_be_predicted() -> None:
     found, left_out = experiments_of(VEHICLE)
     assert {each.name for each in found} == set(VEHICLE.experiments) - {"hold"}
-    assert left_out == {"hold": "moves nothing"}
+    assert left_out == {"hold": "has no excitation"}
 
 
 def test_its_live_estimator_is_the_recursion_and_a_diagnosis_looks_over_it() -> None:

@@ -99,7 +99,7 @@ def test_the_loop_moves_as_the_virtual_robot_does(name: str) -> None:
 
 def test_what_moves_nothing_is_left_out() -> None:
     found, left_out = experiments_of(VEHICLE)
-    assert left_out == {"hold": "moves nothing"}
+    assert left_out == {"hold": "has no excitation"}
     assert {each.name for each in found} == {"square", "sine", "doublet", "sine_stream"}
 
 

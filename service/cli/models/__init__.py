@@ -1,1 +1,1 @@
-"""`upright model`: shown, listed and begun (shown), added to and taken from by what recordings say (changed)."""
+"""`upright model`: show, list and create models (shown), add and remove effects based on recordings (changed)."""

@@ -1,4 +1,4 @@
-"""Commands that change a model by what recordings say: model add, model undo, model drop-test."""
+"""Commands that revise a model by means of recordings: model add, model undo, model drop-test."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ VehicleOption = Annotated[
     typer.Option(
         "--vehicle",
         "-v",
-        help="A shipped vehicle or a vehicle file: its support angle, and its CAD values for a shipped model.",
-        show_default="what the recordings say",
+        help="A shipped vehicle or a vehicle file, for its support angle, and its CAD values for a shipped model.",
+        show_default="from the recordings",
     ),
 ]
 
@@ -40,8 +40,10 @@ def register(app: typer.Typer) -> None:
 
 
 def add(
-    name: Annotated[str, typer.Argument(metavar="MODEL", help="A model file, or with -o a shipped model.")],
-    effect: Annotated[str, typer.Argument(help="A named effect, or the file of an effect of your own (.toml, .py).")],
+    name: Annotated[str, typer.Argument(metavar="MODEL", help="A model file, or a shipped model with -o.")],
+    effect: Annotated[
+        str, typer.Argument(help="An effect of the catalogue, or the file of an effect of your own (.toml, .py).")
+    ],
     recording: Annotated[
         list[Path] | None,
         typer.Option("--recording", "-r", help="Fit the model to it; may be given several times.", show_default="none"),
@@ -50,7 +52,7 @@ def add(
         list[Path] | None,
         typer.Option(
             "--held-out",
-            help="Try the model on it without fitting; may be given several times.",
+            help="Validate the model on it, without fitting; may be given several times.",
             show_default="the last third of each recording",
         ),
     ] = None,
@@ -62,15 +64,15 @@ def add(
         Path | None, typer.Option("--output", "-o", help="Write this new file instead.", show_default="the model file")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="Errors before and after, and what is left: .png, .svg or .pdf.")
+        Path | None, typer.Option("--picture", help="Picture of the errors before and after: .png, .svg or .pdf.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
     """Add an effect to a model file, with a history entry.
 
-    With recordings the model is fitted without and with it, on all but what is held out; fitted values and standard
-    deviations go into the file, and what the error did into its history. Without, its amplitudes start at zero, where
-    it changes nothing.
+    With recordings the model is fitted without and with the effect to all data that are not held out. The fitted values
+    and standard deviations are written to the file, and the change of the error to its history. Without recordings the
+    amplitudes of the effect are zero, at which it changes nothing.
     """
     import os
 
@@ -78,7 +80,7 @@ def add(
     from models.file.own_effects import load_effect
 
     if not recording and (held_out or picture):
-        raise typer.BadParameter("needs a --recording to fit the model to.", param_hint="--held-out, --picture")
+        raise typer.BadParameter("a --recording is required, to fit the model to.", param_hint="--held-out, --picture")
     if picture is not None:
         from diagnosis.report.figures.methods import check_suffix
 
@@ -90,11 +92,11 @@ def add(
     entry: dict[str, Any] = {"action": "add", "effect": before.model.add(wanted, at).effects[-1].name, "date": _now()}
     found: Revision | None = None
     if recording:
-        from service.cli.models.history_entry import rounded, told
+        from service.cli.models.history_entry import fit_entry, rounded
 
         found = _revise(before, wanted, at, recording, held_out or [], vehicle)
         changed = rounded(found)
-        entry |= told(found, before.model, changed, recording, held_out or [])
+        entry |= fit_entry(found, before.model, changed, recording, held_out or [])
     else:
         changed = before.model.add(wanted, at)
     added = changed.effects[-1]
@@ -127,15 +129,15 @@ def add(
     from service.cli.pages.revision import print_revision
 
     print_revision(found)
-    page.print(f"\nTake it back with `upright model undo {target}`.", markup=False, soft_wrap=True)
+    page.print(f"\nUndo it with `upright model undo {target}`.", markup=False, soft_wrap=True)
     if picture is not None:
         page.print(f"Picture: {picture}", markup=False, soft_wrap=True)
 
 
 def undo(file: FileArgument, json: JsonOption = False) -> None:
-    """Take back the last effect that was added: it goes, its history entry goes, and the values from before return.
+    """Undo the last addition: remove the effect and its history entry, and restore the previous values.
 
-    A parameter that was changed by hand since keeps its value.
+    A parameter that has been changed by hand since then keeps its value.
     """
     from models.file.history import undone
     from models.file.model_file import read, write
@@ -147,9 +149,11 @@ def undo(file: FileArgument, json: JsonOption = False) -> None:
     if json:
         print_json({"file": str(file), "removed": effect, "effects": left, "kept": list(kept)})
         return
-    page.print(f"{file}: {effect} taken back. Its effects: {', '.join(left) or 'none'}.", markup=False, soft_wrap=True)
+    page.print(
+        f"{file}: {effect} removed. Remaining effects: {', '.join(left) or 'none'}.", markup=False, soft_wrap=True
+    )
     if kept:
-        page.print(f"Changed by hand since, and kept: {', '.join(kept)}.", markup=False, soft_wrap=True)
+        page.print(f"Changed by hand since then, and kept: {', '.join(kept)}.", markup=False, soft_wrap=True)
 
 
 def drop_test(
@@ -158,7 +162,7 @@ def drop_test(
     vehicle: VehicleOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Fit the model without each of its effects in turn: which of them are needed, and which can go."""
+    """Fit the model without each of its effects in turn, to see which are needed and which can be removed."""
     from diagnosis.revise.drop_tests import drop_tests
     from models.file.history import before_fits
     from models.file.model_file import read
@@ -177,7 +181,7 @@ def drop_test(
 
 
 def _start(name: str, vehicle: str | None) -> ModelFile:
-    """What to add to: a model file, or a shipped model with the CAD values of the vehicle."""
+    """The model to add to: a model file, or a shipped model with the CAD values of the vehicle."""
     from models.file.document import ModelFile
     from models.file.model_file import load_model, read
 
@@ -194,17 +198,17 @@ def _start(name: str, vehicle: str | None) -> ModelFile:
 
 
 def _target(name: str, output: Path | None) -> Path:
-    """The file to write. Raises ModelError where that cannot be."""
+    """The file to write. Raises ModelError if it cannot be written."""
     from models.parts import ModelError
 
     if output is None:
         if not name.endswith(".toml"):
-            raise ModelError(name, "is a shipped model, which stays as it is", remedy="name a new file: -o mine.toml.")
+            raise ModelError(name, "is a shipped model and is not changed", remedy="name a new file: -o mine.toml.")
         return Path(name)
     if output.suffix != ".toml":
-        raise ModelError(str(output), "is no name for a model file", remedy="let it end in .toml.")
+        raise ModelError(str(output), "is not a name of a model file", remedy="use the suffix .toml.")
     if output.exists() and not (name.endswith(".toml") and output.samefile(name)):
-        raise ModelError(str(output), "is there already", remedy="choose another name, or remove it first.")
+        raise ModelError(str(output), "already exists", remedy="choose another name, or remove it first.")
     return output
 
 

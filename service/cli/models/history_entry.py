@@ -1,4 +1,4 @@
-"""What a model file keeps of a fit: rounded values, the recordings with their SHA-256, and what the error did."""
+"""The record of a fit in a model file: rounded values, the recordings with their SHA-256, and the errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from models.model import Model
 
 
 def rounded(found: Revision) -> Model:
-    """The fitted model, its numbers with as many digits as mean something, and two more."""
+    """The fitted model, its numbers rounded to two digits more than the significant ones."""
     own = {name: each for name, each in found.after.parameters.items() if name in found.model.values}
     digits = {name: significant(each.std) + 2 for name, each in own.items()}
     return found.model.change(
@@ -23,10 +23,10 @@ def rounded(found: Revision) -> Model:
     )
 
 
-def told(
+def fit_entry(
     found: Revision, before: Model, after: Model, recordings: Sequence[Path], held_out: Sequence[Path]
 ) -> Mapping[str, Any]:
-    """What the history keeps of a fit. Errors are those of the budget's horizon."""
+    """The history entry of a fit. The errors are those at the horizon of the error budget."""
 
     def last(errors: Mapping[str, Sequence[float]]) -> dict[str, float]:
         return {channel: float(f"{each[-1]:.4g}") for channel, each in errors.items()}

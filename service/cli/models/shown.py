@@ -1,4 +1,4 @@
-"""Commands about models: model show, model list-effects, model new, model remove; changed has the others."""
+"""Commands for models: model show, model list-effects, model new, model remove; the others are in changed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on s
 
 
 class Format(StrEnum):
-    """How `model show` prints."""
+    """Output format of `model show`."""
 
     TEXT = "text"
     LATEX = "latex"
@@ -39,14 +39,14 @@ def show(
     name: Annotated[str, typer.Argument(metavar="MODEL", help="A shipped model (monocab_reduced) or a model file.")],
     effect: Annotated[
         list[str] | None,
-        typer.Option("--effect", help="Show it with this effect, EFFECT or EFFECT@PLACE; may be given several times."),
+        typer.Option("--effect", help="Show it with this effect: EFFECT or EFFECT@PLACE; may be given several times."),
     ] = None,
-    format: Annotated[Format, typer.Option("--format", help="How to print it.")] = Format.TEXT,
+    format: Annotated[Format, typer.Option("--format", help="Output format.")] = Format.TEXT,
     json: JsonOption = False,
 ) -> None:
     """Show a model: states, inputs, outputs, equations, parameters and effects.
 
-    An effect's force stands in the equation of its joint under the effect's name. `:=` marks a command or a reading
+    The equation of a joint contains the force of an effect by the effect's name. `:=` marks a command or a measurement
     that an effect replaces.
     """
     from models import rendering
@@ -71,11 +71,11 @@ def show(
 @model.command(name="list-effects", epilog="Example: `upright model list-effects --family dry_friction`")
 def list_effects(
     family: Annotated[
-        str | None, typer.Option("--family", help="Only effects that look alike in a record.", show_default="all")
+        str | None, typer.Option("--family", help="Only effects of this family of similar ones.", show_default="all")
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """List the physical effects that a model may lack: equation, parameters, and what separates look-alikes."""
+    """List the physical effects that a model may lack, with equation, parameters, and how to separate similar ones."""
     from rich.padding import Padding
     from rich.text import Text
 
@@ -84,7 +84,7 @@ def list_effects(
 
     families = [each.value for each in Family]
     if family is not None and family not in families:
-        raise typer.BadParameter(f"{family!r} is none of {', '.join(families)}.", param_hint="--family")
+        raise typer.BadParameter(f"{family!r} is not one of {', '.join(families)}.", param_hint="--family")
     effects = [each for each in CATALOGUE.values() if family is None or each.family == family]
     if json:
         document = [
@@ -112,7 +112,7 @@ def list_effects(
         entries = {
             "equation": each.equation,
             "parameters": ", ".join(f"{p.name} ({_unit(p.unit)})" for p in each.parameters),
-            "leaves": each.signature,
+            "signature": each.signature,
             "confused with": ", ".join(each.confused_with),
             "separated by": each.separated_by,
         }
@@ -128,11 +128,11 @@ def new(
     vehicle: Annotated[
         str | None,
         typer.Option(
-            "--vehicle", "-v", help="A vehicle file whose parameter values to take.", show_default="the base's own"
+            "--vehicle", "-v", help="A vehicle whose parameter values to use.", show_default="those of the base"
         ),
     ] = None,
 ) -> None:
-    """Write a model file to start from: a shipped model with the parameter values of a vehicle. Overwrites nothing."""
+    """Write a new model file: a shipped model with the parameter values of a vehicle. It does not overwrite a file."""
     from dataclasses import replace
 
     from models import library
@@ -141,9 +141,9 @@ def new(
     from models.parts import ModelError
 
     if file.suffix != ".toml":
-        raise ModelError(str(file), "is no name for a model file", remedy="let it end in .toml.")
+        raise ModelError(str(file), "is not a name of a model file", remedy="use the suffix .toml.")
     if file.exists():
-        raise ModelError(str(file), "is there already", remedy="choose another name, or remove it first.")
+        raise ModelError(str(file), "already exists", remedy="choose another name, or remove it first.")
     start = library.get(base)
     entry = {"action": "new", "date": _now()}
     if vehicle is not None:
@@ -163,7 +163,7 @@ def new(
 @model.command(epilog="Example: `upright model remove mine.toml coulomb_friction`")
 def remove(
     file: FileArgument,
-    effect: Annotated[str, typer.Argument(help="One of the model's effects: EFFECT, or EFFECT@PLACE.")],
+    effect: Annotated[str, typer.Argument(help="One of the model's effects: EFFECT or EFFECT@PLACE.")],
     json: JsonOption = False,
 ) -> None:
     """Remove an effect from a model file, with a history entry."""
@@ -180,7 +180,7 @@ def remove(
     if json:
         print_json({"file": str(file), "removed": effect, "effects": left})
         return
-    page.print(f"{file}: {effect} removed. Its effects: {', '.join(left) or 'none'}.", markup=False)
+    page.print(f"{file}: {effect} removed. Remaining effects: {', '.join(left) or 'none'}.", markup=False)
 
 
 def _now() -> Any:

@@ -1,1 +1,1 @@
-"""What commands print for people: one module a command, of what the command found."""
+"""The text output of commands: one module per command."""

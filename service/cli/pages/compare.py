@@ -1,4 +1,4 @@
-"""How `upright compare` shows models side by side to people, and in words where each fails."""
+"""The output of `upright compare` as text: models side by side, and where each fails."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:
-    """The table of one recording, and below it where each model fails."""
+    """Print the table of one recording, and below it where each model fails."""
     page.print(comparison_table(comparisons, title))
     for line in (*disturbance_lines(comparisons), *closed_loop_lines(comparisons)):
         page.print(Padding(Text(line), (0, 0, 0, 2)))
@@ -30,26 +30,26 @@ def print_comparisons(comparisons: Sequence[Comparison], title: str) -> None:
 
 
 def disturbance_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
-    """A line a model: the random force that it leaves."""
+    """A line per model: the random force that it does not explain."""
     for each in comparisons:
-        if told := disturbance_text(each.disturbance):
-            yield f"disturbance, {each.name}: {told}"
+        if text := disturbance_text(each.disturbance):
+            yield f"disturbance, {each.name}: {text}"
 
 
 def closed_loop_lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
-    """A line a model: how far it goes with the record, simulated in the loop with the vehicle's controller."""
+    """A line per model: its fit if it is simulated in closed loop with the vehicle's controller."""
     reasons = {each.closed_loop.reason for each in comparisons}
     if len(reasons) == 1 and "" not in reasons:
         yield f"closed loop: not available, {reasons.pop()}"
         return
     for each in comparisons:
         loop = each.closed_loop
-        told = [f"{name} {loop.fit_percent(name):.1f} %, {loop.over_floor(name):.3g} x floor" for name in loop.measured]
-        yield f"closed loop, {each.name}: {'; '.join(told) or f'not available, {loop.reason}'}"
+        fits = [f"{name} {loop.fit_percent(name):.1f} %, {loop.over_floor(name):.3g} x floor" for name in loop.measured]
+        yield f"closed loop, {each.name}: {'; '.join(fits) or f'not available, {loop.reason}'}"
 
 
 def comparison_table(comparisons: Sequence[Comparison], title: str = "") -> Table:
-    """Models side by side: how well they predict some time ahead, over the floor, and the force (RMS) they miss."""
+    """Models side by side: their fit some time ahead, their error over the noise floor, and the missing force (RMS)."""
     table = Table(
         title=title or None, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold"
     )

@@ -1,4 +1,4 @@
-"""A diagnosis as a page of text."""
+"""The output of `upright diagnose` as text."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from diagnosis.report.words import headline
 from service.output import page
 
 COLOURS = {"adequate": "green", "missing_effect": "yellow", "unknown": "red", "insufficient_data": "red"}
-"""Of a headline, by its kind."""
+"""Colour of a headline, by its kind."""
 BAR = 20
 
 
 def print_diagnosis(found: Diagnosis, seconds: float) -> None:
-    """Verdict, findings, and the smallest effects that would have shown, of a diagnosis within so many `seconds`."""
-    told, matter = headline(found), mattering(found)
-    page.print(f"[bold {COLOURS[told.kind]}]{told.word.lower()}[/]: {escape(told.text)}.")
+    """Print verdict, findings and minimum detectable effects of a diagnosis that was limited to `seconds`."""
+    head, matter = headline(found), mattering(found)
+    page.print(f"[bold {COLOURS[head.kind]}]{head.word.lower()}[/]: {escape(head.text)}.")
     if not found.findings or found.verdict is Verdict.UNKNOWN:
         page.print(Padding(escape(found.reason), (0, 2)))
     if found.innovation_ratio_before is not None and found.innovation_ratio_after is not None:
         page.print(
-            f"Innovation energy over that of the noise: {found.innovation_ratio_before:.4g} before, "
+            f"Normalised innovation squared (1 for a right model): {found.innovation_ratio_before:.4g} before, "
             f"{found.innovation_ratio_after:.4g} after"
         )
     if shaking := disturbance_sentences(found):
@@ -37,9 +37,9 @@ def print_diagnosis(found: Diagnosis, seconds: float) -> None:
         _print_finding(number, finding)
     for number, finding in enumerate(negligible(found), len(matter) + 1):
         if number == len(matter) + 1:
-            page.print("\n[bold]Negligible: what shows, and makes less than 1 % of the error[/]")
+            page.print("\n[bold]Negligible: significant, but less than 1 % of the error[/]")
         _print_finding(number, finding)
-    page.print(f"\nNext: {escape(told.next_step)}")
+    page.print(f"\nNext: {escape(head.next_step)}")
     if found.minimum_detectable and found.revised is not None:
         page.print()
         page.print(_detectable(found))
@@ -55,7 +55,7 @@ def _print_finding(number: int, finding: Finding) -> None:
 
 
 def _reasons(left_out: Mapping[str, str]) -> dict[str, list[str]]:
-    """Reason to the effects that it holds for."""
+    """The effects that were not looked for, by reason."""
     found: dict[str, list[str]] = {}
     for name, why in left_out.items():
         found.setdefault(why.removeprefix(f"effect {name}: "), []).append(name)
@@ -73,7 +73,7 @@ def _ranking(finding: Finding) -> Table:
 
 
 def _detectable(found: Diagnosis) -> Table:
-    table = Table(title="The smallest effects that would have shown", title_justify="left")
+    table = Table(title="Minimum detectable effects", title_justify="left")
     table.add_column("effect")
     table.add_column("parameter")
     table.add_column("size", justify="right")

@@ -1,4 +1,4 @@
-"""How `upright identify` shows its document to people: methods as rows, parameters as columns, reasons below."""
+"""The document of `upright identify` as text: methods as rows, parameters as columns, reasons below."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GAP = 1
 
 
 def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> None:
-    """The whole page: joint estimates, the runs' means, the drives, what is to be said of single methods."""
+    """Print the whole page: joint estimates, means of the runs, the drives, remarks about single methods."""
     begun = {name: entry for name, entry in document["methods"].items() if entry["status"] != CANCELLED}
     methods = {name: entry for name, entry in begun.items() if entry["domain"] != Domain.DRIVES}
     if methods:
@@ -41,11 +41,11 @@ def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> No
             _print_drives(name, entry)
     for name, text in disturbances(document):
         page.print(f"\nDisturbance ({name}): {text}", markup=False)
-    page.print(f"\nTo rely on: [bold]{document['best'] or 'none of these methods'}[/bold]")
+    page.print(f"\nRecommended method: [bold]{document['best'] or 'none'}[/bold]")
     page.print(Padding(Text(sentence(document["best_reason"])), (0, 0, 0, 2)))
     for title, texts in (
         ("Why not the others", others(methods)),
-        ("What the methods could not tell", remarks(document["methods"])),
+        ("What the methods could not estimate", remarks(document["methods"])),
     ):
         lines = list(texts)
         if lines:
@@ -55,7 +55,7 @@ def print_methods(document: Mapping[str, Any], truth: Mapping[str, float]) -> No
 
 
 def _print_tables(title: str, groups: Sequence[Columns]) -> None:
-    """As many tables below each other as the page is too narrow for one; the methods' names are in each."""
+    """Print one table, or several below each other if the page is too narrow; each has the methods' names."""
     names, *others = groups
 
     def width(columns: Columns) -> int:
@@ -83,7 +83,7 @@ def _print_drives(name: str, entry: Mapping[str, Any]) -> None:
     table = Table(box=None, pad_edge=False, padding=(0, 1))
     for justify in ("left", "right", "left"):
         table.add_column(justify=justify, no_wrap=True)
-    for parameter, told in entry["parameters"].items():
-        table.add_row(parameter, value_text(told), told["unit"])
+    for parameter, estimate in entry["parameters"].items():
+        table.add_row(parameter, value_text(estimate), estimate["unit"])
     page.print(f"\nDrives ({name})", style="bold", markup=False)
     page.print(table)

@@ -1,4 +1,4 @@
-"""How `upright model` prints a model for people: tables of its parts, and its equations as they are written."""
+"""The output of `upright model` as text: tables of a model's parts, and its equations."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from models.rendering import text
 from service.output import page
 
 WIDE = 110
-"""Columns that a table of parameters with their meaning takes."""
+"""Columns that a table of parameters with their meaning needs."""
 _BETWEEN = {Hold.ZERO_ORDER: "held", Hold.CUBIC: "cubic"}
 
 
 def print_model(shown: Model, history: Iterable[Mapping[str, Any]]) -> None:
-    """Everything about `shown`, and what was done to it."""
+    """Print everything about `shown`, and its history."""
     page.print(f"{shown.name}: {shown.title}", markup=False, style="bold", soft_wrap=True)
     if shown.source:
         page.print(f"Source: {shown.source}", markup=False, soft_wrap=True)
@@ -40,7 +40,7 @@ def print_model(shown: Model, history: Iterable[Mapping[str, Any]]) -> None:
 
 
 def print_parameters(parameters: Sequence[Parameter]) -> None:
-    """Parameters with bounds, whether a record is asked for them, and what they mean, beside or below."""
+    """Print parameters with bounds, whether they are estimated, and their meaning, beside or below."""
     rows = [
         (
             each.name,
@@ -96,7 +96,7 @@ def _print(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]
 
 
 def _table(title: str, headings: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
-    """A table whose last column alone is broken into lines."""
+    """A table of which only the last column is wrapped."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in (title, *headings[:-1]):
         table.add_column(heading, no_wrap=True, justify="right" if heading in ("value", "±") else "left")

@@ -1,4 +1,4 @@
-"""How `upright model add` shows what an effect did: errors and parameters before and after, the budget, the words."""
+"""The output of `upright model add` as text: errors and parameters before and after, error budget, sentences."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ SHADES = (("sensors", "░"), ("effect", "█"), ("unexplained", "▒"))
 
 
 def print_revision(revision: Revision) -> None:
-    """The whole page."""
+    """Print the whole page."""
     page.print(f"Fitted: {', '.join(revision.recordings)}. Held out: {', '.join(revision.held_out)}.", markup=False)
     page.print()
     page.print(_errors(revision))
     page.print()
     page.print(_parameters(revision))
     for when, side in (("before", revision.before), ("after", revision.after)):
-        if told := disturbance_text(side.disturbance):
-            page.print(f"Disturbance {when}: {told}", markup=False)
+        if text := disturbance_text(side.disturbance):
+            page.print(f"Disturbance {when}: {text}", markup=False)
     last = revision.horizons[-1]
-    page.print(f"\nHeld-out error energy {last:g} s ahead, before {revision.effect} was there", style="bold")
+    page.print(f"\nHeld-out error energy {last:g} s ahead, before {revision.effect} was added", style="bold")
     for line in budget_lines(revision.budget, revision.effect):
         page.print(line, markup=False)
     page.print()
@@ -39,19 +39,19 @@ def print_revision(revision: Revision) -> None:
 
 
 def budget_lines(budget: Budget, effect: str) -> list[str]:
-    """The bar, and what its shades mean."""
+    """The bar and its legend."""
     shares = (budget.sensors, budget.effect, budget.unexplained)
     edges = [round(BAR * sum(shares[:count])) for count in range(4)]
     bar = "".join(shade * (end - start) for (_, shade), start, end in zip(SHADES, edges[:-1], edges[1:], strict=True))
     names = ("sensors", effect, "unexplained")
-    told = (
+    legend = (
         f"{shade} {name} {100.0 * share:.1f} %" for (_, shade), name, share in zip(SHADES, names, shares, strict=True)
     )
-    return [bar, "   ".join(told)]
+    return [bar, "   ".join(legend)]
 
 
 def print_drop_tests(tests: Sequence[DropTest], file: str) -> None:
-    """One row an effect, those that can go first."""
+    """Print one row per effect, those that can be removed first."""
     if not tests:
         page.print(f"{file} has no effects.", markup=False)
         return
@@ -69,7 +69,7 @@ def print_drop_tests(tests: Sequence[DropTest], file: str) -> None:
     page.print(_table(("effect", "likelihood\nratio", "parameters", "BIC\nwithout it", "odds for it", ""), rows))
     for each in tests:
         if not each.needed:
-            page.print(f"`upright model remove {file} {each.effect}` removes it; then test again.", markup=False)
+            page.print(f"`upright model remove {file} {each.effect}` removes it; then repeat the test.", markup=False)
             break
 
 

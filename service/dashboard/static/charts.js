@@ -1,11 +1,11 @@
-// Curves by uPlot, drawn at most once a frame. What is not on the screen has no canvas, and costs nothing; on paper all have.
+// Charts by uPlot, drawn at most once per frame. A chart outside the screen has no canvas and costs nothing; in print all have one.
 
 import { WINDOW } from "./rolling.js";
 
 const style = () => getComputedStyle(document.documentElement);
 export const colour = (name) => style().getPropertyValue(`--${name}`).trim();
 
-// Of width 1: what is drawn anew twenty times a second is drawn without a graphics card ten times faster than at 1.5.
+// Width 1: without a graphics card, redrawing is ten times faster than at 1.5, and it happens twenty times a second.
 const LOOKS = {
   measured: { stroke: "blue", width: 1 },
   setpoint: { stroke: "grey", width: 1, dash: [6, 3] },
@@ -20,22 +20,22 @@ const watch = new IntersectionObserver((entries) => entries.forEach((entry) => [
 new ResizeObserver(() => made.forEach((chart) => chart.resize())).observe(document.documentElement);
 
 const ticked = (_, ticks) => ticks.map((tick) => (tick === null ? "" : String(Number(tick.toPrecision(4)))));
-const LETTER = 7; // px, of a label's
+const LETTER = 7; // px, width of a letter of a label
 const longest = (values) => Math.max(1, ...(values ?? []).map((value) => String(value).length));
-// As wide as its labels are; the next guess is made from those that are there.
+// As wide as its labels; the first estimate is made from the present ones.
 const wide = (_, values) => Math.max(40, 24 + LETTER * longest(values));
 const apart = (plot, axis) => Math.max(50, 20 + LETTER * longest(plot.axes[axis]._values));
 
-// What is constant is drawn in the middle, and not as if it were large.
+// A constant is drawn in the middle of the axis, with a finite range around it.
 function spread(_, low, high) {
   if (low === null || high === null) return [-1, 1];
   const room = Math.max(0.08 * (high - low), 0.05 * Math.max(Math.abs(low), Math.abs(high)) * (high === low), 1e-9);
   return high - low < 1e-9 ? [low - Math.max(room, 0.5), high + Math.max(room, 0.5)] : [low - room, high + room];
 }
 
-// Draws columns of numbers in which NaN is a gap, times `factor`, all of it on the screen. uPlot's own boxes each number
-// and makes a path object of each curve: 40 MB/s to be collected. What it has set it remembers, so it is put back, by hand:
-// a saved state is 1 kB to be collected.
+// Draws columns of numbers, times `factor`, in which NaN is a gap. uPlot's own drawing boxes each number and makes a path
+// object of each curve: 40 MB/s of garbage. uPlot caches the context's state, so it is restored, by hand: a saved state is
+// 1 kB of garbage.
 function curves(plot, factor) {
   const { ctx } = plot, { strokeStyle, lineWidth } = ctx, dash = ctx.getLineDash();
   for (let place = 1; place < plot.data.length; place += 1) if (plot.series[place].show) line(plot, place, factor);
@@ -44,7 +44,7 @@ function curves(plot, factor) {
   ctx.setLineDash(dash);
 }
 
-// Of the points in one column of pixels the first, lowest, highest and last are joined, as uPlot does it.
+// In each column of pixels the first, lowest, highest and last points are joined, as in uPlot.
 function line(plot, place, factor) {
   const x = plot.data[0], y = plot.data[place], { left, top, width, height } = plot.bbox, { ctx } = plot;
   const { min: from, max: to } = plot.scales.x, { min: low, max: high } = plot.scales.y;
@@ -81,8 +81,8 @@ function line(plot, place, factor) {
   ctx.stroke();
 }
 
-// The range of such columns. It stays while they are within it and fill half of it: axes that move with every sample are
-// hard to read, and laid out anew each time.
+// The range of such columns. It is kept while they are within it and fill half of it: axes that move with every sample are
+// hard to read, and need a new layout each time.
 function extent(factor) {
   let kept = [NaN, NaN];
   return (plot) => {
@@ -102,15 +102,15 @@ function extent(factor) {
   };
 }
 
-// What a chart of such columns has besides.
-const STEP = 10; // s by which the time that is shown grows
+// Further options of a chart of such columns.
+const STEP = 10; // s, step of the displayed time range
 export const columns = (factor) => ({
   scales: { x: { time: false, range: (_, low) => [Math.max(-WINDOW, Math.min(-STEP, STEP * Math.floor(low / STEP))), 0] }, y: { range: extent(factor) } },
   hooks: { draw: [(plot) => curves(plot, factor)] },
   paths: () => null,
 });
 
-// A uPlot in `place`, made when it is seen, made anew when colours change.
+// A uPlot in `place`, created when it is visible, and again when the colours change.
 export class Chart {
   constructor(place, options, height = 180) {
     this.place = place;
@@ -122,7 +122,7 @@ export class Chart {
     watch.observe(place);
   }
 
-  // Whether it is looked at.
+  // Whether it is visible on the screen or in print.
   get wanted() {
     return this.seen || (paper && this.place.clientWidth > 0);
   }
@@ -166,7 +166,7 @@ export class Chart {
     this.draw();
   }
 
-  // Its place stays as high as it was; a canvas without a size has no memory, whenever it is collected.
+  // Its place keeps its height; a canvas of size zero has no memory, even before it is collected.
   drop() {
     if (!this.plot) return;
     const { canvas } = this.plot.ctx;
@@ -194,7 +194,7 @@ export class Chart {
   }
 }
 
-// Paper has a width and colours of its own.
+// In print, the page has another width and other colours.
 export function print(begins) {
   paper = begins;
   made.forEach((chart) => {

@@ -1,11 +1,11 @@
-// The random disturbance in words: its size at each joint, what it costs a prediction, and what a finding makes of the error.
+// The random disturbance as text: its size at each joint, its effect on a prediction, and a finding's share of the error.
 
 import { number, unit } from "./dom.js";
 
 const DEGREES = 180 / Math.PI;
 const READABLE = { rad: ["deg", DEGREES], "rad/s": ["deg/s", DEGREES], m: ["mm", 1000], "m/s": ["mm/s", 1000] };
 
-// A value with its standard deviation: two digits of that where its first is a 1, one otherwise, and as many places of the value.
+// A value with its standard deviation: that has two digits if its first one is a 1, else one; the value has as many places.
 export function plusMinus(value, std) {
   if (typeof value !== "number" || typeof std !== "number" || !(std > 0)) return number(value, 3);
   const first = Math.floor(Math.log10(std));
@@ -15,7 +15,7 @@ export function plusMinus(value, std) {
   return `${shown(value)} ± ${shown(std)}`;
 }
 
-// Of each joint, with its name where there are several: of an entry `disturbance` of identify, compare, diagnose and model add.
+// The entry `disturbance` of identify, compare, diagnose or model add as text, with the names of the joints if there are several.
 export function disturbances(found) {
   const known = Object.entries(found ?? {}).filter(([, each]) => typeof each?.rms === "number");
   return known.map(([joint, each]) => {
@@ -25,8 +25,8 @@ export function disturbances(found) {
   }).join("; ");
 }
 
-// What shakes the vehicle, and what that costs a prediction; empty where nothing is known.
-export function shaken(diagnosis, units) {
+// The disturbance of a diagnosis and its effect on a prediction; empty if nothing is known.
+export function disturbanceText(diagnosis, units) {
   const words = disturbances(diagnosis.disturbance);
   if (!words) return "";
   const shows = Object.values(diagnosis.disturbance).some((each) => each?.shown !== false);
@@ -39,11 +39,11 @@ export function shaken(diagnosis, units) {
   return `Disturbance: ${words}${shows ? "; no effect explains it" : ""}.${best}`;
 }
 
-// What a finding makes of the errors, for a cell; empty where it is not known.
+// The share of the error that a finding explains, for a cell; empty if it is not known.
 export function relevance(finding) {
   const known = finding.relevance;
   if (typeof known?.ahead_percent !== "number") return "";
   const share = (value) => (value < 1 ? `${number(value, 1)} %` : `${Math.round(value)} %`);
-  const loop = typeof known.closed_loop_percent === "number" ? `, ${share(known.closed_loop_percent)} in the closed loop` : "";
+  const loop = typeof known.closed_loop_percent === "number" ? `, ${share(known.closed_loop_percent)} in closed loop` : "";
   return `${share(known.ahead_percent)} ${number(known.horizon, 3)} s ahead${loop}`;
 }

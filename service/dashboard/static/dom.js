@@ -1,5 +1,5 @@
-// Elements made of text and other elements. Nothing here, or anywhere on this page, parses markup: whatever a message or
-// a file name contains ends up as text.
+// Elements made of text and other elements. Nothing on this page parses markup: the contents of messages and file names
+// are always shown as text.
 
 export const $ = (id) => document.getElementById(id);
 
@@ -27,21 +27,21 @@ export function text(element, value) {
   if (element.textContent !== wanted) element.textContent = wanted;
 }
 
-// A number as people read it; what is not one is a dash.
+// A number in readable form, or a dash if it is not a number.
 export function number(value, digits = 4) {
   if (typeof value !== "number" || !Number.isFinite(value)) return "–";
   if (value !== 0 && (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-3)) return value.toExponential(Math.max(0, digits - 2));
   return String(Number(value.toPrecision(digits)));
 }
 
-// A unit as people write it.
+// A unit with superscripts.
 export const unit = (words) => String(words ?? "").replace(/\^(-?[0-9])/g, (_, power) => power.replace("-", "⁻").replace(/[0-9]/, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]));
 
 export function seconds(value) {
   return typeof value === "number" && Number.isFinite(value) ? `${Math.max(0, Math.round(value))} s` : "–";
 }
 
-// A name may be broken after its underscores.
+// A name may be wrapped after its underscores.
 const breakable = (cell) => (typeof cell === "string" ? cell.split(/(?<=_)/).flatMap((part, place) => (place ? [h("wbr"), part] : [part])) : cell);
 
 export function table(headings, rows, caption) {

@@ -1,8 +1,8 @@
-// Experiments: start one and hold it, see how far it is and what the limits are, and whether it did what it should.
+// Experiments: start one and hold its lease; its progress, the limits, and its result.
 
 import { h, fill, number, seconds, text } from "./dom.js";
 
-// What an experiment is made of, in words; `unit` is that of its amplitude.
+// The parameters of an experiment as text; `unit` is that of its amplitude.
 const WORDS = {
   amplitude_deg: (x) => `amplitude ${number(x)}\u00a0deg`, amplitude: (x, unit) => `amplitude ${number(x)}\u00a0${unit}`,
   start_frequency: (x) => `from ${number(x)}\u00a0Hz`, stop_frequency: (x) => `to ${number(x)}\u00a0Hz`, frequency: (x) => `${number(x)}\u00a0Hz`,
@@ -14,9 +14,9 @@ export class Experiments {
     this.app = app;
     this.buttons = [];
     this.bar = h("progress", { id: "progress", max: 1, value: 0, "aria-label": "Progress" });
-    this.what = h("p", { id: "progress-text" }, "Nothing is running.");
+    this.what = h("p", { id: "progress-text" }, "No experiment is running.");
     this.outcome = h("p", { id: "outcome", role: "status" });
-    this.reset = h("button", { id: "reset", hidden: true, onclick: () => this.acknowledge() }, "Reset the fault: its cause is mended");
+    this.reset = h("button", { id: "reset", hidden: true, onclick: () => this.acknowledge() }, "Reset the fault: its cause has been removed");
     const cards = Object.entries(app.config.experiments).map(([name, each]) => {
       const button = h("button", { class: "primary", "data-experiment": name, onclick: () => this.start(name) }, "Start");
       this.buttons.push(button);
@@ -27,9 +27,9 @@ export class Experiments {
     const limits = app.config.limits.map(({ name, value, unit }) => h("div", {}, h("dt", {}, name), h("dd", { "data-limit": name }, `${number(value)} ${unit}`)));
     fill(place,
       h("section", { class: "card wide" }, h("h2", {}, "Running"), this.what, this.bar, this.outcome, this.reset,
-        h("p", { class: "quiet" }, "Whoever starts an experiment holds it: if this page is closed, hidden or cut off for ",
-          `${1000 * app.config.lease} ms, it ends in order and the vehicle is lowered. Escape stops it. It is accepted when it has run to its end within the `,
-          "limits below; when not, what ended it is said here.")),
+        h("p", { class: "quiet" }, "The page that starts an experiment holds its lease: if the page is closed, hidden or disconnected for ",
+          `${1000 * app.config.lease} ms, the experiment ends in order and the vehicle is lowered. Escape stops it. An experiment is accepted if it runs to its `,
+          "end within the limits below; otherwise the reason is shown here.")),
       h("h2", {}, "Experiments"), h("ul", { class: "cards plain" }, cards),
       h("section", { class: "card wide" }, h("h2", {}, "Limits of this vehicle"), h("dl", { class: "columns" }, limits)));
   }
@@ -42,9 +42,9 @@ export class Experiments {
   }
 
   over(name, reply) {
-    const words = this.app.told(reply.text);
+    const words = this.app.named(reply.text);
     this.outcome.dataset.ok = !reply.ok ? "false" : words ? "early" : "true";
-    const came = !reply.ok ? `${reply.code}: ${words}` : words ? `ended early: ${words}` : "accepted, it did what it should";
+    const came = !reply.ok ? `${reply.code}: ${words}` : words ? `ended early: ${words}` : "accepted, completed within the limits";
     text(this.outcome, `${name}: ${came}`.replace(/[^.]$/, "$&.")
       + (typeof reply.recording === "string" ? ` Recording: ${reply.recording.split("/").pop()}` : ""));
   }
@@ -64,10 +64,10 @@ export class Experiments {
       button.title = !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file"
         : running ? "An experiment is running" : state.interlocks.join(" ");
     }
-    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${this.app.told(state.held_by || "nobody")}`);
+    if (running) text(this.what, `${state.experiment}: ${state.phase}, held by ${this.app.named(state.held_by || "nobody")}`);
     else {
       text(this.what, !state.commands ? "Commands over MQTT are off: set commands = true under [mqtt] in the vehicle file."
-        : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "Nothing is running.");
+        : state.interlocks.length ? `Not ready: ${state.interlocks.join(" ")}` : "No experiment is running.");
       this.bar.value = 0;
     }
   }
@@ -75,7 +75,7 @@ export class Experiments {
   progress(message) {
     if (this.app.state?.mode === "running") {
       this.bar.value = Math.min(1, Math.max(0, message.fraction));
-      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.told(this.app.state.held_by || "nobody")}`);
+      text(this.what, `${message.task}: ${this.app.state.phase}, ${Math.round(100 * this.bar.value)} %, ${seconds(message.remaining)} left, held by ${this.app.named(this.app.state.held_by || "nobody")}`);
     }
   }
 }

@@ -1,8 +1,8 @@
-// Gap: where the model fails, which torque is missing and by what it goes, which effects explain it, and what adding does.
+// Gap: where the model fails, the missing torque by each coordinate, the effects that explain it, and the result of adding one.
 
 import { h, fill, number, table, unit } from "./dom.js";
 import { Chart } from "./charts.js";
-import { disturbances, relevance, shaken } from "./disturbance.js";
+import { disturbanceText, disturbances, relevance } from "./disturbance.js";
 import { ask, picker, run } from "./jobs.js";
 
 const percent = (value) => (typeof value === "number" ? `${number(value, 3)} %` : "–");
@@ -13,7 +13,7 @@ export class Gap {
   constructor(place, app) {
     this.app = app;
     this.picker = picker("Recording", "gap-recording");
-    this.live = h("div", { id: "gap-live" }, h("p", { class: "quiet" }, "Nothing yet: effects are looked for while an experiment runs."));
+    this.live = h("div", { id: "gap-live" }, h("p", { class: "quiet" }, "No result yet: effects are diagnosed while an experiment runs."));
     this.busy = h("div");
     this.where = h("div", { id: "gap-where" });
     this.ranked = h("div", { id: "gap-ranked" });
@@ -32,7 +32,7 @@ export class Gap {
   }
 
   shown() {
-    this.picker.load().then(() => this.tellModel()).catch((error) => this.app.notice(error.message));
+    this.picker.load().then(() => this.showModel()).catch((error) => this.app.notice(error.message));
   }
 
   diagnosis(message) {
@@ -46,12 +46,12 @@ export class Gap {
 
   rank(place, diagnosis, whole) {
     const key = JSON.stringify([diagnosis.verdict, diagnosis.findings, diagnosis.seconds, diagnosis.disturbance, this.effects]);
-    if (place.dataset.key === key) return; // a button must not vanish under the finger
+    if (place.dataset.key === key) return; // a button must not disappear while it is pressed
     place.dataset.key = key;
     const negligible = (each) => each.relevance?.negligible === true;
     const nothing = diagnosis.verdict === "missing_effect" && diagnosis.findings.length && diagnosis.findings.every(negligible);
     const verdict = nothing ? "" : { adequate: "The model is adequate.", missing_effect: "An effect is missing.",
-      unknown: diagnosis.findings.length ? "What has a name is not all that is missing." : "Something is missing that has no name here.", insufficient_data: "This record cannot tell yet." }[diagnosis.verdict] ?? "";
+      unknown: diagnosis.findings.length ? "The effects found do not explain all that is missing." : "Something is missing that no known effect explains.", insufficient_data: "The data are not sufficient yet." }[diagnosis.verdict] ?? "";
     const row = (each, place) => {
       const sizes = Object.entries(each.parameters ?? {}).map(([name, entry]) =>
         `${name.split(".").pop()} ${number(entry.value, 4)} ± ${number(entry.std, 2)} ${entry.unit === "1" ? "" : unit(entry.unit)}`).join(", ");
@@ -61,26 +61,26 @@ export class Gap {
         (each.tied_with ?? []).length ? `tied with ${each.tied_with.join(", ")}` : "", add];
     };
     const rows = diagnosis.findings.map(row);
-    const headings = ["Effect", "Size", "", "Probability", "Held-out error closed", "Makes of the error", "Ties", ""];
+    const headings = ["Effect", "Size", "", "Probability", "Held-out error removed", "Share of the error", "Ties", ""];
     const shown = (which, caption) => {
       const some = rows.filter((_, place) => which(diagnosis.findings[place]));
       return some.length ? table(headings, some, caption) : null;
     };
-    const told = shaken(diagnosis, this.app.config.units);
+    const disturbance = disturbanceText(diagnosis, this.app.config.units);
     const untried = Array.isArray(diagnosis.untried) ? diagnosis.untried : [];
     fill(place, h("p", { class: diagnosis.adequate || nothing ? "good" : "told" }, nothing ? sentence(diagnosis.reason) : diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replace(/\.$/, "")}.` : verdict),
-      told ? h("p", { "data-told": "disturbance" }, told) : null,
+      disturbance ? h("p", { "data-told": "disturbance" }, disturbance) : null,
       untried.length ? h("p", { "data-told": "untried" }, `Left untried for want of time: ${untried.join("; ")}. upright diagnose --budget SECONDS gives more.`) : null,
-      shown((each) => !negligible(each)), shown(negligible, "Negligible: what shows, and makes less than 1 % of the error"),
+      shown((each) => !negligible(each)), shown(negligible, "Negligible: significant, but less than 1 % of the error"),
       whole && typeof diagnosis.innovation_ratio_before === "number" && typeof diagnosis.innovation_ratio_after === "number"
-        ? h("p", {}, `Innovation ratio: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} with it.`) : null,
+        ? h("p", {}, `Normalised innovation squared: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} after.`) : null,
       whole && diagnosis.suggested_experiment ? h("p", {}, `Next experiment: ${String(diagnosis.suggested_experiment.text ?? diagnosis.suggested_experiment.experiment ?? "")}.`) : null);
   }
 
   async diagnose() {
     const name = this.picker.select.value;
     if (!name) return;
-    const result = await run(this.busy, { kind: "diagnose", recordings: [name] }, "Looking for what is missing");
+    const result = await run(this.busy, { kind: "diagnose", recordings: [name] }, "Searching for missing effects");
     if (result) this.rank(this.ranked, result, true);
   }
 
@@ -102,8 +102,8 @@ export class Gap {
     const left = disturbances(model.disturbance);
     return h("section", { class: "card wide" },
       h("h3", {}, `${model.name}: ${model.adequate ? "adequate" : "fails"}`),
-      left ? h("p", {}, `Disturbance that it leaves: ${left}.`) : null,
-      h("p", {}, `Innovation ratio ${number(model.innovation_ratio, 3)}. `, (model.summary ?? []).join(" ")),
+      left ? h("p", {}, `Disturbance not explained by it: ${left}.`) : null,
+      h("p", {}, `Normalised innovation squared ${number(model.innovation_ratio, 3)}. `, (model.summary ?? []).join(" ")),
       h("div", { class: "charts" }, coordinates.map((coordinate) => this.missing(coordinate, state.filter((each) => each.coordinate === coordinate)))),
       time.length ? table(["From", "To", "Channel", "Energy over the floor"], top(time, "energy_over_floor").map((each) =>
         [`${number(each.from, 4)}\u00a0s`, `${number(each.to, 4)}\u00a0s`, each.channel, number(each.energy_over_floor, 3)]), "Where in time") : null,
@@ -126,14 +126,14 @@ export class Gap {
   async add(effect) {
     const recordings = await this.picker.load().catch(() => []);
     const name = this.picker.select.value || recordings[0]?.name;
-    if (!name) return this.app.notice("There is no recording to fit the model to yet.");
+    if (!name) return this.app.notice("There is no recording yet to fit the model to.");
     fill(this.repair);
     const result = await run(this.busy, { kind: "add", effect, recordings: [name] }, `Adding ${effect}, fitted to ${name}`);
-    if (result) this.tellRepair(effect, result);
-    await this.tellModel();
+    if (result) this.showRevision(effect, result);
+    await this.showModel();
   }
 
-  tellRepair(effect, result) {
+  showRevision(effect, result) {
     const repair = result.repair;
     if (!repair) return fill(this.repair, h("p", {}, `${effect} added.`));
     const far = repair.horizons.length - 1;
@@ -145,23 +145,23 @@ export class Gap {
       return [`${channel}, ${this.app.config.units[channel] ?? ""}`, h("output", { "data-before": channel, "data-value": before }, number(before, 3)),
         h("output", { "data-after": channel, "data-value": after }, number(after, 3)), number(floor, 3), bar];
     });
-    fill(this.repair, h("section", { class: "card wide", role: "status" }, h("h3", {}, `${effect}: what it did`),
+    fill(this.repair, h("section", { class: "card wide", role: "status" }, h("h3", {}, `${effect}: before and after`),
       (repair.words ?? []).map((each) => h("p", {}, each)),
-      table([`Error ${number(repair.horizons[far], 2)} s ahead, held out`, "Before", "After", "Noise floor", "What is left"], rows),
-      h("p", {}, `Innovation ratio: ${number(repair.before.innovation_ratio, 3)} before, ${number(repair.after.innovation_ratio, 3)} after.`),
+      table([`Error ${number(repair.horizons[far], 2)} s ahead, held out`, "Before", "After", "Noise floor", "Remaining"], rows),
+      h("p", {}, `Normalised innovation squared: ${number(repair.before.innovation_ratio, 3)} before, ${number(repair.after.innovation_ratio, 3)} after.`),
       disturbances(repair.after.disturbance) ? h("p", { "data-told": "disturbance" }, `Disturbance before: ${disturbances(repair.before.disturbance) || "–"}. After: ${disturbances(repair.after.disturbance)}.`) : null));
   }
 
-  async tellModel() {
+  async showModel() {
     const { model } = await ask("api/model");
     const effects = this.effects = model?.effects ?? [];
     this.draw();
-    const undo = effects.length ? h("button", { id: "gap-undo", onclick: () => this.undo() }, `Take back ${effects.at(-1)}`) : null;
-    fill(this.model, h("p", {}, model ? `Added so far: ${effects.join(", ") || "nothing"}.` : "The vehicle's own with its CAD values; nothing added yet."), undo);
+    const undo = effects.length ? h("button", { id: "gap-undo", onclick: () => this.undo() }, `Undo ${effects.at(-1)}`) : null;
+    fill(this.model, h("p", {}, model ? `Added so far: ${effects.join(", ") || "nothing"}.` : "The vehicle's own model with its CAD values; no effect added yet."), undo);
   }
 
   async undo() {
-    if (await run(this.busy, { kind: "undo" }, "Taking back")) fill(this.repair);
-    await this.tellModel();
+    if (await run(this.busy, { kind: "undo" }, "Undoing")) fill(this.repair);
+    await this.showModel();
   }
 }

@@ -1,4 +1,4 @@
-// Identify: the parameters as they settle while the vehicle moves, and on a recording all methods side by side.
+// Identify: the live estimates of the parameters, and all methods side by side for a recording.
 
 import { h, fill, number, table, unit } from "./dom.js";
 import { Chart } from "./charts.js";
@@ -6,8 +6,8 @@ import { disturbances } from "./disturbance.js";
 import { picker, run } from "./jobs.js";
 
 const BAND = 1.96; // standard deviations of a 95 % band
-const READABLE = 1000; // ms for which a table stands
-const MOST = 600; // points of a curve; beyond that every second one is forgotten
+const READABLE = 1000; // ms, refresh period of a table
+const MOST = 600; // points of a curve; beyond that every second one is dropped
 
 export class Identify {
   constructor(place, app) {
@@ -15,12 +15,12 @@ export class Identify {
     this.tracks = new Map();
     this.drawn = 0;
     this.plots = h("div", { class: "charts" });
-    this.now = h("div", { id: "parameters-now" }, h("p", { class: "quiet" }, "No estimates yet: they come while an experiment runs."));
+    this.now = h("div", { id: "parameters-now" }, h("p", { class: "quiet" }, "No estimates yet: they appear while an experiment runs."));
     this.picker = picker("Recording", "identify-recording");
     this.answer = h("div", { id: "methods" });
     this.busy = h("div");
     this.methods = app.config.methods.map((name) => h("input", { type: "checkbox", name: "method", value: name }));
-    const methods = h("details", {}, h("summary", {}, "Which methods"), h("p", { class: "quiet" }, "None ticked: all that suit the recording."),
+    const methods = h("details", {}, h("summary", {}, "Which methods"), h("p", { class: "quiet" }, "None selected: all that suit the recording."),
       h("div", { class: "row" }, this.methods.map((box) => h("label", {}, box, ` ${box.value.replaceAll("_", " ")}`))));
     const button = h("button", { class: "primary", id: "identify-run", onclick: () => this.identify() }, "Compare the methods");
     fill(place, h("h2", {}, "While it runs"), this.now, this.plots,
@@ -80,7 +80,7 @@ export class Identify {
     }
     for (const { chart, data, figure } of this.tracks.values()) {
       const first = data[0][0] ?? 0;
-      figure.hidden = !data[0].length; // one retained value is no curve
+      figure.hidden = !data[0].length; // a single retained value is not a curve
       if (data[0].length) chart.set([data[0].map((time) => time - first), ...data.slice(1)]);
     }
   }
@@ -95,24 +95,24 @@ export class Identify {
     fill(this.answer, this.choice(result, methods), names.map((parameter) => this.figure(parameter, methods)));
   }
 
-  // Which method to rely on, why, and why not the others.
+  // The recommended method, why, and why not the others.
   choice(result, methods) {
     const others = methods.filter(([, each]) => each.not_chosen).map(([name, each]) => h("li", {}, `${name}: ${each.not_chosen}`));
-    const shaken = methods.map(([name, each]) => [name, disturbances(each.disturbance)]).filter(([, words]) => words);
+    const disturbed = methods.map(([name, each]) => [name, disturbances(each.disturbance)]).filter(([, words]) => words);
     return h("div", { id: "methods-choice" },
-      h("p", {}, h("strong", {}, result.best ? `To rely on: ${result.best}` : "No method to rely on")), h("p", {}, result.best_reason ?? ""),
-      shaken.map(([name, words]) => h("p", { "data-told": "disturbance" }, `Disturbance that ${name} found beside these: ${words}.`)),
+      h("p", {}, h("strong", {}, result.best ? `Recommended method: ${result.best}` : "No method can be recommended")), h("p", {}, result.best_reason ?? ""),
+      disturbed.map(([name, words]) => h("p", { "data-told": "disturbance" }, `Disturbance estimated by ${name}: ${words}.`)),
       others.length ? h("details", {}, h("summary", {}, "Why not the others"), h("ul", {}, others)) : "");
   }
 
-  // As in the paper's figure 3: a row a method, its value with a 95 % bar, on one scale.
+  // As in the paper's figure 3: a row per method, its value with a 95 % bar, on a common scale.
   figure(parameter, methods) {
     const rows = methods.map(([method, each]) => [method, each.parameters?.[parameter], each]).filter(([, entry]) => entry);
     const known = rows.filter(([, entry]) => typeof entry.value === "number");
     const ends = known.flatMap(([, { value, std }]) => [value - BAND * (std ?? 0), value + BAND * (std ?? 0)]);
     const middle = known.map(([, { value }]) => value).sort((a, b) => a - b)[known.length >> 1] ?? 0;
     const band = BAND * (known.map(([, { std }]) => std ?? 0).sort((a, b) => a - b)[known.length >> 1] ?? 0);
-    // One that is far off does not make the others a point.
+    // An outlier must not shrink the others to points.
     const most = Math.max(0.3 * Math.abs(middle), 4 * band) || Infinity;
     const reach = Math.max(1e-12, 1.05 * Math.min(Math.max(...ends.map((end) => Math.abs(end - middle)), 0), most));
     const place = (value) => Math.min(100, Math.max(0, 50 + 50 * (value - middle) / reach));

@@ -1,4 +1,4 @@
-// What the server computes: asked for, looked at twice a second, shown or cancelled.
+// Jobs on the server: started, polled twice a second, shown or cancelled.
 
 import { h, fill, seconds } from "./dom.js";
 
@@ -9,18 +9,18 @@ export async function ask(path, options = {}) {
   return document;
 }
 
-// Runs a job and shows that it runs in `place`; its result, or null where it failed or was cancelled.
+// Runs a job and shows it in `place`; returns its result, or null if it failed or was cancelled.
 export async function run(place, what, words) {
   let job;
   try {
     job = await ask("api/jobs", { method: "POST", body: JSON.stringify(what) });
     const cancel = h("button", { onclick: () => ask(`api/jobs/${job.id}`, { method: "DELETE" }) }, "Cancel");
-    const told = h("span", {}, `${words} …`);
-    fill(place, h("p", { class: "busy", role: "status" }, told, " ", cancel));
+    const status = h("span", {}, `${words} …`);
+    fill(place, h("p", { class: "busy", role: "status" }, status, " ", cancel));
     while (job.state === "waiting" || job.state === "running") {
       await new Promise((resolve) => setTimeout(resolve, 500));
       job = await ask(`api/jobs/${job.id}`);
-      fill(told, `${words}, ${seconds(job.seconds)} …`);
+      fill(status, `${words}, ${seconds(job.seconds)} …`);
     }
   } catch (error) {
     fill(place, h("p", { class: "bad", role: "alert" }, `${words}: ${error.message}`));

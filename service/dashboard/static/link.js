@@ -1,11 +1,11 @@
-// The connection to the broker: what comes is checked before anything sees it, what goes carries an id and a time, and
-// whatever moves the vehicle is held by a lease that this page renews for as long as it is there.
+// The connection to the broker. Received messages are checked before use, commands carry an id and a time, and an
+// experiment needs a lease, which this page renews while it is open.
 
 const LARGEST = 200_000; // characters of a message
-const RENEWAL = 75; // ms between two signs
-const PATIENCE = 5000; // ms that a reply may take
-const SLOW = 6000; // ms after which a link that had to catch up is no longer said to be slow
-const LATEST = 2; // s by which telemetry may be late before it is left out until the link has caught up
+const RENEWAL = 75; // ms between two renewals
+const PATIENCE = 5000; // ms, timeout of a reply
+const SLOW = 6000; // ms for which a link that had to catch up is reported as slow
+const LATEST = 2; // s, delay of telemetry beyond which it is left out until the link has caught up
 
 const random = () => Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const decoder = new TextDecoder();
@@ -22,7 +22,7 @@ const CHECKS = {
   event: (m) => isText(m.severity) && isText(m.text),
 };
 
-// What a batch has besides its columns.
+// Keys of a batch that are not columns.
 const BESIDES = new Set(["t0", "dt", "health", "predictions"]);
 
 function isTelemetry(message) {
@@ -41,7 +41,7 @@ function isTelemetry(message) {
     [...Object.values(each.values), ...Object.values(each.innovations)].every(Array.isArray));
 }
 
-// When the last row of a batch was measured.
+// The time of the last sample of a batch.
 export function newest(message) {
   for (const key in message) if (!BESIDES.has(key)) return message.t0 + (message[key].length - 1) * message.dt;
   return message.t0;
@@ -51,7 +51,7 @@ export class Link {
   constructor(config, handlers) {
     this.client = `page-${random()}`;
     this.ignored = { malformed: 0, huge: 0, reordered: 0 };
-    this.online = false; // the vehicle's own word, or its last will
+    this.online = false; // the vehicle's own status, or its last will
     this.connected = false;
     this.trouble = "connecting";
     this.config = config;
@@ -59,10 +59,10 @@ export class Link {
     this.waiting = new Map();
     this.held = null; // id of the experiment that this page holds
     this.latest = -Infinity;
-    this.late = 0; // s by which telemetry is later than when it was subscribed to; clocks may differ
+    this.late = 0; // s by which telemetry is later than at its subscription; clocks may differ
     this.usual = Infinity;
     this.catchingUp = false;
-    this.worst = 0; // the latest of a link that is too slow
+    this.worst = 0; // the largest delay of a link that is too slow
     this.slowUntil = 0;
     this.login = { username: config.user || undefined, password: config.password || undefined };
     this.open();
@@ -74,23 +74,23 @@ export class Link {
     const socket = this.socket = mqtt.connect(this.config.websocket, {
       ...this.login, clientId: this.client, clean: true, keepalive: 10, reconnectPeriod: 1000, connectTimeout: 5000,
       queueQoSZero: false, resubscribe: false, timerVariant: "native",
-      writeCache: false, // else a buffer for each number up to 65535 is made and kept: 8 MB
+      writeCache: false, // otherwise mqtt.js keeps a buffer for each number up to 65535: 8 MB
     });
     socket.on("connect", () => {
       const mine = `${this.config.topic}/`;
       const names = ["status", "state", "telemetry", "parameters", "diagnosis", "progress", "event", `reply/${this.client}`];
       this.fresh();
-      socket.subscribe(names.map((name) => mine + name), { qos: 1 }, (error) => this.say(error ? "the broker lets nobody listen" : ""));
+      socket.subscribe(names.map((name) => mine + name), { qos: 1 }, (error) => this.report(error ? "the broker refuses subscriptions" : ""));
     });
-    socket.on("close", () => this.say(this.trouble || "no connection to the broker"));
+    socket.on("close", () => this.report(this.trouble || "no connection to the broker"));
     socket.on("error", (error) => {
       const refused = [4, 5, 134, 135].includes(error.code);
-      this.say(refused ? "user or password refused" : "no connection to the broker", refused);
+      this.report(refused ? "user or password refused" : "no connection to the broker", refused);
     });
     socket.on("message", (topic, payload) => this.take(topic, payload));
   }
 
-  say(trouble, refused = false) {
+  report(trouble, refused = false) {
     this.trouble = trouble;
     this.connected = !trouble && this.socket.connected;
     if (!this.connected) this.online = false;
@@ -120,7 +120,7 @@ export class Link {
     if (name === `reply/${this.client}`) return this.answered(message);
     if (!CHECKS[name]?.(message)) return this.ignore("malformed");
     if (name === "telemetry") {
-      // The same batch again, or one that was overtaken, has nothing new; a clock that was set back has.
+      // A repeated or overtaken batch contains nothing new; after a clock was set back, it does.
       if (message.t0 <= this.latest && message.t0 > this.latest - 5) return this.ignore("reordered");
       this.latest = message.t0;
       this.watch(newest(message));
@@ -134,8 +134,8 @@ export class Link {
     this.catchingUp = false;
   }
 
-  // A link that is too slow for telemetry would show it later and later, and replies with it. Then none is asked for until
-  // what waits has come through, which is when the broker's answer has.
+  // If the link is too slow for telemetry, telemetry and replies would be delayed more and more. Then it is unsubscribed
+  // until the queue is empty, which is when the broker's answer arrives.
   watch(measured) {
     const delay = Date.now() / 1000 - measured;
     this.usual = Math.min(this.usual, delay);
@@ -160,21 +160,21 @@ export class Link {
 
   command(verb, args = {}) {
     if (!this.socket.connected || !this.online) {
-      return Promise.resolve({ ok: false, code: "offline", text: "The vehicle is not reached from here.", done: true });
+      return Promise.resolve({ ok: false, code: "offline", text: "The vehicle cannot be reached.", done: true });
     }
     const id = this.send(verb, args);
     return new Promise((resolve) => {
       const timer = setTimeout(() => {
         this.waiting.delete(id);
-        resolve({ ok: false, code: "silent", text: "No answer came: are commands enabled, and may this user give them?", done: true });
+        resolve({ ok: false, code: "silent", text: "No answer: are commands enabled, and is this user allowed to send them?", done: true });
       }, PATIENCE);
       this.waiting.set(id, { resolve, timer });
     });
   }
 
-  // An experiment is held from the moment that it is asked for; `done` is called with its last reply.
+  // The lease of an experiment is held from its request on; `done` is called with the last reply.
   async experiment(name, done) {
-    if (this.held) return { ok: false, code: "held", text: "This page holds an experiment already.", done: true };
+    if (this.held) return { ok: false, code: "held", text: "This page already holds an experiment.", done: true };
     const renewing = setInterval(() => this.socket.connected && this.send("renew", {}, 0), RENEWAL);
     const asked = this.command("experiment", { name });
     this.held = { done: (reply) => { clearInterval(renewing); this.held = null; done(reply); }, id: null, renewing };
@@ -203,7 +203,7 @@ export class Link {
     } else if (this.held?.id && reply.id === this.held.id && reply.done) {
       this.held.done(reply);
     } else if (this.held?.id && reply.code === "no_lease") {
-      clearInterval(this.held.renewing); // latched: it does not come back
+      clearInterval(this.held.renewing); // latched: it cannot be renewed any more
       setTimeout(() => this.held?.done({ ok: false, code: "lost", text: reply.text, done: true }), 4 * PATIENCE);
     }
   }

@@ -1,10 +1,10 @@
-// Live: what the vehicle does, and what the model says it would do.
+// Live: the motion of the vehicle, and the model's prediction.
 
 import { h, fill, number, text } from "./dom.js";
 import { Chart, columns } from "./charts.js";
 import { Rolling } from "./rolling.js";
 
-const READABLE = 200; // ms for which a figure stands: each time the page is laid out anew
+const READABLE = 200; // ms, refresh period of a figure: each change needs a new layout of the page
 
 const source = (curve) => (curve.look === "predicted" || curve.look === "innovation" ? `${curve.look}:${curve.channel}` : curve.channel);
 
@@ -15,9 +15,9 @@ export class Live {
     this.sources = Object.fromEntries(charts.map((chart) => [chart.id, chart.curves.map(source)]));
     this.rolling = new Rolling([...new Set(Object.values(this.sources).flat())]);
     this.values = {};
-    this.told = 0;
+    this.refreshed = 0;
     this.events = [];
-    this.interlocks = h("ul", { id: "interlocks" }, h("li", { class: "quiet" }, "Nothing heard from the vehicle yet."));
+    this.interlocks = h("ul", { id: "interlocks" }, h("li", { class: "quiet" }, "No data from the vehicle yet."));
     this.figures = Object.fromEntries(["rate", "missed", "longest", "load", "held"].map((name) => [name, h("dd", { id: `figure-${name}` }, "–")]));
     this.now = Object.fromEntries(charts.map((chart) => [chart.id, h("output", { id: `value-${chart.id}` }, "–")]));
     this.log = h("ol", { id: "events", class: "log" });
@@ -32,7 +32,7 @@ export class Live {
     });
     fill(place,
       h("div", { class: "cards" },
-        h("section", { class: "card", "aria-label": "State" }, h("h2", {}, "What keeps it from starting"), this.interlocks),
+        h("section", { class: "card", "aria-label": "State" }, h("h2", {}, "Interlocks"), this.interlocks),
         h("section", { class: "card", "aria-label": "Loop" }, h("h2", {}, "Control loop"), h("dl", {},
           h("dt", {}, "rate"), this.figures.rate, h("dt", {}, "missed cycles"), this.figures.missed,
           h("dt", {}, "longest step"), this.figures.longest, h("dt", {}, "bus load"), this.figures.load,
@@ -43,15 +43,15 @@ export class Live {
 
   state(state) {
     const words = [...state.faults.map((fault) => `Fault: ${fault.text}`), ...state.interlocks];
-    fill(this.interlocks, words.length ? words.map((each) => h("li", {}, each)) : h("li", { class: "good" }, "Nothing: an experiment may start."));
-    text(this.figures.held, this.app.told(state.held_by || "nobody"));
+    fill(this.interlocks, words.length ? words.map((each) => h("li", {}, each)) : h("li", { class: "good" }, "None: an experiment can be started."));
+    text(this.figures.held, this.app.named(state.held_by || "nobody"));
   }
 
   telemetry(message) {
     this.rolling.add(message.t0, message.dt, message);
-    for (const stretch of message.predictions ?? []) {
-      for (const [name, values] of Object.entries(stretch.values)) this.rolling.merge(stretch.t0, stretch.dt, `predicted:${name}`, values);
-      for (const [name, values] of Object.entries(stretch.innovations)) this.rolling.merge(stretch.t0, stretch.dt, `innovation:${name}`, values);
+    for (const segment of message.predictions ?? []) {
+      for (const [name, values] of Object.entries(segment.values)) this.rolling.merge(segment.t0, segment.dt, `predicted:${name}`, values);
+      for (const [name, values] of Object.entries(segment.innovations)) this.rolling.merge(segment.t0, segment.dt, `innovation:${name}`, values);
     }
     const health = message.health;
     if (health && typeof health === "object") {
@@ -73,13 +73,13 @@ export class Live {
 
   draw() {
     if (!this.rolling.length) return;
-    const told = performance.now() - this.told > READABLE;
-    if (told) this.told = performance.now();
+    const due = performance.now() - this.refreshed > READABLE;
+    if (due) this.refreshed = performance.now();
     this.rolling.mark();
     for (const chart of this.app.config.charts) {
       this.values[chart.id].set(this.rolling.shown(this.sources[chart.id]));
       const last = this.rolling.last(this.sources[chart.id][0]), output = this.now[chart.id];
-      if (told) text(output, Number.isNaN(last) ? "–" : (last * chart.factor).toFixed(2));
+      if (due) text(output, Number.isNaN(last) ? "–" : (last * chart.factor).toFixed(2));
       output.dataset.si = String(last);
       output.dataset.time = String(this.rolling.newest);
     }

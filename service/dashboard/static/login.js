@@ -1,4 +1,4 @@
-// Asks for user and password where the broker refused; they are kept by this page alone, for as long as it is open.
+// Asks for user and password if the broker refused them; only this page keeps them, as long as it is open.
 
 import { h, fill, $ } from "./dom.js";
 

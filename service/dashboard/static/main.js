@@ -1,4 +1,4 @@
-// The page: views, the connection, and the one stop. Each view takes messages and draws itself when it is on the screen.
+// The page: views, the connection, and the stop button. Each view gets messages and draws itself while it is on the screen.
 
 import { $, fill, text } from "./dom.js";
 import { print } from "./charts.js";
@@ -10,20 +10,20 @@ import { Gap } from "./gap.js";
 import { Recordings } from "./recordings.js";
 import { login } from "./login.js";
 
-const STALE = 1500; // ms without telemetry after which what is shown is old
-const LATE = 0.7; // s by which telemetry may be later than it first was
+const STALE = 1500; // ms without telemetry after which the displayed data are stale
+const LATE = 0.7; // s by which telemetry may be later than at first
 
 const response = await fetch("api/config");
 const config = await response.json();
 const views = {};
-const app = { config, link: null, state: null, show, notice, stop, told };
+const app = { config, link: null, state: null, show, notice, stop, named };
 let shown = "live";
 let heard = 0;
 let drawnAt = 0;
 const delays = [];
 
-// The vehicle's words, in which this page has its name at the broker.
-function told(words) {
+// A text from the vehicle, with "this page" instead of this page's name at the broker.
+function named(words) {
   return app.link ? String(words).replaceAll(`mqtt ${app.link.client}`, "this page") : String(words);
 }
 
@@ -54,28 +54,28 @@ async function stop() {
   if (!reply.ok) notice(`Stop: ${reply.text}`);
 }
 
-function tellLink() {
+function showLink() {
   const link = app.link;
   const old = heard && performance.now() - heard > STALE;
   const word = link.trouble ? link.trouble : !link.online ? "vehicle offline" : !heard || old ? "stale" : link.late > LATE || performance.now() < link.slowUntil ? "late" : "live";
   const badge = $("link");
   badge.dataset.kind = word === "live" ? "good" : ["stale", "late", "connecting"].includes(word) ? "warn" : "bad";
   const ago = old ? `: last heard ${Math.round((performance.now() - heard) / 1000)} s ago` : "";
-  text(badge, word === "stale" ? `stale${ago}` : word === "late" ? `late: what is shown is up to ${link.worst.toFixed(1)} s old` : word);
+  text(badge, word === "stale" ? `stale${ago}` : word === "late" ? `late: data are up to ${link.worst.toFixed(1)} s old` : word);
   document.body.classList.toggle("stale", word !== "live");
-  // Whatever the page believes: a stop where nothing runs does no harm.
+  // Enabled in every mode: a stop without a running experiment does no harm.
   $("stop").disabled = !(link.connected && link.online && app.state?.commands);
   $("stop").classList.toggle("idle", app.state?.mode !== "running");
   $("stop").title = app.state && !app.state.commands ? "Commands over MQTT are off: [mqtt] commands in the vehicle file" : "";
 }
 
-function tellState(state) {
+function showState(state) {
   app.state = state;
   const mode = $("mode");
   text(mode, state.mode);
   mode.dataset.kind = { fault: "bad", running: "active", disarmed: "good" }[state.mode] ?? "warn";
-  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${state.phase}` : told(state.reason || ""));
-  tellLink();
+  text($("phase"), state.mode === "running" ? `${state.experiment ?? ""} – ${state.phase}` : named(state.reason || ""));
+  showLink();
   each("state", state);
 }
 
@@ -101,11 +101,11 @@ function frame() {
   requestAnimationFrame(frame);
 }
 
-function tellLatency() {
+function showLatency() {
   if (!delays.length) return;
   const middle = [...delays].sort((a, b) => a - b)[delays.length >> 1];
   $("latency").dataset.ms = String(Math.round(middle));
-  text($("latency"), Math.abs(middle) < 60_000 ? `sample to screen: ${Math.round(middle)} ms` : "the vehicle's clock is not this one's");
+  text($("latency"), Math.abs(middle) < 60_000 ? `sample to screen: ${Math.round(middle)} ms` : "the clocks of vehicle and browser differ");
 }
 
 text($("vehicle"), config.vehicle);
@@ -143,7 +143,7 @@ show(views[location.hash.slice(1)] ? location.hash.slice(1) : "live");
 app.link = new Link(config, {
   link: (link, refused) => {
     app.link = link;
-    tellLink();
+    showLink();
     if (refused) login(link, notice);
   },
   ignored: (counts) => {
@@ -152,7 +152,7 @@ app.link = new Link(config, {
     $("ignored").dataset.count = String(total);
     $("ignored").title = Object.entries(counts).map(([why, count]) => `${why}: ${count}`).join(", ");
   },
-  state: tellState,
+  state: showState,
   telemetry: (message) => {
     heard = performance.now();
     app.newest = newest(message);
@@ -163,6 +163,6 @@ app.link = new Link(config, {
   progress: (message) => each("progress", message),
   event: (message) => each("event", message),
 });
-setInterval(tellLink, 250);
-setInterval(tellLatency, 1000);
+setInterval(showLink, 250);
+setInterval(showLatency, 1000);
 requestAnimationFrame(frame);

@@ -1,10 +1,10 @@
-// Recordings: a list; one or two of them drawn over each other, what is known of them, the files, and the report.
+// Recordings: a list; an overlay of one or two of them, their metadata, the files, and the report.
 
 import { h, fill, number, table, unit } from "./dom.js";
 import { Chart, turned } from "./charts.js";
 import { ask, run } from "./jobs.js";
 
-const WRITTEN = 3000; // ms after an experiment in which its estimates are written
+const WRITTEN = 3000; // ms after an experiment until its estimates are written
 const PARTS = { recording: "recording", log: "raw log", estimates: "estimates" };
 
 export class Recordings {
@@ -15,10 +15,10 @@ export class Recordings {
     this.busy = h("div");
     this.detail = h("div", { id: "recording" });
     this.charts = [];
-    fill(place, h("h2", {}, "Recordings"), h("p", { class: "quiet" }, "Open one; choose a second to lay it over the first."), this.list, this.busy, this.detail);
+    fill(place, h("h2", {}, "Recordings"), h("p", { class: "quiet" }, "Open a recording; compare it with a second one as an overlay."), this.list, this.busy, this.detail);
   }
 
-  // An experiment that is over has files that were not there.
+  // After an experiment there are new files.
   state(state) {
     if (this.mode === "running" && state.mode !== "running") for (const later of [0, WRITTEN]) setTimeout(() => this.shown(), later);
     this.mode = state.mode;
@@ -28,7 +28,7 @@ export class Recordings {
     try {
       const { recordings } = await ask("api/recordings");
       const key = JSON.stringify(recordings);
-      if (key === this.listed) return; // a button must not vanish under the finger
+      if (key === this.listed) return; // a button must not disappear while it is pressed
       this.listed = key;
       fill(this.list, recordings.length ? table(["Recording", "Size", "", "Files", ""], recordings.map((each) => this.row(each))) : h("p", {}, "None yet."));
     } catch (error) {
@@ -67,7 +67,7 @@ export class Recordings {
     const rows = methods.flatMap(([method, found]) => Object.entries(found.parameters ?? {}).map(([name, entry]) =>
       [method, name, number(entry.value, 5), number(entry.std, 2), unit(entry.unit)]));
     return h("section", { class: "card wide" }, h("h3", {}, each.name),
-      h("p", {}, `${number(each.seconds, 4)} s, ${each.rows} rows. Experiment ${each.metadata.experiment ?? "–"}, ended: ${each.metadata.end_reason || "as planned"}. ${each.truncated}`),
+      h("p", {}, `${number(each.seconds, 4)} s, ${each.rows} samples. Experiment ${each.metadata.experiment ?? "–"}, ended: ${each.metadata.end_reason || "as planned"}. ${each.truncated}`),
       rows.length ? h("details", {}, h("summary", {}, "Live estimates"), table(["Method", "Parameter", "Value", "±", "Unit"], rows)) : null);
   }
 
@@ -77,7 +77,7 @@ export class Recordings {
     const plot = new Chart(box, { xLabel: "s", yLabel: chart.unit, series: this.opened.map((each, place) => ({ label: each.name, ...looks[place] })) });
     const tables = this.opened.map((each) => [each.time, turned(each.channels[curve.channel]?.values ?? each.time.map(() => null), chart.factor)]);
     plot.data = tables.length > 1 ? uPlot.join(tables) : tables[0];
-    if (tables.length > 1) plot.options.series.forEach((each) => { each.gaps = true; }); // the times of one are gaps of the other
+    if (tables.length > 1) plot.options.series.forEach((each) => { each.gaps = true; }); // the sampling times of one are gaps in the other
     this.charts.push(plot);
     const title = curve.look === "setpoint" ? `${chart.title}, ${curve.label}` : chart.title;
     return h("figure", { class: "chart" }, h("figcaption", {}, `${title}, ${chart.unit}`), box);

@@ -1,14 +1,14 @@
-// Columns over time that forget what is older than a window. Their memory is made once: what changes twenty times a second
-// leaves nothing to be collected. NaN stands where nothing is known.
+// Columns over time that drop values older than a window. Their memory is allocated once, so that updates twenty times a
+// second cause no garbage. NaN marks missing values.
 
-const FINEST = 0.02; // s between two points that are kept: finer than a screen shows of a minute
+const FINEST = 0.02; // s between two points that are kept: finer than the resolution of a screen for a minute
 export const WINDOW = 60; // s
 
 export class Rolling {
   constructor(names, span = WINDOW) {
     this.span = span;
     this.length = 0;
-    const room = Math.ceil(1.25 * span * (1 + 2 / FINEST)); // points are half as far apart at least, and gaps a second
+    const room = Math.ceil(1.25 * span * (1 + 2 / FINEST)); // points are at least half of it apart, and gaps a second
     this.time = new Float64Array(room);
     this.ago = new Float64Array(room);
     this.columns = Object.fromEntries(names.map((name) => [name, new Float64Array(room)]));
@@ -26,7 +26,7 @@ export class Rolling {
     for (let row = 0; row < rows; row += 1) {
       const time = t0 + row * dt;
       if (time - last < (row === rows - 1 ? 0.5 : 0.99) * FINEST) continue;
-      if (time - last > 1 && this.length) this.push(last + 1e-4, arrays, -1); // a gap is drawn as one
+      if (time - last > 1 && this.length) this.push(last + 1e-4, arrays, -1); // mark a gap
       this.push(time, arrays, row);
       last = time;
     }
@@ -39,8 +39,8 @@ export class Rolling {
     this.length += 1;
   }
 
-  // Values of one column on a time of their own, put where the nearest points are; the first is left out, so that
-  // stretches which begin anew are not joined.
+  // Values of one column with their own time, assigned to the nearest points; the first value is left out, so that
+  // separate segments are not joined.
   merge(t0, dt, name, values) {
     const column = this.columns[name];
     if (!column || !Array.isArray(values)) return;
@@ -74,7 +74,7 @@ export class Rolling {
     return this.length ? this.columns[name][this.length - 1] : NaN;
   }
 
-  // From now on the window is that before the newest point.
+  // Set the window to that before the newest point.
   mark() {
     this.first = this.after(this.newest - this.span);
     const zero = this.newest;

@@ -1,1 +1,1 @@
-"""What is asked which effect a model lacks: the diagnosis and, beside it, baselines by regression and by search."""
+"""The methods that find the effect a model lacks: the diagnosis, and baselines by regression and by search."""

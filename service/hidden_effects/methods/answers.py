@@ -1,4 +1,4 @@
-"""What a method answers when it is asked what a model lacks: the same shape for the diagnosis and for the baselines."""
+"""The answer of a method to the question which effect a model lacks, common to the diagnosis and the baselines."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ INSUFFICIENT = "insufficient_data"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """One effect that was found. `parameters`: name to value and standard deviation, where they are known.
-    `negligible`: it is said that it shows, and makes next to nothing of the error."""
+    """One effect that was found. `parameters`: values and standard deviations by name, if they are known.
+    `negligible`: the effect is significant, but its share of the error is negligible."""
 
     effect: str
     tied_with: tuple[str, ...] = ()
@@ -29,17 +29,17 @@ class Found:
 
     @property
     def names(self) -> frozenset[str]:
-        """It and those that it cannot be told from."""
+        """The effect and those that it is tied with."""
         return frozenset((self.effect, *self.tied_with))
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """`found`: the best first. With the verdict `unknown` something is missing beside or instead of them.
+    """`found`: the best first. With the verdict `unknown` something else is missing, beside or instead of them.
 
-    `repaired` is the model with the found effects and fitted values, None where the method fits none. `detectable`:
-    effect to the smallest size that can be seen, in the unit of its first amplitude. `disturbance`: its
-    numbers, rms and correlation_time, where the method gives some, with their standard deviations.
+    `revised` is the model with the found effects and fitted values, None if the method fits none. `detectable`: the
+    minimum detectable size by effect, in the unit of its first amplitude. `disturbance`: rms and correlation_time with
+    their standard deviations, if the method estimates them.
     """
 
     verdict: str
@@ -50,14 +50,14 @@ class Answer:
 
     @classmethod
     def naming(cls, *effects: str) -> Answer:
-        """The answer of a method that gives names alone; adequate where it gives none."""
+        """The answer of a method that only gives names; adequate if it gives none."""
         return cls(MISSING if effects else ADEQUATE, tuple(map(Found, effects)))
 
 
 class Method(Protocol):
-    """Says what `model` lacks to explain the recordings. `support` rad: the vehicle is free where its roll is less.
+    """Finds what `model` lacks to explain the recordings. `support` rad: the vehicle is free if its roll is smaller.
 
-    `candidates` are the effects that may be it, by default the whole catalogue.
+    `candidates` are the effects to consider, by default the whole catalogue.
     """
 
     def __call__(
@@ -75,7 +75,7 @@ def diagnosis(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """What `upright diagnose` says, the gimbals as a part of their own."""
+    """The answer of `upright diagnose`, with the gimbals as a separate part."""
     from diagnosis.parts import diagnose_parts
     from vehicles import registry
     from vehicles.file import load
@@ -104,7 +104,7 @@ def of_diagnosis(found: Any) -> Answer:
 
 
 def _disturbance(found: Sequence[DisturbanceEstimate]) -> dict[str, tuple[float, float]]:
-    """The two numbers of the first joint's, where they are estimated."""
+    """RMS and correlation time at the first joint, if they are estimated."""
     if not found:
         return {}
     first = found[0]

@@ -1,8 +1,8 @@
-"""Baseline: every effect of the catalogue in turn, fitted by output error on windows; the least BIC has it.
+"""Baseline: fit each effect of the catalogue in turn by output error on windows, and name the one with the lowest BIC.
 
-    BIC = rows * sum over outputs of ln(mean squared error) + parameters * ln(rows)
+    BIC = samples * sum over outputs of ln(mean squared error) + parameters * ln(samples)
 
-It asks one effect at a time, so of two it can find one at most.
+It tries one effect at a time, so it can find at most one of two.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def exhaustive_bic(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """The effect of least BIC, unless having none is better. Raises EstimationError and ArithmeticError."""
+    """The effect with the lowest BIC, or none if that is lower. Raises EstimationError and ArithmeticError."""
     window = longest_window(problem(model, recordings, support=support))
     found, nothing = _fitted(problem(model, recordings, support=support, longest=window))
     scores = []
@@ -35,11 +35,11 @@ def exhaustive_bic(
         try:
             with_it = found.add(each)
         except ModelError:
-            continue  # this model cannot have the effect, or has it
+            continue  # this model cannot have the effect, or already has it
         try:
             revised, score = _fitted(problem(with_it, recordings, support=support, longest=window))
         except ArithmeticError:
-            continue  # with this effect the simulation runs away
+            continue  # with this effect the simulation diverges
         if np.isfinite(score):
             scores.append((score, with_it.effects[-1].effect.name, revised))
     best = min(scores, key=lambda each: each[0], default=None)

@@ -1,9 +1,9 @@
-"""Baselines that regress the missing torque on a library of terms (`terms`): what is usually tried first.
+"""Baselines that regress the missing torque on a library of terms (`terms`), as is usually tried first.
 
-differentiate_sindy: the measured rate is differentiated, and sequentially thresholded least squares picks the terms
-(Brunton, Proctor, Kutz, PNAS 113 (2016) 3932, as PySINDy has it); the threshold is chosen by BIC.
-smoother_stepwise: a Kalman filter with the missing torque as a further state and a Rauch-Tung-Striebel smoother give
-the torque, and terms are taken in one by one as long as an F test finds them significant (Draper, Smith, Applied
+differentiate_sindy: the measured rate is differentiated, and sequentially thresholded least squares selects the terms
+(Brunton, Proctor, Kutz, PNAS 113 (2016) 3932, as in PySINDy); the threshold is chosen by BIC.
+smoother_stepwise: a Kalman filter with the missing torque as an additional state and a Rauch-Tung-Striebel smoother
+give the torque, and terms are added one by one as long as an F test finds them significant (Draper, Smith, Applied
 Regression Analysis, 3rd ed., chapter 15).
 """
 
@@ -31,11 +31,11 @@ Array = NDArray[np.float64]
 THRESHOLDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Shares of the unexplained acceleration below which a term is dropped."""
 SIGNIFICANCE = 0.01
-"""Of the F test, divided by the number of terms."""
+"""Significance level of the F test, divided by the number of terms."""
 MOST_TERMS = 4
-"""That are taken in; more than two effects are never hidden."""
+"""Maximum number of terms that are added; at most two effects are hidden."""
 TORQUE_WALK = 3.0
-"""Typical torques of the joint by which the missing torque may wander in a second: it changes within a tenth of one."""
+"""Random walk of the missing torque in one second, in typical torques of the joint: it changes within 0.1 s."""
 
 
 def differentiate_sindy(
@@ -44,7 +44,7 @@ def differentiate_sindy(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """Differentiate, then PySINDy. Raises UprightError where PySINDy is not installed."""
+    """Differentiate, then apply PySINDy. Raises UprightError if PySINDy is not installed."""
     try:
         from pysindy import STLSQ, SmoothedFiniteDifference
     except ImportError as error:
@@ -76,11 +76,11 @@ def smoother_stepwise(
     support: float,
     candidates: Sequence[str | Effect] | None = None,
 ) -> Answer:
-    """Smooth, then stepwise regression."""
+    """Smooth, then apply stepwise regression."""
     segment = _longest(model, recordings, support)
     smoothed, torque, stride = _smoothed(model, segment)
     library = regression(model, {**measured(model, segment), **smoothed})
-    # Neighbouring rows of a smoothed torque say the same: one in `stride` is kept.
+    # Neighbouring samples of a smoothed torque are correlated: one in `stride` is kept.
     nominal = library.nominal[::stride]
     left = residual(torque[::stride], nominal)
     terms = [(term.effect, _scaled(term.columns[::stride], nominal)) for term in library.terms]
@@ -106,16 +106,16 @@ def _owners(terms: Sequence[Term]) -> list[str]:
 
 
 def _scaled(columns: Array, nominal: Array) -> Array:
-    """(n, m) of unit spread where `nominal` does not explain them, zero where it does."""
+    """Columns (n, m) without the part explained by `nominal`, scaled to unit RMS; zero if it explains all of them."""
     before = np.linalg.norm(columns, axis=0)
     rest = residual(columns, nominal)
     size = np.linalg.norm(rest, axis=0)
-    told = size > 1e-6 * np.maximum(before, 1e-300)
-    return np.asarray(np.where(told, rest, 0.0) / np.where(told, size, 1.0) * np.sqrt(len(columns)))
+    unexplained = size > 1e-6 * np.maximum(before, 1e-300)
+    return np.asarray(np.where(unexplained, rest, 0.0) / np.where(unexplained, size, 1.0) * np.sqrt(len(columns)))
 
 
 def _f_test(left: Array, columns: Array, used: int) -> float:
-    """Probability that columns of pure chance explain as much of `left` (n,)."""
+    """p-value: probability that random columns explain as much of `left` (n,)."""
     after = residual(left, columns)
     count = int(np.linalg.matrix_rank(columns))
     free = len(left) - used - count
@@ -126,13 +126,14 @@ def _f_test(left: Array, columns: Array, used: int) -> float:
 
 
 def _smoothed(model: Model, segment: Segment) -> tuple[dict[str, Array], Array, int]:
-    """Smoothed coordinate and rate by name, the missing torque (n,), and how many rows apart it is independent."""
+    """Smoothed coordinate and rate by name, the missing torque (n,), and the stride at which its samples are
+    independent."""
     joint = model.joints[0]
     names = measured(model, segment)
     inertia = float(evaluated(joint.inertia, model.values))
     coordinate = np.asarray(names[joint.coordinate])
     step = float(np.median(np.diff(segment.time)))
-    # What gravity gives along the coordinate; the rest of the load is known from measurements.
+    # The stiffness is that of gravity along the coordinate; the rest of the load is known from measurements.
     stiffness = _slope(model, names)
     known = evaluated(joint.load, names) - stiffness * coordinate
     system = np.array([[0.0, 1.0, 0.0], [stiffness / inertia, 0.0, 1.0 / inertia], [0.0, 0.0, 0.0]])
@@ -157,14 +158,14 @@ def _smoothed(model: Model, segment: Segment) -> tuple[dict[str, Array], Array, 
         states.append(kalman.x)
         covariances.append(kalman.P)
     smooth = _backwards(kalman, np.array(states), np.array(covariances), held)
-    # Bandwidth of the torque's estimate: where its walk and the rate's noise weigh the same.
+    # Bandwidth of the torque's estimate: where its random walk and the rate's noise have equal weight.
     bandwidth = (walk / (inertia * sensors[1] * np.sqrt(step))) ** 0.5
     stride = max(1, round(np.pi / bandwidth / step))
     return {joint.coordinate: smooth[:, 0], joint.rate: smooth[:, 1]}, smooth[:, 2], stride
 
 
 def _backwards(kalman: KalmanFilter, states: Array, covariances: Array, held: Array) -> Array:
-    """Rauch-Tung-Striebel, (n, 3); filterpy's own knows no input."""
+    """Rauch-Tung-Striebel smoother, (n, 3); filterpy's version does not support an input."""
     smooth = states.copy()
     for row in range(len(states) - 2, -1, -1):
         ahead = kalman.F @ covariances[row] @ kalman.F.T + kalman.Q
@@ -174,7 +175,7 @@ def _backwards(kalman: KalmanFilter, states: Array, covariances: Array, held: Ar
 
 
 def _slope(model: Model, names: dict[str, Array | float]) -> float:
-    """The load's derivative by the coordinate."""
+    """The load's derivative with respect to the coordinate."""
     joint = model.joints[0]
     moved = {**names, joint.coordinate: np.asarray(names[joint.coordinate]) + joint.coordinate_scale}
     change = evaluated(joint.load, moved) - evaluated(joint.load, names)

@@ -1,9 +1,10 @@
-"""The library of the baselines: what each torque of the catalogue would be along measured coordinates.
+"""The library of the baselines: each torque of the catalogue as a function of the measured coordinates.
 
-A term is an effect's force with one amplitude at 1 and the others at 0, at each of the shapes that the catalogue begins
-from. Only effects without memory whose force is proportional to its amplitudes have one. Beside them stand the columns
-of the nominal model itself, which any regression needs: its load by each parameter that is not exactly known, and the
-load's derivative in time, which a misalignment of command and measurement looks like.
+A term is an effect's force with one amplitude at 1 and the others at 0, for each start value of its shape parameters in
+the catalogue. Only effects without memory whose force is proportional to its amplitudes have terms. In addition there
+are the columns of the nominal model itself, which any regression needs: the derivative of its load with respect to each
+parameter that is not exactly known, and the load's time derivative, which is the signature of a misalignment of command
+and measurement in time.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """What a baseline regresses on: `nominal` (n, m) columns that are always there, and the terms of the effects."""
+    """The regressors of a baseline: `nominal` (n, m) columns, which are always used, and the terms of the effects."""
 
     nominal: Array
     terms: tuple[Term, ...]
@@ -60,7 +61,7 @@ def evaluated(text: str, names: Mapping[str, Array | float]) -> Array:
 
 
 def measured(model: Model, segment: Segment) -> dict[str, Array | float]:
-    """Parameters by their values; inputs, their slopes, outputs and time as they were measured, (n,)."""
+    """Parameter values, and measured inputs, their slopes, outputs and time, (n,), by name."""
     names: dict[str, Array | float] = {**model.values, "time": segment.time}
     for place, each in enumerate(model.inputs):
         names[each.name] = segment.row_inputs[:, place]
@@ -71,13 +72,13 @@ def measured(model: Model, segment: Segment) -> dict[str, Array | float]:
 
 
 def regression(model: Model, names: Mapping[str, Array | float]) -> Regression:
-    """The library at the first joint of `model` along `names`, as `measured` gives them. Raises ModelError."""
+    """The library at the first joint of `model` for `names`, as returned by `measured`. Raises ModelError."""
     joint = model.joints[0]
     load = evaluated(joint.load, names)
     nominal = [load, np.gradient(load, np.asarray(names["time"]))]
     for parameter in model.base_parameters:
         if parameter.std > 0.0 or parameter.estimated:
-            # The load is a straight line in each of its parameters.
+            # The load is linear in each of its parameters.
             moved = {**names, parameter.name: parameter.value + parameter.typical}
             slope = (evaluated(joint.load, moved) - load) / parameter.typical
             if np.any(slope != 0.0):
@@ -88,12 +89,12 @@ def regression(model: Model, names: Mapping[str, Array | float]) -> Regression:
             try:
                 terms += list(_terms(model, model.add(effect).effects[-1], names))
             except ModelError:
-                continue  # this model cannot have the effect, or has it
+                continue  # this model cannot have the effect, or already has it
     return Regression(np.column_stack(nominal), tuple(terms))
 
 
 def _terms(model: Model, attached: AttachedEffect, names: Mapping[str, Array | float]) -> Iterator[Term]:
-    """One for each shape of an effect that the catalogue begins from, one parameter of the shape moved at a time."""
+    """A term for each start value of an effect's shape parameters, one of which is varied at a time."""
     joint = model.joints[0]
     actuator = next((each for each in model.actuators if each.joint == joint.name), None)
     here = {"coordinate": joint.coordinate, "rate": joint.rate, "inertia": joint.inertia, "load": joint.load}
@@ -122,6 +123,6 @@ def _terms(model: Model, attached: AttachedEffect, names: Mapping[str, Array | f
 
 
 def residual(column: Array, nominal: Array) -> Array:
-    """`column` (n,) or (n, m) with all that `nominal` (n, k) explains taken out."""
+    """`column` (n,) or (n, m) without the part explained by `nominal` (n, k)."""
     scaled = nominal / np.maximum(np.linalg.norm(nominal, axis=0), 1e-300)
     return np.asarray(column - scaled @ np.linalg.lstsq(scaled, column, rcond=None)[0])

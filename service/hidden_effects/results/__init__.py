@@ -1,1 +1,1 @@
-"""Trials as lines of a file (trials), and what they come to: figures of merit (summary), pictures, by disturbance."""
+"""Trials as lines of a file (trials), and their evaluation: figures of merit (summary), pictures, by disturbance."""

@@ -1,4 +1,4 @@
-"""Which effect was called what, as a picture: one panel a method, a row a hidden effect, a column a name."""
+"""Picture of the confusion matrices: a panel per method, a row per hidden effect, a column per name."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from service.hidden_effects.results.summary import Summary
 from telemetry.errors import UprightError
 
 CELL = 0.24
-"""Inches a cell."""
+"""Size of a cell, inches."""
 
 
 def confusion_picture(summary: Summary) -> Figure:
-    """Shares of each row, the number of its cases at its end; framed is the right name. Raises UprightError."""
+    """Shares of each row, with its number of cases at the end; the right name is framed. Raises UprightError."""
     order = [*CATALOGUE, "unknown", "nothing", "insufficient data", "failed"]
     place = {name: number for number, name in enumerate(order)}
     tables = {name: merit.confusion for name, merit in summary.methods.items() if merit.confusion}
     if not tables:
         raise UprightError(
-            "There is no case with an effect in it to draw.", remedy="Run some at twice the detectable size or more."
+            "There is no case with a hidden effect to draw.",
+            remedy="Run cases with twice the minimum detectable effect or more.",
         )
     rows = sorted({row for table in tables.values() for row in table}, key=lambda row: (place.get(row, 99), row))
     columns = sorted({c for table in tables.values() for row in table.values() for c in row}, key=lambda c: place[c])
@@ -52,5 +53,5 @@ def confusion_picture(summary: Summary) -> Figure:
 
 
 def save_confusion(summary: Summary, path: Path) -> None:
-    """Raises UprightError where there is nothing to draw."""
+    """Save the picture. Raises UprightError if there is nothing to draw."""
     confusion_picture(summary).savefig(path, dpi=150)

@@ -1,6 +1,6 @@
-"""The results file: one JSON line a case, only ever appended to, so that a run that was ended goes on where it was.
+"""The results file: one JSON line per case, only appended to, so that an interrupted run can be resumed.
 
-A line that was cut off by a crash is passed over when reading; of several lines of one key the last counts.
+A line that was truncated by a crash is skipped when reading; of several lines with the same key the last counts.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from service.hidden_effects.trial import Bench, Line, beginning
 from telemetry.errors import UprightError
 
 FAILED = "failed"
-"""Status of a case that could not be run to its end; a later run takes it up again."""
+"""Status of a case that could not be completed; a later run repeats it."""
 
 
 class ResultsError(UprightError):
-    """A results file cannot be used. `path` says which."""
+    """The results file `path` cannot be used."""
 
     def __init__(self, path: Path, message: str, *, remedy: str) -> None:
         super().__init__(f"{path}: {message}.", remedy=remedy)
@@ -27,31 +27,31 @@ class ResultsError(UprightError):
 
 
 def read(path: Path) -> dict[str, Line]:
-    """Key to line, in the order of the file. Raises ResultsError where it cannot be read or holds something else."""
+    """The lines by key, in the order of the file. Raises ResultsError if it cannot be read or is not a results file."""
     try:
         texts = path.read_bytes().splitlines()
     except OSError as error:
-        remedy = "name a file that `upright benchmark hidden-effects` wrote."
+        remedy = "give a file that `upright benchmark hidden-effects` wrote."
         raise ResultsError(path, f"cannot be read ({error.strerror})", remedy=remedy) from error
     lines: dict[str, Line] = {}
     for number, text in enumerate(texts, start=1):
         try:
             line = json.loads(text)
         except ValueError:
-            continue  # cut off, or empty
+            continue  # truncated, or empty
         if not (isinstance(line, dict) and isinstance(line.get("methods"), dict) and "status" in line):
-            remedy = "name a file that `upright benchmark hidden-effects` wrote."
-            raise ResultsError(path, f"line {number} is no result", remedy=remedy)
+            remedy = "give a file that `upright benchmark hidden-effects` wrote."
+            raise ResultsError(path, f"line {number} is not a result", remedy=remedy)
         lines.pop(line["key"], None)
         lines[line["key"]] = line
     if texts and not lines:
-        remedy = "name a file that `upright benchmark hidden-effects` wrote."
-        raise ResultsError(path, "holds no result", remedy=remedy)
+        remedy = "give a file that `upright benchmark hidden-effects` wrote."
+        raise ResultsError(path, "contains no result", remedy=remedy)
     return lines
 
 
 def append(path: Path, line: Line) -> None:
-    """Add `line` in one write, on a line of its own even where the one before was cut off."""
+    """Add `line` in one write, on a line of its own even if the previous one was truncated."""
     text = json.dumps(line, allow_nan=True).encode() + b"\n"
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("ab+") as file:
@@ -65,12 +65,12 @@ def append(path: Path, line: Line) -> None:
 
 
 def left(cases: Iterable[Case], bench: Bench, lines: dict[str, Line]) -> list[Case]:
-    """The cases that `lines` do not answer for every method of `bench`; one that failed is asked again."""
+    """The cases without a line that has all methods of `bench`; a failed case is repeated."""
     return [case for case in cases if not _answered(lines.get(case.key), bench.methods)]
 
 
 def check(path: Path, lines: dict[str, Line], conditions: str) -> None:
-    """Raises ResultsError where a line was made under other conditions: they cannot be told together."""
+    """Raises ResultsError if a line was made under other conditions: they cannot be evaluated together."""
     for line in lines.values():
         if line.get("conditions") != conditions:
             what = f"was made with {line.get('conditions')}, and this run is with {conditions}"
@@ -84,10 +84,10 @@ def _answered(line: Line | None, methods: Iterable[str]) -> bool:
 
 
 def failed(case: Case, bench: Bench, reason: str) -> Line:
-    """The line of a case that could not be run to its end."""
+    """The line of a case that could not be completed."""
     return {**beginning(case, bench), "status": FAILED, "reason": reason, "methods": {}}
 
 
 def methods_of(lines: Iterable[Line]) -> Sequence[str]:
-    """Names of the methods in the lines, in the order in which they first come."""
+    """Names of the methods in the lines, in the order of their first occurrence."""
     return list(dict.fromkeys(name for line in lines for name in line["methods"]))
