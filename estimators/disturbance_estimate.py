@@ -110,7 +110,7 @@ class DisturbanceEstimate:
     @property
     def _broad(self) -> str:
         if not self.shown:
-            return f"none shows; less than {self.std:.2g} {self.unit} RMS"
+            return f"none detected; less than {self.std:.2g} {self.unit} RMS"
         if self.known or self.std_error is None or self.correlation_time_error is None:
             return f"{self.std:.3g} {self.unit} RMS, correlation time {self.correlation_time:.3g} s, not estimated"
         return (

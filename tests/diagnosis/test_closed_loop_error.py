@@ -90,7 +90,7 @@ def test_a_delay_of_the_drives_shows_in_the_loop_alone() -> None:
 
 def test_a_loop_that_would_not_hold_has_no_number_but_a_reason() -> None:
     loop = compared()["weak"].closed_loop
-    assert "runs away" in loop.reason
+    assert "diverges" in loop.reason
     assert loop.to_json() == {
         "available": False,
         "reason": loop.reason,

@@ -59,11 +59,11 @@ def test_an_adequate_model_is_so_to_within_noise_and_what_shakes_the_vehicle() -
 
 def test_where_none_shows_no_effect_has_to_explain_it() -> None:
     told = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,)))
-    assert told == "Disturbance: none shows; less than 2 N m RMS."
+    assert told == "Disturbance: none detected; less than 2 N m RMS."
     told = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,)))
     assert told == "Disturbance: 8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s; no effect explains it."
     assert disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "")) == ""
-    assert disturbance_text((STILL,)) == "none shows; less than 2 N m RMS"
+    assert disturbance_text((STILL,)) == "none detected; less than 2 N m RMS"
 
 
 def test_a_large_error_has_no_power_of_ten() -> None:

@@ -165,7 +165,7 @@ class TestAnUnstablePlant:
         assert "Recommended method: none" in shown
         assert "run prediction_error." in shown
         page = write_identification(alone, "axis")
-        assert "No method to rely on" in page
+        assert "No method can be recommended" in page
         assert "run prediction_error." in page
 
     def test_values_with_which_the_model_diverges_are_measured_as_such(self, unstable: Recording) -> None:

@@ -109,7 +109,7 @@ class TestAnIdentification:
     def test_says_what_to_rely_on_with_its_parameters(self) -> None:
         page = check(write_identification(document(), "monocab_roll", provenance=PROVENANCE, why="No <b>model</b>."))
         best = document()["best"]
-        assert f"To rely on: {best}" in page.text
+        assert f"Recommended method: {best}" in page.text
         inertia = document()["methods"][best]["parameters"]["inertia"]["value"]
         head = page.text.split("The methods side by side")[0]
         assert f"inertia {inertia:.0f}" in head or f"inertia {inertia:.1f}" in head
@@ -147,7 +147,7 @@ class TestTheCommands:
             "\n", ""
         )
         page = Page(report.read_text())
-        assert "No method to rely on" in page.text
+        assert "No method can be recommended" in page.text
         assert "run prediction_error" in page.text
 
     def test_identify_says_what_shakes_the_vehicle(self, file: Path, tmp_path: Path) -> None:

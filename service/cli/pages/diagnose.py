@@ -44,7 +44,7 @@ def print_diagnosis(found: Diagnosis, seconds: float) -> None:
         page.print()
         page.print(_detectable(found))
     for why, names in _reasons(found.left_out or {}).items():
-        page.print(f"[dim]Not looked for: {', '.join(names)}: {escape(why)}[/]")
+        page.print(f"[dim]Not tested: {', '.join(names)}: {escape(why)}[/]")
 
 
 def _print_finding(number: int, finding: Finding) -> None:
@@ -55,7 +55,7 @@ def _print_finding(number: int, finding: Finding) -> None:
 
 
 def _reasons(left_out: Mapping[str, str]) -> dict[str, list[str]]:
-    """The effects that were not looked for, by reason."""
+    """The effects that were not tested, by reason."""
     found: dict[str, list[str]] = {}
     for name, why in left_out.items():
         found.setdefault(why.removeprefix(f"effect {name}: "), []).append(name)

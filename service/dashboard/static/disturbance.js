@@ -19,7 +19,7 @@ export function plusMinus(value, std) {
 export function disturbances(found) {
   const known = Object.entries(found ?? {}).filter(([, each]) => typeof each?.rms === "number");
   return known.map(([joint, each]) => {
-    const size = each.shown === false ? `none shows; less than ${number(each.rms, 2)} ${unit(each.unit)} RMS`
+    const size = each.shown === false ? `none detected; less than ${number(each.rms, 2)} ${unit(each.unit)} RMS`
       : `${plusMinus(each.rms, each.rms_std)} ${unit(each.unit)} RMS, correlation time ${plusMinus(each.correlation_time, each.correlation_time_std)} s`;
     return known.length > 1 ? `${joint}: ${size}` : size;
   }).join("; ");
@@ -33,9 +33,10 @@ export function disturbanceText(diagnosis, units) {
   const limit = diagnosis.prediction_limit;
   const errors = Object.entries(limit?.rmse ?? {}).filter(([, error]) => typeof error === "number").map(([channel, error]) => {
     const [its, factor] = READABLE[units[channel]] ?? [unit(units[channel]), 1];
-    return `${number(factor * error, 2)} ${its} RMS in ${channel}${shows ? ` (${number(factor * limit.undisturbed_rmse?.[channel], 2)} ${its} without it)` : ""}`;
+    const without = shows ? ` (${number(factor * limit.undisturbed_rmse?.[channel], 2)} ${its} without the disturbance)` : "";
+    return `${number(factor * error, 2)} ${its} RMS in ${channel}${without}`;
   });
-  const best = errors.length ? ` The best possible prediction ${number(limit.horizon, 3)} s ahead has ${errors.join(", ")}.` : "";
+  const best = errors.length ? ` The best possible prediction ${number(limit.horizon, 3)} s ahead has an error of ${errors.join(", ")}.` : "";
   return `Disturbance: ${words}${shows ? "; no effect explains it" : ""}.${best}`;
 }
 
