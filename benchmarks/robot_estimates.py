@@ -1,11 +1,11 @@
 """How accurate are the balancing robot's estimates and their +-? `python benchmarks/robot_estimates.py --runs 20`
 
 The virtual robot is recorded with the paper's square wave. The combinations of parameters that are identifiable near
-upright (`vehicles.twsbr.model.TOLD_NEAR_UPRIGHT`) are estimated from the vehicle file's start values, which are up to
-40 % off. The program prints for each combination the scatter of estimate over truth, the error in standard deviations
-(RMS: 1 if the +- is right), how often the 95 % interval contains the truth, and the error of the recursive estimator at
-the end of the run (RMS). The six combinations of one record are not independent: the interval in the last line (Wilson)
-counts records.
+upright (`vehicles.twsbr.model.IDENTIFIABLE_NEAR_UPRIGHT`) are estimated from the vehicle file's start values, which are
+up to 40 % off. The program prints for each combination the scatter of estimate over truth, the error in standard
+deviations (RMS: 1 if the +- is right), how often the 95 % interval contains the truth, and the error of the recursive
+estimator at the end of the run (RMS). The six combinations of one record are not independent: the interval in the last
+line (Wilson) counts records.
 
 With `--validate` the sine, the doublet and the sine stream of the first seed are predicted 0.1 s ahead with the
 estimates, with the vehicle file's parameters, and with the true ones, which give the best fit that the noise allows.
@@ -35,7 +35,7 @@ from simulation.twsbr.truth import TwsbrTruth
 from vehicles.file import load
 from vehicles.registry import nominal_model
 from vehicles.twsbr.channels import CHANNELS as TWSBR
-from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
+from vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
 VEHICLE = load("twsbr")
 GIVEN = VEHICLE.parameters
@@ -49,13 +49,13 @@ TWO_SIDED = 1.96
 
 
 def true(name: str) -> float:
-    return number(TOLD_NEAR_UPRIGHT[name], TRUTH, name)
+    return number(IDENTIFIABLE_NEAR_UPRIGHT[name], TRUTH, name)
 
 
 def of_recording(seed: int) -> dict[str, tuple[float, float]]:
     """Estimate over truth of each combination, and its standard deviation."""
     fitted = fit(problem(MODEL, [record("twsbr", "square", seed=seed)], support=VEHICLE.support))
-    found = combinations(fitted, TOLD_NEAR_UPRIGHT)
+    found = combinations(fitted, IDENTIFIABLE_NEAR_UPRIGHT)
     return {name: (value / true(name), std / abs(true(name))) for name, (value, std) in found.items()}
 
 
@@ -71,7 +71,7 @@ def while_it_runs(seed: int) -> dict[str, float]:
     for frame in record("twsbr", "square", seed=seed).frames(TWSBR):
         live.update(frame)
     values = {**MODEL.values, **live.result().values}
-    return {name: number(text, values, name) / true(name) for name, text in TOLD_NEAR_UPRIGHT.items()}
+    return {name: number(text, values, name) / true(name) for name, text in IDENTIFIABLE_NEAR_UPRIGHT.items()}
 
 
 def validated(seed: int) -> None:
@@ -106,7 +106,7 @@ def main() -> None:
     print(f"{len(found)} recordings of the square wave, estimate over truth")
     print(f"{'combination':26}{'mean':>8}{'scatter':>9}{'+-':>9}{'error/+-':>9}{'within 95 %':>13}{'live error %':>13}")
     held = []
-    for name in TOLD_NEAR_UPRIGHT:
+    for name in IDENTIFIABLE_NEAR_UPRIGHT:
         ratio, std = (np.array([each[name][place] for each in found]) for place in (0, 1))
         off, recursive = (ratio - 1.0) / std, np.array([each[name] for each in live]) - 1.0
         held.append(np.abs(off) < TWO_SIDED)

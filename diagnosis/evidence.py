@@ -40,7 +40,7 @@ def beyond_chance(log_ratio: float, count: int, tries: int = 1) -> bool:
     return tries * by_chance(log_ratio, count) < LEVEL
 
 
-def asked_for(log_ratio: float, count: int, t_ratio: float, tries: int = 1) -> bool:
+def is_supported(log_ratio: float, count: int, t_ratio: float, tries: int = 1) -> bool:
     """Whether an effect is needed whose amplitude is `t_ratio` standard deviations from zero. The other arguments are
     those of `beyond_chance`."""
     return t_ratio > SIGNIFICANT and beyond_chance(log_ratio, count, tries)

@@ -50,7 +50,7 @@ class Rival:
         expected = innovation_covariance(noise, known, logarithms, fitted.fit.gain)
         fitted_noise = {each: float(logarithms[place]) for each, place in _noisy(noise)}
         # The fit's noises are ratios, and it assumes more noise for outputs whose noise it takes as known.
-        shown = np.diag(fitted.fit.covariance) - counted_with(model)
+        shown = np.diag(fitted.fit.covariance) - added_variance(model)
         scale = np.maximum(shown, 0.0) / np.diag(expected)
         return cls(name, model, fitted_noise, dict(zip(task.kernel.outputs, scale.tolist(), strict=True)))
 
@@ -64,7 +64,7 @@ class Rival:
         model = noise.problem.model
         factor = np.sqrt([self.scale.get(output.name, 1.0) for output in model.outputs])
         expected = innovation_covariance(noise, values, logarithms, gain)
-        return np.asarray(np.outer(factor, factor) * expected + np.diag(counted_with(model)))
+        return np.asarray(np.outer(factor, factor) * expected + np.diag(added_variance(model)))
 
     def logarithms(self, noise: NoiseModel) -> Array:
         """Its noise in the order of `noise`, (q,): outputs whose readings are identical in one record share one noise
@@ -83,7 +83,7 @@ def _noisy(noise: NoiseModel) -> list[tuple[tuple[str, str], int]]:
     return list(zip(names, (*noise.process_place, *noise.sensor_place), strict=True))
 
 
-def counted_with(model: Model) -> Array:
+def added_variance(model: Model) -> Array:
     """Variance (ny,) that a fit adds to the innovations of outputs whose noise is known."""
     return np.array([(SENSOR_FLOOR * each.noise) ** 2 if each.noise_known else 0.0 for each in model.outputs])
 

@@ -31,7 +31,7 @@ from estimators.methods.prediction_error import predicted_percent
 from models.library import get
 from service.virtual.run import record
 from telemetry.recording import Recording
-from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
+from vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
 MODEL = get("twsbr")
 TABLE_1 = MODEL.values
@@ -88,7 +88,7 @@ def print_tables(found: Estimation) -> None:
         f"{complete.told} combinations are identified to 30 %; gradient at the minimum {complete.kkt_residual:.2g} std"
     )
     print("\ncombination per unit of motor gain, with the other parameters fixed")
-    for name, (value, std) in combinations(found.reduced, TOLD_NEAR_UPRIGHT).items():
+    for name, (value, std) in combinations(found.reduced, IDENTIFIABLE_NEAR_UPRIGHT).items():
         print(f"{name:28}{value:12.5g} ± {std:.2g}")
     print(f"\npercent of the motion predicted {HORIZON:g} s ahead: table 1, complete fit, reduced fit")
     for experiment, shares in percents(found).items():

@@ -54,7 +54,7 @@ def filter_inputs(model: GreyBox) -> frozenset[str]:
     return frozenset(found)
 
 
-def learned(sensor: Sensor, effect: Effect) -> bool:
+def is_learned_bias(sensor: Sensor, effect: Effect) -> bool:
     """Whether `effect` adds a constant to the rate of `sensor` that a filter has learned before a record begins."""
     if not integrated(sensor, effect) or sensor.filter is None or not sensor.filter.integral or effect.states:
         return False

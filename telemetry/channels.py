@@ -46,7 +46,7 @@ class ChannelTable(tuple[Channel, ...]):
         return tuple(channel.name for channel in self)
 
 
-NOTHING_RUNS = 0
+IDLE = 0
 """Value of the channel `phase` while no experiment runs: nothing holds the vehicle then."""
 
 SETPOINT_AGE = Channel(

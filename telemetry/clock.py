@@ -51,7 +51,7 @@ class Jitter:
         return float(np.sqrt(np.mean(self.off**2)))
 
 
-def by_the_clock(recording: Recording) -> Recording:
+def with_regular_times(recording: Recording) -> Recording:
     """`recording` with the instants at which its samples were taken, if its channels show with significance that these
     are not its time stamps; its `truncated` then states this, too."""
     found = jitter(recording)

@@ -167,7 +167,7 @@ class Prediction:
     needs: frozenset[str]
     gives: frozenset[str]
     of: Callable[[Any], Callable[[str], Experiment]]
-    untold: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
+    hardest_to_separate: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
     assumed: Callable[[Model], Model] = lambda model: model
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from telemetry.channels import NOTHING_RUNS
+from telemetry.channels import IDLE
 
 
 class Phase(IntEnum):
     """The phase that an experiment is in; recorded in channel `phase`."""
 
-    NONE = NOTHING_RUNS
+    NONE = IDLE
     REST = 1
     ENABLE = 2
     CENTRE = 3

@@ -29,7 +29,13 @@ from estimators.fit.problem import FINEST as STEP
 from estimators.fit.problem import Problem
 from estimators.fit.problem import at_rest as moment_at_rest
 from estimators.recursive.frame_chunks import Chunk, join
-from estimators.recursive.prediction_error import CHUNK, RecursivePredictionError, as_it_runs, at_rest, known_as
+from estimators.recursive.prediction_error import (
+    CHUNK,
+    RecursivePredictionError,
+    at_rest,
+    known_as,
+    with_recursive_disturbances,
+)
 from estimators.recursive.predictor import Seen, inputs_at, measured_state, of_noise
 from models.compiler.kernel import Kernel, Memory, Progress, compile_model
 from models.effect import Effect, Role
@@ -86,7 +92,7 @@ class LiveDiagnosis:
         effects: Sequence[str | Effect] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        model = as_it_runs(known_as(model, parameters, deviations))
+        model = with_recursive_disturbances(known_as(model, parameters, deviations))
         self.estimator = RecursivePredictionError(
             model,
             support=support,

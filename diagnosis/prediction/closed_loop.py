@@ -134,7 +134,7 @@ def steps(
             elif name in given:
                 rows.row_inputs[row, number] = given[name]
         if curved and before is not None:  # only now the curve to this sample is known
-            memory.go_back(before)
+            memory.restore(before)
             move(row - 1, row, True)
         rows.measured[row] += noise
         memory.x += kick

@@ -17,7 +17,7 @@ from models.effect import AttachedEffect, Effect, Role
 from models.effects.catalogue import CATALOGUE, find
 from models.model import Model
 from models.parts import ModelError
-from models.sensing import learned
+from models.sensing import is_learned_bias
 from telemetry.recording import Recording
 
 MOST_VARIANTS = 24
@@ -87,7 +87,7 @@ def candidates_for(
             if lacking:
                 left_out[name] = f"needs channel {', '.join(lacking)}, which is not recorded"
                 continue
-            if recordings and any(s.name == place and learned(s, effect) for s in model.sensors):
+            if recordings and any(s.name == place and is_learned_bias(s, effect) for s in model.sensors):
                 left_out[name] = f"the filter of {place} has learned it before the record begins"
                 continue
             attached = with_it.effects[-1]

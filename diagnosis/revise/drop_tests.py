@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import exp
 from typing import Any
 
-from diagnosis.evidence import asked_for
+from diagnosis.evidence import is_supported
 from diagnosis.prepare.ready import ready
 from diagnosis.revise.with_and_without import Estimated, alone, training
 from models.model import Model
@@ -38,7 +38,7 @@ class DropTest:
     @property
     def needed(self) -> bool:
         """Whether the records support it."""
-        return asked_for(0.5 * self.likelihood_ratio, self.degrees, self.t_ratio)
+        return is_supported(0.5 * self.likelihood_ratio, self.degrees, self.t_ratio)
 
     @property
     def verdict(self) -> str:

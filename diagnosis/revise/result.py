@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
-from diagnosis.evidence import ODDS, asked_for, by_chance, likelier
+from diagnosis.evidence import ODDS, by_chance, is_supported, likelier
 from estimators.disturbance_estimate import DisturbanceEstimate
 from models.model import Model
 
@@ -161,7 +161,7 @@ class Revision:
     @property
     def needed(self) -> bool:
         """Whether these records support the effect at all."""
-        return asked_for(*self._log_ratio, self.t_ratio)
+        return is_supported(*self._log_ratio, self.t_ratio)
 
     @property
     def p_value(self) -> float:

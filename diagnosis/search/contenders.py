@@ -41,7 +41,7 @@ from estimators.fit.maximum_likelihood import MUCH, Begin, noise_of
 from estimators.fit.problem import Problem
 from models.effect import Effect
 from models.parts import Place
-from models.random.disturbance import undriven
+from models.random.disturbance import with_zero_disturbances
 
 WORTH_A_FIT = LEVEL
 """p-value, of one candidate alone, below which it gets a quick fit."""
@@ -176,7 +176,7 @@ def undisturbed_fit(base: FullFit, workspace: Workspace) -> FullFit | None:
     number = len(disturbances(base.fit))
     if number == 0:
         return None
-    found = workspace.in_time(partial(full, undriven(base.model), workspace.for_one), IN_PLACE)
+    found = workspace.in_time(partial(full, with_zero_disturbances(base.model), workspace.for_one), IN_PLACE)
     there = found is not None and beyond_chance(base.log_likelihood - found.log_likelihood, 2 * number)
     return found if there else None
 

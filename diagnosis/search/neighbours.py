@@ -33,7 +33,7 @@ from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import flat_at_zero, look
 from diagnosis.search.explanation import Explanation, Search
 from diagnosis.search.further import left_by_formulas, required_log_ratio
-from diagnosis.search.one_more import Named, find, named_alone, surprising
+from diagnosis.search.one_more import Named, find, may_be_significant, named_alone
 from diagnosis.trial import tried
 from estimators.budget import OutOfTime
 from models.model import Model
@@ -218,12 +218,12 @@ def _candidate(finding: Finding, workspace: Workspace) -> Candidate:
 
 def _beside(base: FullFit, how: Search) -> Named | None:
     scored = look(base, how.workspace)
-    return find(base, scored, how.quiet) if surprising(scored) else None
+    return find(base, scored, how.quiet) if may_be_significant(scored) else None
 
 
 def _again(oldest: Named, without: FullFit, how: Search) -> Named | None:
     scored = look(without, how.workspace)
-    if not surprising(scored):
+    if not may_be_significant(scored):
         return None
     more = {oldest.finding.effect}.intersection(flat_at_zero(how.workspace))
     return find(without, scored, replace(how.quiet, confounded={*how.confounded, *more}), oldest)

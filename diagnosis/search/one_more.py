@@ -56,7 +56,7 @@ class Named:
     fit: FullFit
 
 
-def surprising(scored: ScoreTest) -> bool:
+def may_be_significant(scored: ScoreTest) -> bool:
     """Whether any effect may explain more than chance does.
 
     No correction for the number of effects is required here: in the model without the effect the disturbance has grown

@@ -24,7 +24,7 @@ from diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
 from diagnosis.search.explanation import NOTHING_SCORED, Explanation, Search
 from diagnosis.search.further import required_log_ratio
 from diagnosis.search.neighbours import add_two, one_by_one, parts_of, revised
-from diagnosis.search.one_more import find, sizes, surprising, with_estimates
+from diagnosis.search.one_more import find, may_be_significant, sizes, with_estimates
 from diagnosis.trial import FAILURES, tried
 
 HALF = 0.5
@@ -119,7 +119,7 @@ def _effects(base: FullFit, known: Explanation, how: Search) -> Found:
 
 def _one_more(now: Explanation, scored: ScoreTest, how: Search) -> Explanation | None:
     """`now` with the effect that explains most of its lack of fit; None if none passes."""
-    workspace, seen = how.workspace, surprising(scored)
+    workspace, seen = how.workspace, may_be_significant(scored)
     # In a fit of the model alone the disturbance may have grown to imitate what is missing, so that nothing shows.
     if not seen and (now.findings or not (how.confounded or undisturbed_fit(now.fit, workspace) is not None)):
         return None

@@ -28,7 +28,7 @@ from models.natural_time import USUAL, natural_time
 from models.parts import Hold, Input, Output
 from models.segment import Segment
 from models.sensing import filter_inputs
-from telemetry.channels import NOTHING_RUNS
+from telemetry.channels import IDLE
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ def _falls(model: Model, recording: Recording) -> list[tuple[int, int]]:
     coordinate = _coordinate(model)
     if "phase" not in recording.values or coordinate not in recording.values:
         return []
-    let_go, angle = recording["phase"] == NOTHING_RUNS, recording[coordinate]
+    let_go, angle = recording["phase"] == IDLE, recording[coordinate]
     falls = []
     for row in (np.flatnonzero(let_go[1:] & ~let_go[:-1]) + 1).tolist():
         back = np.flatnonzero(~(np.sign(angle[row]) * np.diff(angle[: row + 1]) > 0.0))

@@ -22,7 +22,7 @@ from estimators.contract import Status
 from estimators.data.segments import LONGEST_GAP, SHORTEST, SUPPORT_MARGIN, DataError, reading
 from models.model import Model
 from models.segment import Segment
-from telemetry.channels import NOTHING_RUNS, ChannelTable
+from telemetry.channels import IDLE, ChannelTable
 from telemetry.samples import Frame
 
 Array = NDArray[np.float64]
@@ -173,8 +173,8 @@ class FrameChunks:
         let_go = False
         if self._phase is not None:
             phase = frame.values[self._phase]
-            self._ran |= phase > NOTHING_RUNS
-            let_go = self._ran and phase == NOTHING_RUNS
+            self._ran |= phase > IDLE
+            let_go = self._ran and phase == IDLE
         # NaN, infinite, on a support, or falling
         if total - total != 0.0 or abs(row[self._coordinate]) >= self._free_angle or let_go:
             self._wait(time, row)

@@ -83,7 +83,7 @@ class RecursivePredictionError:
         if not any(parameter.estimated and parameter.name not in shaken for parameter in model.parameters):
             raise EstimationError(f"model {model.name}", "no parameter is to be estimated", remedy="name at least one.")
         # A simulation that restarts every second has no memory of a disturbance.
-        self._model = model = as_it_runs(model) if method is Method.PREDICTION_ERROR else model
+        self._model = model = with_recursive_disturbances(model) if method is Method.PREDICTION_ERROR else model
         if not memory > 0.0:
             raise EstimationError("memory", f"{memory:g} s is invalid", remedy="give a positive time constant.")
         self._method = method
@@ -174,7 +174,7 @@ def known_as(
     return model.change(own, deviations=spread)
 
 
-def as_it_runs(model: Model) -> Model:
+def with_recursive_disturbances(model: Model) -> Model:
     """`model` with the disturbances of recursive estimation.
 
     If only the order of magnitude of parameters is known (estimators.fit.logarithms), each disturbance is held at its

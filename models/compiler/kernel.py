@@ -73,7 +73,7 @@ class Memory:
         """A copy of this point, to return to."""
         return Memory(*(each.copy() for each in self._arrays))
 
-    def go_back(self, to: Memory) -> None:
+    def restore(self, to: Memory) -> None:
         """Return to the point `to`, in the same arrays."""
         for mine, other in zip(self._arrays, to._arrays, strict=True):
             mine[...] = other

@@ -76,7 +76,7 @@ def undisturbed(model: Model, fitted: Model) -> Model:
     )
 
 
-def undriven(model: Model) -> Model:
+def with_zero_disturbances(model: Model) -> Model:
     """`model` with each of its disturbances held at zero, as states that nothing drives."""
     places = {place for _, place in (*at_joints(model), *narrow_at_joints(model))}
     names = {name for place in places for name in (model.base_states[place].name, model.base_states[place].driven_by)}

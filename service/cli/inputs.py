@@ -22,14 +22,14 @@ def load_recording(path: Path, vehicle: str, *, as_stamped: bool = False) -> Rec
     """
     from estimators.data.segments import falls_at
     from service.offline.replay import load as load_any
-    from telemetry.clock import by_the_clock
+    from telemetry.clock import with_regular_times
     from vehicles.file import load
     from vehicles.registry import nominal_model
 
     file = load(vehicle)
     recording = load_any(path, file)
     if not as_stamped:
-        recording = by_the_clock(recording)
+        recording = with_regular_times(recording)
     if recording.truncated:
         people.print(f"[yellow]{path}: {recording.truncated}[/yellow]")
     falls = falls_at(nominal_model(file.vehicle.kind), recording, file.support)

@@ -92,7 +92,9 @@ def _suggestion(
 ) -> Mapping[str, Any] | None:
     if diagnosis.verdict is Verdict.INSUFFICIENT_DATA:
         return _as_json(
-            separating(vehicle, model, registry.of(vehicle.vehicle.kind).prediction().untold, progress=progress)
+            separating(
+                vehicle, model, registry.of(vehicle.vehicle.kind).prediction().hardest_to_separate, progress=progress
+            )
         )
     revised = diagnosis.revised
     if revised is None:

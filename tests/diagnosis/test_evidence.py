@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.evidence import LEVEL, ODDS, asked_for, beyond_chance, likelier
+from diagnosis.evidence import LEVEL, ODDS, beyond_chance, is_supported, likelier
 
 
 def test_chance_alone_is_as_rare_as_said() -> None:
@@ -25,8 +25,8 @@ def test_one_of_many_has_to_gain_more() -> None:
 
 
 def test_a_gain_alone_does_not_ask_for_an_effect_whose_size_is_that_of_noise() -> None:
-    assert not asked_for(1000.0, 1, 1.9)
-    assert asked_for(1000.0, 1, 2.1)
+    assert not is_supported(1000.0, 1, 1.9)
+    assert is_supported(1000.0, 1, 2.1)
 
 
 @pytest.mark.parametrize("tries", [1.0, 40.0])

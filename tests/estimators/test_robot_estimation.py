@@ -27,7 +27,7 @@ from service.virtual.run import record
 from simulation.twsbr.truth import TwsbrTruth
 from telemetry.recording import Recording
 from telemetry.storage import save
-from vehicles.twsbr.model import TOLD_NEAR_UPRIGHT
+from vehicles.twsbr.model import IDENTIFIABLE_NEAR_UPRIGHT
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "estimate_robot.py"))
 MODEL = get("twsbr")
@@ -60,8 +60,8 @@ def test_the_combinations_that_are_told_are_as_far_from_the_truth_as_they_say(se
     """Six of them: beyond three deviations one of eighteen would be in 5 % of all such tests."""
     fitted = reduced(seed)
     assert fitted.minimum.converged
-    for name, (value, std) in combinations(fitted, TOLD_NEAR_UPRIGHT).items():
-        true = number(TOLD_NEAR_UPRIGHT[name], {**MODEL.values, **TRUTH}, name)
+    for name, (value, std) in combinations(fitted, IDENTIFIABLE_NEAR_UPRIGHT).items():
+        true = number(IDENTIFIABLE_NEAR_UPRIGHT[name], {**MODEL.values, **TRUTH}, name)
         assert abs(value - true) < 3.0 * std, name
         # Told: to a tenth, though what is held is not known better than to a third (body_mass).
         assert std < 0.1 * abs(true), name

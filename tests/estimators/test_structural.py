@@ -13,7 +13,7 @@ from models.library import get
 from models.model import Model
 from models.parts import Hold, Input, ModelError, Output, Parameter, State
 from models.segment import Segment
-from vehicles.twsbr.model import TOLD_AT_LARGE_TILT, TOLD_IN_TURNS, TOLD_NEAR_UPRIGHT
+from vehicles.twsbr.model import IDENTIFIABLE_AT_LARGE_TILT, IDENTIFIABLE_IN_TURNS, IDENTIFIABLE_NEAR_UPRIGHT
 
 TWSBR = get("twsbr")
 ALIKE = (("left_voltage", "right_voltage"), ("left_wheel_rate", "right_wheel_rate"))
@@ -122,10 +122,16 @@ def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers()
     found = structure(TWSBR, NEAR_UPRIGHT)
     numbers = set(found.parameters) - {"voltage_offset"}
     assert len(numbers) == 13
-    assert found.rank == found.generic_rank == 1 + len(TOLD_NEAR_UPRIGHT) == 7
+    assert found.rank == found.generic_rank == 1 + len(IDENTIFIABLE_NEAR_UPRIGHT) == 7
     assert found.gap > 1e6
-    assert all(map(found.identifies, TOLD_NEAR_UPRIGHT.values()))
-    others = (*TOLD_AT_LARGE_TILT.values(), *TOLD_IN_TURNS.values(), "body_mass", "motor_constant", "rotor_inertia")
+    assert all(map(found.identifies, IDENTIFIABLE_NEAR_UPRIGHT.values()))
+    others = (
+        *IDENTIFIABLE_AT_LARGE_TILT.values(),
+        *IDENTIFIABLE_IN_TURNS.values(),
+        "body_mass",
+        "motor_constant",
+        "rotor_inertia",
+    )
     assert not any(map(found.identifies, others))
     alone = {tie.parameter for tie in found.ties if len(tie.changes) == 1}
     assert alone == {"wheel_distance", "yaw_inertia", "armature_inductance"}
@@ -138,8 +144,8 @@ def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers()
 @pytest.mark.parametrize(
     ("motions", "told"),
     [
-        (STRAIGHT, {**TOLD_NEAR_UPRIGHT, **TOLD_AT_LARGE_TILT}),
-        (generic_motions(TWSBR), {**TOLD_NEAR_UPRIGHT, **TOLD_AT_LARGE_TILT, **TOLD_IN_TURNS}),
+        (STRAIGHT, {**IDENTIFIABLE_NEAR_UPRIGHT, **IDENTIFIABLE_AT_LARGE_TILT}),
+        (generic_motions(TWSBR), {**IDENTIFIABLE_NEAR_UPRIGHT, **IDENTIFIABLE_AT_LARGE_TILT, **IDENTIFIABLE_IN_TURNS}),
     ],
     ids=["large tilt", "turns"],
 )

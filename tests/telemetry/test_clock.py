@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.others_recordings import SENSORS, OthersVehicle
 from service.cli.inputs import load_recording
 from telemetry.channels import Channel, ChannelTable
-from telemetry.clock import by_the_clock, jitter
+from telemetry.clock import jitter, with_regular_times
 from telemetry.recording import Recording
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ def jittering(clock: Array) -> Array:
 @pytest.mark.parametrize("missing", [0.0, 0.02])
 def test_stamps_of_samples_that_a_clock_took_are_set_to_it(clock: Array, jittering: Array, missing: float) -> None:
     kept = np.random.default_rng(3).uniform(size=ROWS) >= missing
-    found = by_the_clock(record(jittering[kept], taken=clock[kept]))
+    found = with_regular_times(record(jittering[kept], taken=clock[kept]))
     off = found.time - clock[kept]
     # What is slower than the window is left: the clock's own beginning, and the mean jitter of a window.
     assert np.std(off - np.mean(off)) < 0.2 * JITTER
@@ -61,7 +61,7 @@ def test_stamps_of_samples_that_were_taken_then_stay(clock: Array, jittering: Ar
     found = jitter(whole)
     assert found is not None
     assert abs(found.share) < 4.0 * found.share_error + 0.02
-    assert by_the_clock(whole) is whole
+    assert with_regular_times(whole) is whole
 
 
 def test_of_samples_that_half_follow_their_stamps_half_is_set(clock: Array, jittering: Array) -> None:
@@ -78,7 +78,7 @@ def test_a_clock_that_drifts_is_no_jitter(clock: Array) -> None:
 def test_noise_alone_says_nothing(clock: Array, jittering: Array) -> None:
     whole = record(jittering, taken=clock)
     still = replace(whole, values={"angle": np.random.default_rng(4).standard_normal(ROWS)})
-    assert by_the_clock(still) is still
+    assert with_regular_times(still) is still
 
 
 @pytest.mark.parametrize("by_clock", [True, False])

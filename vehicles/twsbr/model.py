@@ -312,7 +312,7 @@ MODELS = (TWSBR,)
 
 _GAIN = "(motor_constant * gear_ratio / armature_resistance)"
 
-TOLD_NEAR_UPRIGHT = {
+IDENTIFIABLE_NEAR_UPRIGHT = {
     "moment of the body": f"body_mass * com_height / {_GAIN}",
     "inertia of travel": "((3 * wheel_mass + body_mass) * wheel_radius ** 2 + 2 * gear_ratio ** 2 * rotor_inertia)"
     f" / {_GAIN}",
@@ -326,10 +326,10 @@ TOLD_NEAR_UPRIGHT = {
 unit of motor gain (N m/V), and no others. So six of the paper's 14 numbers are estimated here, and those that
 its Table 2 states most accurately are fixed. estimators.identify.structural finds both."""
 
-TOLD_AT_LARGE_TILT = {"radius of the wheels": "wheel_radius"}
+IDENTIFIABLE_AT_LARGE_TILT = {"radius of the wheels": "wheel_radius"}
 """Identifiable in addition if the body leans far enough for the cosine of the tilt to have an effect."""
 
-TOLD_IN_TURNS = {
+IDENTIFIABLE_IN_TURNS = {
     "height of the centre of mass": "com_height",
     "distance of the wheels": "wheel_distance",
     "inertia of yaw": f"yaw_inertia / {_GAIN}",

@@ -258,10 +258,10 @@ def _support(vehicle: str | None) -> float | None:
 
 def _load(path: Path, vehicle: str | None) -> Recording:
     from service.cli.inputs import load_recording
-    from telemetry.clock import by_the_clock
+    from telemetry.clock import with_regular_times
     from telemetry.storage import load
 
-    found = by_the_clock(load(path)) if vehicle is None else load_recording(path, vehicle)
+    found = with_regular_times(load(path)) if vehicle is None else load_recording(path, vehicle)
     return replace(found, source=path.name)
 
 
