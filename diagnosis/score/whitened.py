@@ -56,16 +56,16 @@ class Whitened:
         task, noise = fitted.problem, NoiseModel.of(fitted.problem)
         held, size = task.uncertain, len(task.free)
         typical = np.array([task.model.parameters[place].typical for place in (*task.free, *held)])
-        slopes = noise.slopes(fitted.values, fitted.minimum.common[size:], (*task.free, *held), typical)
+        steady = noise.steady_state(fitted.values, fitted.minimum.common[size:], (*task.free, *held), typical)
         blocks = task.evaluate(
             fitted.minimum.common[:size],
             fitted.minimum.own[: len(task.segments)],
             weights=whitening(fitted),
             gain=fitted.gain,
-            slopes=slopes,
+            slopes=None if steady is None else steady.slopes,
             also=held,
         )
-        if slopes is None or blocks is None:
+        if steady is None or blocks is None:
             raise ArithmeticError("the model diverges where its own fit ended")
         bases = [np.linalg.qr(block.own)[0] for block in blocks]
         columns = np.concatenate([less(block.common, basis) for block, basis in zip(blocks, bases, strict=True)])
@@ -135,9 +135,9 @@ class Whitened:
         logarithms = self.fit.minimum.common[len(self.fit.problem.free) :]
         if noise.size == len(logarithms):
             typical = np.array([full.model.parameters[place].typical for place in active])
-            found = noise.gain_and_slopes(values, logarithms, active, typical)
-            if found is not None and np.all(np.isfinite(found[1])):
-                return found[0], np.ascontiguousarray(found[1][:, : len(active)])
+            found = noise.steady_state(values, logarithms, active, typical)
+            if found is not None and np.all(np.isfinite(found.slopes)):
+                return found.gain, np.ascontiguousarray(found.slopes[:, : len(active)])
         gain = np.zeros((len(full.kernel.states), len(full.kernel.outputs)))
         gain[: len(self.fit.gain)] = self.fit.gain
         return gain, None

@@ -44,6 +44,38 @@ FLOOR = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
+class SteadyState:
+    """A filter in its steady state, and derivatives with respect to p parameters and the q logarithms of the noise.
+
+    `gain` (nx, ny) of the filter, `predictor` F = A - A K C (nx, nx), and `sample` C' S^-1 C (nx, nx), the information
+    of a sample on the state before it. `slopes` (nx * ny, p + q), `predictor_slopes` and `sample_slopes`
+    (p + q, nx, nx) are their derivatives.
+    """
+
+    gain: Array
+    slopes: Array
+    predictor: Array
+    predictor_slopes: Array
+    sample: Array
+    sample_slopes: Array
+
+    def start_information(self, unknowns: Sequence[int] = ()) -> tuple[Array, Array]:
+        """Information of all samples on the initial state, an inverse covariance D (nx, nx), and its derivatives
+        (m, nx, nx) with respect to `unknowns`, m of the p + q.
+
+        D = F' D F + C' S^-1 C. What the samples determine without bound counts as zero, with derivatives of zero.
+        """
+        turned, places = self.predictor.T, list(unknowns)
+        found = stationary_all(turned[None], self.sample[None])[0]
+        if not np.isfinite(found).all():
+            return np.zeros_like(found), np.zeros((len(places), *found.shape))
+        half = _turned(self.predictor_slopes[places]) @ found @ self.predictor
+        moved = half + _turned(half) + self.sample_slopes[places]
+        slopes = stationary_all(np.repeat(turned[None], len(places), axis=0), moved)
+        return found, np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseModel:
     """The noises of a problem. `process` (nx,), unit/sqrt(s), and `sensor` (ny,) are where the estimation starts.
 
@@ -155,28 +187,15 @@ class NoiseModel:
         except EstimationError:
             return None
 
-    def start_information(self, values: Array, logarithms: Array) -> Array:
-        """Information of all samples on the initial state, an inverse covariance (n, nx, nx), for parameter values
-        (n, np) and logarithms (n, q): the sum over the samples of F'^k C' S^-1 C F^k with the predictor F = A - A K C.
-        Zero if no filter is stable."""
-        return _steady(*self._systems(values, logarithms)).start_information
-
     def covariances(self, values: Array, logarithms: Array) -> tuple[Array, Array, Array, Array, Array]:
         """The linear system of the gain: A (nx, nx), C (ny, nx) and, per sample, the covariances of the process noise
         (nx, nx) and of the sensor noise (ny, ny), and their cross-covariance (nx, ny)."""
         A, C, process, sensor, across = self._systems(values[None], logarithms[None])
         return A[0], C[0], process[0], sensor[0], across[0]
 
-    def slopes(self, values: Array, logarithms: Array, free: Sequence[int], scale: Array) -> Array | None:
-        """Derivatives (nx * ny, p + q) of the gain with respect to the parameters `free`, with typical magnitudes
-        `scale` (p,), and the logarithms."""
-        found = self.gain_and_slopes(values, logarithms, free, scale)
-        return None if found is None else found[1]
-
-    def gain_and_slopes(
-        self, values: Array, logarithms: Array, free: Sequence[int], scale: Array
-    ) -> tuple[Array, Array] | None:
-        """`gain` and `slopes` at once; None if no filter is stable."""
+    def steady_state(self, values: Array, logarithms: Array, free: Sequence[int], scale: Array) -> SteadyState | None:
+        """The filter at parameter values (np,) and logarithms (q,), with its derivatives with respect to the parameters
+        `free`, of typical magnitudes `scale` (p,), and to the logarithms; None if no filter is stable."""
         sizes = STEP * np.concatenate((scale, np.ones(self.size)))
         moves = np.repeat(np.diag(sizes), 2, axis=0)
         moves[1::2] *= -1.0
@@ -189,10 +208,9 @@ class NoiseModel:
             return None
         rises = [(each[:-1:2] - each[1::2]) / (2.0 * sizes)[:, None, None] for each in systems]
         try:
-            slopes = steady.slopes(*rises)
+            return steady.differentiated(*rises)
         except np.linalg.LinAlgError:  # at the stability limit the error of a filter does not decay
             return None
-        return steady.gain[0], np.ascontiguousarray(slopes.reshape(len(sizes), -1).T)
 
     def _systems(self, values: Array, logarithms: Array) -> tuple[Array, ...]:
         """Transition and output matrices, covariances of process and sensor noise and their cross-covariance, for each
@@ -261,24 +279,17 @@ class _Steady:
     gain: Array
     there: NDArray[np.bool_]
 
-    @property
-    def start_information(self) -> Array:
-        """As of NoiseModel, (n, nx, nx)."""
-        found = np.zeros_like(self.covariance)
-        some = self.there
-        output = self.output[some]
-        sample = _turned(output) @ np.linalg.solve(self.innovation[some], output)
-        gathered = stationary_all(_turned(self.transition[some] - self.ahead[some] @ output), sample)
-        found[some] = np.where(np.isfinite(gathered), gathered, 0.0)
-        return found
-
-    def slopes(self, transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> Array:
-        """The derivatives (m, nx, ny) of the first filter's gain, given m derivatives of its system.
+    def differentiated(
+        self, transition: Array, output: Array, process: Array, sensor: Array, across: Array
+    ) -> SteadyState:
+        """The first filter with its derivatives, given m derivatives of its system.
 
         The covariance is minimal with respect to the gain, so its derivative is that with the gain held, from a
         Lyapunov equation.
         """
-        A, C, P, L = self.transition[0], self.output[0], self.covariance[0], self.ahead[0]
+        A, C, P, L, S = (
+            each[0] for each in (self.transition, self.output, self.covariance, self.ahead, self.innovation)
+        )
         closed = A - L @ C
         half = (transition - L @ output) @ P @ closed.T - across @ L.T
         moved = half + _turned(half) + process + L @ sensor @ L.T
@@ -288,8 +299,18 @@ class _Steady:
         seen = spread @ C.T + P @ _turned(output)
         innovation = output @ P @ C.T + C @ seen + sensor
         ahead = transition @ P @ C.T + A @ seen + across - L @ innovation
-        ahead = _turned(np.linalg.solve(self.innovation[0], _turned(ahead)).astype(np.float64))
-        return np.asarray(np.linalg.solve(A, ahead - transition @ self.gain[0]))
+        ahead = _turned(np.linalg.solve(S, _turned(ahead)).astype(np.float64))
+        gain = np.linalg.solve(A, ahead - transition @ self.gain[0])
+        known = np.linalg.solve(S, C)
+        half = _turned(output) @ known
+        return SteadyState(
+            gain=self.gain[0],
+            slopes=np.ascontiguousarray(gain.reshape(len(gain), -1).T),
+            predictor=closed,
+            predictor_slopes=transition - ahead @ C - L @ output,
+            sample=C.T @ known,
+            sample_slopes=half + _turned(half) - known.T @ innovation @ known,
+        )
 
 
 def _steady(transition: Array, output: Array, process: Array, sensor: Array, across: Array) -> _Steady:

@@ -78,16 +78,16 @@ class Likelihood:
         task.budget.check()
         kernel, values, places = task.kernel, task.values(common[:size]), (*task.free, *also)
         typical = np.array([task.model.parameters[place].typical for place in places])
-        found = noise.gain_and_slopes(values, common[size:], places, typical)
-        if found is None:
+        steady = noise.steady_state(values, common[size:], places, typical)
+        if steady is None:
             return None
-        gain, slopes = found
+        gain = steady.gain
         starts = [len(kernel.parameters) + state for state in task.own]
         active = (*task.free, *[ELSEWHERE] * noise.size, *also, *starts)
         order = np.r_[0:size, len(places) : len(places) + noise.size, size : len(places)]
-        by_gain = np.concatenate((slopes[:, order], np.zeros((gain.size, len(starts)))), axis=1)
+        by_gain = np.concatenate((steady.slopes[:, order], np.zeros((gain.size, len(starts)))), axis=1)
         squares, moments, ends = np.zeros((gain.shape[1],) * 2), [], []
-        at_start = self.stationary_start(values, common[size:])
+        at_start = stationary_start(noise, values, common[size:], steady, order[: size + noise.size])
         spread = at_start.spread
         for segment, initial, part in zip(task.segments, task.initials, own, strict=False):
             start = initial.copy()
@@ -119,10 +119,6 @@ class Likelihood:
             # If S is held above the mean of e e', the weighted squares sum to less than samples times outputs.
             cost += 0.5 * (float(np.sum(weights * squares)) - task.rows * len(covariance))
         return Seen(cost + len(ends) * at_start.cost, normals, gain, covariance)
-
-    def stationary_start(self, values: Array, logarithms: Array) -> StationaryStart:
-        """Spread of the initial states at parameter values (np,) and logarithms (q,) of the noise."""
-        return stationary_start(self.noise, values, logarithms)
 
     @property
     def _counted(self) -> Array:

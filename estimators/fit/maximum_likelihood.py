@@ -20,6 +20,7 @@ from estimators.fit.likelihood import Likelihood, Seen
 from estimators.fit.logarithms import InLogarithms
 from estimators.fit.problem import Problem
 from estimators.fit.result import inverse
+from estimators.fit.stationary_start import stationary_spread
 
 Array = NDArray[np.float64]
 
@@ -213,7 +214,7 @@ def _fit(task: Problem, prior: bool, iterations: int, near: Fit | None, begin: B
         if finer.substeps == task.substeps:
             gain = likelihood.noise.gain(task.values(common[:size]), common[size:])
             gain = there.gain if gain is None else gain
-            spread = likelihood.stationary_start(task.values(common[:size]), common[size:]).spread
+            spread = stationary_spread(likelihood.noise, task.values(common[:size]), common[size:])
             return Fit(replace(task, spread=spread), minimum, gain, there.covariance, likelihood.prior, tuple(steps))
         task = finer
         likelihood = replace(likelihood, task=task)

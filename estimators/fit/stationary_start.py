@@ -10,18 +10,16 @@ bound as that RMS goes to zero. Laplace's method, exact for a linear model; D is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.fit.innovations import NoiseModel
-from models.random.disturbance import parameters_of, power_share
+from estimators.fit.innovations import NoiseModel, SteadyState
+from models.random.disturbance import power_share
 
 Array = NDArray[np.float64]
-
-STEP = 1e-3
-"""Relative step of a correlation time, and step of the logarithm of a noise, for a numerical derivative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +38,29 @@ class StationaryStart:
     entries: tuple[tuple[int, int, float], ...]
 
 
-def stationary_start(noise: NoiseModel, values: Array, logarithms: Array) -> StationaryStart:
-    """Spread of the initial states at parameter values (np,) and logarithms (q,) of the noise."""
+def stationary_start(
+    noise: NoiseModel, values: Array, logarithms: Array, steady: SteadyState, unknowns: Sequence[int]
+) -> StationaryStart:
+    """Spread of the initial states at parameter values (np,) and logarithms (q,) of the noise, where the filter is
+    `steady`; `unknowns` are the free parameters and the logarithms among those that it is differentiated by."""
     spread, entries = _spreads(noise, values, logarithms)
     if not entries:
-        return StationaryStart(spread, 0.0, np.zeros(len(noise.problem.free) + noise.size), ())
-    cost, slopes = _integrated(noise, values, logarithms)
-    return StationaryStart(spread, cost, slopes, entries)
+        return StationaryStart(spread, 0.0, np.zeros(len(unknowns)), ())
+    rows, columns = np.ix_(noise.problem.own, noise.problem.own)
+    information, slopes = steady.start_information(unknowns)
+    both = spread[:, None] * spread
+    inside = np.eye(len(spread)) + both * information[rows, columns]
+    inverse = np.linalg.inv(inside)
+    # Half the logarithm of det(1 + D P): Laplace's method, exact for a linear model.
+    by = 0.5 * np.einsum("ij,mji->m", inverse, both * slopes[:, rows, columns])
+    for number, unknown, slope in entries:
+        by[unknown] += slope * (1.0 - inverse[number, number])
+    return StationaryStart(spread, 0.5 * float(np.linalg.slogdet(inside)[1]), by, entries)
+
+
+def stationary_spread(noise: NoiseModel, values: Array, logarithms: Array) -> Array:
+    """`spread` of StationaryStart, (k,)."""
+    return _spreads(noise, values, logarithms)[0]
 
 
 def _spreads(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[Array, tuple[tuple[int, int, float], ...]]:
@@ -67,27 +81,3 @@ def _spreads(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[Array
         if which is not None:
             entries.append((number, len(task.free) + which, 1.0))
     return spread, tuple(entries)
-
-
-def _integrated(noise: NoiseModel, values: Array, logarithms: Array) -> tuple[float, Array]:
-    """`cost` and `slopes` of StationaryStart: half the logarithm of det(1 + D P), with P the prior covariance of the
-    initial states and D the information of the record on them (Laplace's method, exact for a linear model)."""
-    task = noise.problem
-    its = parameters_of(task.model.base_states)
-    times = [place for place, number in enumerate(task.free) if task.kernel.parameters[number] in its]
-    unknowns = [*times, *range(len(task.free), len(task.free) + noise.size)]
-    sizes = STEP * np.array([values[task.free[place]] for place in times] + [1.0] * noise.size)
-    many_values = np.repeat(values[None], 1 + 2 * len(unknowns), axis=0)
-    many_logarithms = np.repeat(logarithms[None], len(many_values), axis=0)
-    for place, unknown in enumerate(unknowns):
-        target = many_values if place < len(times) else many_logarithms
-        column = task.free[unknown] if place < len(times) else unknown - len(task.free)
-        target[1 + 2 * place, column] += sizes[place]
-        target[2 + 2 * place, column] -= sizes[place]
-    information = noise.start_information(many_values, many_logarithms)[:, list(task.own)][:, :, list(task.own)]
-    spreads = np.stack([_spreads(noise, *each)[0] for each in zip(many_values, many_logarithms, strict=True)])
-    inside = np.eye(len(task.own)) + spreads[:, :, None] * information * spreads[:, None, :]
-    costs = 0.5 * np.linalg.slogdet(inside)[1]
-    slopes = np.zeros(len(task.free) + noise.size)
-    slopes[unknowns] = (costs[1::2] - costs[2::2]) / (2.0 * sizes)
-    return float(costs[0]), slopes

@@ -40,7 +40,7 @@ from estimators.fit.likelihood import FLOOR
 from estimators.fit.logarithms import is_known_roughly
 from estimators.fit.problem import Problem
 from estimators.fit.result import assemble
-from estimators.fit.stationary_start import stationary_start
+from estimators.fit.stationary_start import stationary_spread
 from estimators.recursive.frame_chunks import Chunk, join
 from estimators.recursive.gauss_newton import ROUNDING, SLIGHT, RecursiveGaussNewton
 from models.compiler.kernel import Memory
@@ -335,7 +335,7 @@ class RecursivePredictor:
         begins stationary."""
         if self._noise is None:
             return np.ones(len(self._problem.spread))
-        spread = stationary_start(self._noise, self._values, self._regression.z[self._free :]).spread
+        spread = stationary_spread(self._noise, self._values, self._regression.z[self._free :])
         return np.asarray((self._problem.spread / spread) ** 2)
 
     def _learn_again(self) -> Array:
@@ -372,9 +372,9 @@ class RecursivePredictor:
             if (np.abs(moved) < (1.0 - ROUNDING) * self._gain_moves).all():
                 return self._gain + (self._gain_slopes @ moved[self._gain_unknowns]).reshape(self._gain.shape)
         times = tuple(self._problem.free[place] for place in self._shaken)
-        found = self._noise.gain_and_slopes(values, z[free:], times, values[list(times)])
+        found = self._noise.steady_state(values, z[free:], times, values[list(times)])
         if found is not None:
-            self._gain, slopes = found
+            self._gain, slopes = found.gain, found.slopes.copy()
             slopes[:, : len(times)] *= self._sizes[list(self._shaken)]
             self._gain_slopes, self._gain_at = np.ascontiguousarray(slopes), z
         return self._gain

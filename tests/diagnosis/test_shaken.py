@@ -125,7 +125,9 @@ class TestLikelihood:
         assert gain is not None
         assert covariance is not None
         follows = transition - transition @ gain @ output
-        found = noise.start_information(values[None], logarithms[None])[0]
+        steady = noise.steady_state(values, logarithms, fitted.problem.free, fitted.problem.scale)
+        assert steady is not None
+        found, _ = steady.start_information()
         total = output.T @ np.linalg.solve(covariance, output) + follows.T @ found @ follows
         assert found == pytest.approx(total, rel=1e-6, abs=1e-9 * float(np.max(total)))
 

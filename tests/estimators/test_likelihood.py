@@ -47,9 +47,9 @@ def _values(task: Problem) -> np.ndarray:
 def test_the_gain_and_its_slopes_fit_together(task: Problem, noise: NoiseModel) -> None:
     """Differences of the gain itself, four points: their error is some 1e-8 of the largest."""
     values, logarithms = _values(task), 0.3 * np.cos(np.arange(noise.size))
-    found = noise.gain_and_slopes(values, logarithms, task.free, task.scale)
+    found = noise.steady_state(values, logarithms, task.free, task.scale)
     assert found is not None
-    gain, slopes = found
+    gain, slopes = found.gain, found.slopes
     assert np.array_equal(gain, noise.gain(values, logarithms))
 
     def moved(column: int, steps: float) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_at_the_edge_of_stability_there_is_no_gain(
         return replace(found, transition=np.eye(states), ahead=np.zeros_like(found.ahead))
 
     monkeypatch.setattr(innovations, "_steady", edge)
-    assert noise.gain_and_slopes(_values(task), np.zeros(noise.size), task.free, task.scale) is None
+    assert noise.steady_state(_values(task), np.zeros(noise.size), task.free, task.scale) is None
     likelihood = Likelihood.of(task, np.zeros(len(task.free)))
     assert likelihood(likelihood.centre, [*task.own_start, np.zeros(0)]) is None
 
@@ -93,9 +93,9 @@ def test_at_the_edge_of_stability_there_is_no_gain(
 def test_a_gain_that_moves_along_is_the_sum_over_its_entries(task: Problem, noise: NoiseModel) -> None:
     """Derivatives by the gain's entries, which test_kernel compares with differences, times those of the entries."""
     kernel, segment, values = task.kernel, task.segments[0], _values(task)
-    found = noise.gain_and_slopes(values, np.zeros(noise.size), task.free, task.scale)
+    found = noise.steady_state(values, np.zeros(noise.size), task.free, task.scale)
     assert found is not None
-    gain, slopes = found
+    gain, slopes = found.gain, found.slopes
     entries = range(
         len(kernel.parameters) + len(kernel.states), len(kernel.parameters) + len(kernel.states) + gain.size
     )
