@@ -45,11 +45,11 @@ class Answer:
     effect: str
     times: float
     rms: float
-    said: str
+    answer: str
     names: str
 
 
-def said(found: Diagnosis, effect: str) -> str:
+def answer(found: Diagnosis, effect: str) -> str:
     """The answer of `found` if `effect` is hidden, as in the module's docstring."""
     names = [{each.effect, *each.tied_with} for each in found.findings]
     if names and effect in names[0]:
@@ -70,15 +70,15 @@ def tried(effect: str, times: Sequence[float], seed: int, duration: float, corre
     answers = []
     for number, each in enumerate(times):
         rms = each * own
-        shaken = [f"disturbance={rms:.6g},{correlation_time:g}"] if rms else []
+        disturbance = [f"disturbance={rms:.6g},{correlation_time:g}"] if rms else []
         try:
-            run = record(VEHICLE, "multisine", hide=[hide, *shaken], seed=seed + number, duration=duration)
+            run = record(VEHICLE, "multisine", hide=[hide, *disturbance], seed=seed + number, duration=duration)
         except UprightError as error:
             answers.append(Answer(effect, each, rms, "not recorded", str(error)))
             continue
         found = diagnose_parts(model, actuators, [run], support=vehicle.support, budget=default_budget([run]))
         names = ", ".join("/".join((one.effect, *one.tied_with)) for one in found.findings)
-        answers.append(Answer(effect, each, rms, said(found, effect), names))
+        answers.append(Answer(effect, each, rms, answer(found, effect), names))
     return answers
 
 
@@ -99,12 +99,12 @@ def main() -> None:
         for number, each in enumerate(pool.map(one, effects), start=1):
             answers += each
             for line in each:
-                text = f"{line.effect:24} {line.times:g} x, {line.rms:8.3g} N m  {line.said:18} {line.names}"
+                text = f"{line.effect:24} {line.times:g} x, {line.rms:8.3g} N m  {line.answer:18} {line.names}"
                 print(text, flush=True)
             print(f"\r{number} of {len(effects)}", end="\r", file=sys.stderr, flush=True)
     print()
     for each in times:
-        some = [line.said for line in answers if line.times == each]
+        some = [line.answer for line in answers if line.times == each]
         counts = ", ".join(f"{some.count(word)} {word}" for word in dict.fromkeys(sorted(some)))
         print(f"beside {each:g} times its own RMS, of {len(some)}: {counts}")
 

@@ -83,9 +83,9 @@ def _search(recording: Any) -> Callable[[], str]:
 
 def _timed(name: str, work: Callable[[], str]) -> float:
     wall, cpu = time.perf_counter(), time.process_time()
-    said = work()
+    result = work()
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    print(f"{name:18s} {wall:6.2f} s wall, {cpu:6.2f} s CPU   {said}")
+    print(f"{name:18s} {wall:6.2f} s wall, {cpu:6.2f} s CPU   {result}")
     return wall
 
 

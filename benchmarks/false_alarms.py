@@ -51,13 +51,15 @@ def bare(name: str) -> Model:
 def clean(name: str, experiment: str, disturbances: Disturbances | None, seed: int) -> Recording:
     """A recording with nothing missing: of the MONOCAB drawn with this seed, or of another vehicle as it is."""
     if name != "monocab":
-        return record(name, experiment, hide=shaken(disturbances, registry.of(name).twin().truth, seed), seed=seed)
+        return record(
+            name, experiment, hide=hidden_disturbance(disturbances, registry.of(name).twin().truth, seed), seed=seed
+        )
     vehicle = drawn(seed)
-    hide = shaken(disturbances, vehicle.plant, seed)
+    hide = hidden_disturbance(disturbances, vehicle.plant, seed)
     return record(vehicle.file, experiment, hide=hide, seed=seed, configure=vehicle.configured)
 
 
-def shaken(disturbances: Disturbances | None, truth: Truth, seed: int) -> list[str]:
+def hidden_disturbance(disturbances: Disturbances | None, truth: Truth, seed: int) -> list[str]:
     """The values of `--hide` for the disturbance of this seed."""
     if disturbances is None:
         return []

@@ -100,10 +100,10 @@ def cost_once(recording: Recording) -> tuple[float, float]:
     return 1e6 * spent / len(frames), 1e6 * (total - spent) / len(frames)
 
 
-def detectable(excitation: str, begin: float, shaken: list[str]) -> dict[str, float]:
+def detectable(excitation: str, begin: float, disturbance: list[str]) -> dict[str, float]:
     """The minimum detectable amplitude of each effect in 30 s of a recording from `begin` on."""
     diagnosis = live()
-    clean = record("monocab", excitation, hide=shaken, seed=1000, duration=begin + 30.0)
+    clean = record("monocab", excitation, hide=disturbance, seed=1000, duration=begin + 30.0)
     for _ in course(clean, diagnosis, begin):
         pass
     return dict(diagnosis.result().detectable)
@@ -124,16 +124,16 @@ def main() -> None:
     parser.add_argument("--disturbance", default="none", help="RMS,CORRELATION_TIME in N m and s of a random torque")
     parser.add_argument("--rise", action="store_true", help="minimum detectable from the first sample on")
     arguments = parser.parse_args()
-    shaken = [] if arguments.disturbance == "none" else [f"disturbance={arguments.disturbance}"]
+    disturbance = [] if arguments.disturbance == "none" else [f"disturbance={arguments.disturbance}"]
     for excitation in arguments.excitation or ["multisine"]:
-        clean = record("monocab", excitation, hide=shaken, seed=1000, duration=60.0)
+        clean = record("monocab", excitation, hide=disturbance, seed=1000, duration=60.0)
         own, recursion = cost(clean)
         print(
             f"{excitation}, 60 s: {own:.1f} us per sample, {own / recursion:.2f} of the estimator's {recursion:.1f} us"
         )
         alarms, names, hours = [], 0, 0.0
         for seed in range(arguments.clean):
-            recording = record("monocab", excitation, hide=shaken, seed=seed)
+            recording = record("monocab", excitation, hide=disturbance, seed=seed)
             alarm = {each.effect for _, found in course(recording, live()) for each in found}
             alarms.append(bool(alarm))
             names, hours = names + len(alarm), hours + recording.duration / 3600.0
@@ -150,18 +150,18 @@ def main() -> None:
         if arguments.seeds < 1:
             continue
         sizes, others = (
-            detectable(excitation, begin, shaken) for begin in ((0.0, ONSET) if arguments.rise else (ONSET, 0.0))
+            detectable(excitation, begin, disturbance) for begin in ((0.0, ONSET) if arguments.rise else (ONSET, 0.0))
         )
         waits: list[float] = []
         sharp: list[float] = []
         right = wrong = 0
         for name in sorted(LATE - set(UNLISTED)):
-            asked = "static_torque" if name == "torque_step" else name
-            if name == "static_torque" or asked not in sizes:
+            counterpart = "static_torque" if name == "torque_step" else name
+            if name == "static_torque" or counterpart not in sizes:
                 continue
-            level = arguments.size * sizes[asked] / abs(HIDDEN[name].size)
+            level = arguments.size * sizes[counterpart] / abs(HIDDEN[name].size)
             for seed in range(arguments.seeds):
-                hide = [*shaken, f"{name}={level:.4g}@{ONSET:g}"]
+                hide = [*disturbance, f"{name}={level:.4g}@{ONSET:g}"]
                 recording = record("monocab", excitation, hide=hide, seed=2000 + seed, duration=50.0)
                 begin = onset_of(recording)
                 first, text = float("inf"), "nothing"
@@ -180,7 +180,9 @@ def main() -> None:
                 sharp.append(alone)
                 right += name in text.split(" = ")
                 wrong += text != "nothing" and name not in text.split(" = ")
-                beside = f"{arguments.size * sizes[asked] / others[asked]:.1f}" if asked in others else "-"
+                beside = (
+                    f"{arguments.size * sizes[counterpart] / others[counterpart]:.1f}" if counterpart in others else "-"
+                )
                 print(
                     f"  {name} {level:.3g} ({beside}): first name after {first:.1f} s: {text}; right name after "
                     f"{correct:.1f} s, tied with at most one after {alone:.1f} s",

@@ -72,10 +72,10 @@ class Answer:
 
     def __str__(self) -> str:
         effects = ", ".join(self.effects) or "-"
-        shaken = "; ".join(self.disturbance) or "switched off"
+        disturbance = "; ".join(self.disturbance) or "switched off"
         return (
             f"{self.name:32} {self.verdict:18} {effects:58} {self.before:8.3g} -> {self.after:<7.3g}"
-            f"{self.seconds:6.1f} s  {shaken}"
+            f"{self.seconds:6.1f} s  {disturbance}"
         )
 
 

@@ -321,7 +321,7 @@ UNLISTED: dict[str, dict[str, Any]] = {
 CLEAN = "nothing"
 
 
-def asked(path: Path, vehicle: str = "monocab") -> dict[str, Any]:
+def diagnosis_of(path: Path, vehicle: str = "monocab") -> dict[str, Any]:
     """The document of `upright diagnose --json` for a table."""
     command = [str(Path(sys.executable).with_name("upright")), "diagnose", str(path), "--vehicle", vehicle, "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -394,7 +394,7 @@ def main() -> None:
                 disturbance=(rms, correlation_time),
                 **everything[names[number]],
             )
-            return asked(vehicle.write(Path(folder) / f"{number}.csv"))
+            return diagnosis_of(vehicle.write(Path(folder) / f"{number}.csv"))
 
         groups: dict[str, dict[str, Any]] = {"in the catalogue": EFFECTS, "outside it": UNLISTED, "clean": {CLEAN: {}}}
         verdicts(names, pool.map(tried, range(len(names))), groups)

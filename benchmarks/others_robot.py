@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.others_recordings import CLEAN, asked, verdicts
+from benchmarks.others_recordings import CLEAN, diagnosis_of, verdicts
 
 STEP, RATE, SECONDS = 1e-4, 200, 24.0
 RADIUS, WHEEL, HEIGHT, BODY, TILT_INERTIA = 0.0325, 0.053, 0.05, 0.85, 1.8e-3
@@ -126,7 +126,7 @@ def main() -> None:
 
         def tried(number: int) -> dict[str, Any]:
             robot = OthersRobot(seed=arguments.seed + number, **EFFECTS.get(names[number], {}))
-            return asked(robot.write(Path(folder) / f"{number}.csv"), "twsbr")
+            return diagnosis_of(robot.write(Path(folder) / f"{number}.csv"), "twsbr")
 
         verdicts(names, pool.map(tried, range(len(names))), {"in the catalogue": EFFECTS, "clean": {CLEAN: {}}})
 

@@ -108,9 +108,9 @@ class Jobs:
                     preexec_fn=_lower_priority,
                     limit=LARGEST,
                 )
-                output, said = await process.communicate()
+                output, messages = await process.communicate()
                 job.seconds = time.monotonic() - job.began
-                self._finish(job, process.returncode or 0, output, said)
+                self._finish(job, process.returncode or 0, output, messages)
         except asyncio.CancelledError:
             job.state = "cancelled"
             if process is not None and process.returncode is None:
@@ -120,7 +120,7 @@ class Jobs:
         except OSError as error:
             job.state, job.error = "failed", str(error)
 
-    def _finish(self, job: Job, status: int, output: bytes, said: bytes) -> None:
+    def _finish(self, job: Job, status: int, output: bytes, messages: bytes) -> None:
         try:
             job.result = json.loads(output) if output.strip() else None
         except ValueError:
@@ -128,7 +128,7 @@ class Jobs:
         # A diagnosis of insufficient data has exit status 1 and an answer.
         job.state = "done" if job.result is not None else "failed"
         if job.state == "failed":
-            lines = said.decode(errors="replace").strip().splitlines()
+            lines = messages.decode(errors="replace").strip().splitlines()
             job.error = lines[-1][:1000] if lines else f"ended with exit status {status}"
 
 

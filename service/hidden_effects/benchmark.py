@@ -25,9 +25,9 @@ def benchmark(
     """
     lines = results.read(path) if path.exists() else {}
     results.check(path, lines, bench.conditions)
-    wanted = list(dict.fromkeys((*references(cases), *cases)))
-    done = len(wanted) - len(results.left(wanted, bench, lines))
-    progress(done, len(wanted))
+    everything = list(dict.fromkeys((*references(cases), *cases)))
+    done = len(everything) - len(results.left(everything, bench, lines))
+    progress(done, len(everything))
 
     def detectable(case: Case) -> Mapping[str, float]:
         return dict(lines.get(case.reference.key, {}).get(DETECTABLE, {}))
@@ -37,7 +37,7 @@ def benchmark(
         results.append(path, line)
         lines[line["key"]] = line
         done += 1
-        progress(done, len(wanted))
+        progress(done, len(everything))
 
     # A reference whose diagnosis failed is repeated, since the other cases depend on it.
     sized = {key: line for key, line in lines.items() if DETECTABLE in line}
@@ -54,7 +54,7 @@ def benchmark(
             take(results.failed(case, bench, reason))
     for line in spread(able, bench, detectable):
         take(line)
-    return {case.key: lines[case.key] for case in wanted if case.key in lines}
+    return {case.key: lines[case.key] for case in everything if case.key in lines}
 
 
 def _why(line: Line) -> str:

@@ -536,7 +536,7 @@ def test_what_is_missing_is_told_and_what_was_added_is_taken_back(asked: None, w
     # With the friction that was added nothing is.
     expect(page.locator("#gap-ranked")).to_contain_text("The model is adequate", timeout=120_000)
     expect(page.locator("#gap-ranked")).to_contain_text("Next experiment: ")
-    told = page.locator("#gap-ranked [data-told=disturbance]")
+    told = page.locator("#gap-ranked [data-text=disturbance]")
     expect(told).to_contain_text("The best possible prediction 0.5 s ahead has ")
     expect(told).to_contain_text("deg RMS in roll")
     page.click("#gap-undo")

@@ -123,13 +123,13 @@ export class Chart {
   }
 
   // Whether it is visible on the screen or in print.
-  get wanted() {
+  get visible() {
     return this.seen || (paper && this.place.clientWidth > 0);
   }
 
   show(seen) {
     this.seen = seen;
-    if (this.wanted) this.draw();
+    if (this.visible) this.draw();
     else this.drop();
   }
 
@@ -182,7 +182,7 @@ export class Chart {
   }
 
   draw() {
-    if (!this.wanted) return;
+    if (!this.visible) return;
     if (!this.plot) this.build();
     else this.plot.setData(this.data);
   }

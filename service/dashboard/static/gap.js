@@ -68,9 +68,9 @@ export class Gap {
     };
     const disturbance = disturbanceText(diagnosis, this.app.config.units);
     const untried = Array.isArray(diagnosis.untried) ? diagnosis.untried : [];
-    fill(place, h("p", { class: diagnosis.adequate || nothing ? "good" : "told" }, nothing ? sentence(diagnosis.reason) : diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replace(/\.$/, "")}.` : verdict),
-      disturbance ? h("p", { "data-told": "disturbance" }, disturbance) : null,
-      untried.length ? h("p", { "data-told": "untried" }, `Left untried for want of time: ${untried.join("; ")}. upright diagnose --budget SECONDS gives more.`) : null,
+    fill(place, h("p", { class: diagnosis.adequate || nothing ? "good" : "verdict" }, nothing ? sentence(diagnosis.reason) : diagnosis.reason ? `${verdict.replace(/\.$/, ":")} ${String(diagnosis.reason).replace(/\.$/, "")}.` : verdict),
+      disturbance ? h("p", { "data-text": "disturbance" }, disturbance) : null,
+      untried.length ? h("p", { "data-text": "untried" }, `Left untried for want of time: ${untried.join("; ")}. upright diagnose --budget SECONDS gives more.`) : null,
       shown((each) => !negligible(each)), shown(negligible, "Negligible: significant, but less than 1 % of the error"),
       whole && typeof diagnosis.innovation_ratio_before === "number" && typeof diagnosis.innovation_ratio_after === "number"
         ? h("p", {}, `Normalised innovation squared: ${number(diagnosis.innovation_ratio_before, 3)} before, ${number(diagnosis.innovation_ratio_after, 3)} after.`) : null,
@@ -134,22 +134,22 @@ export class Gap {
   }
 
   showRevision(effect, result) {
-    const repair = result.repair;
-    if (!repair) return fill(this.repair, h("p", {}, `${effect} added.`));
-    const far = repair.horizons.length - 1;
-    const rows = Object.keys(repair.before.held_out).map((channel) => {
-      const before = repair.before.held_out[channel][far], after = repair.after.held_out[channel][far];
-      const floor = repair.floor?.held_out?.[channel]?.[far];
+    const revision = result.repair;
+    if (!revision) return fill(this.repair, h("p", {}, `${effect} added.`));
+    const far = revision.horizons.length - 1;
+    const rows = Object.keys(revision.before.held_out).map((channel) => {
+      const before = revision.before.held_out[channel][far], after = revision.after.held_out[channel][far];
+      const floor = revision.floor?.held_out?.[channel]?.[far];
       const bar = h("div", { class: "fall", role: "img", "aria-label": `falls to ${percent(100 * after / before)}` }, h("i"), h("b"));
       bar.lastChild.style.width = `${Math.min(100, 100 * after / before)}%`;
       return [`${channel}, ${this.app.config.units[channel] ?? ""}`, h("output", { "data-before": channel, "data-value": before }, number(before, 3)),
         h("output", { "data-after": channel, "data-value": after }, number(after, 3)), number(floor, 3), bar];
     });
     fill(this.repair, h("section", { class: "card wide", role: "status" }, h("h3", {}, `${effect}: before and after`),
-      (repair.words ?? []).map((each) => h("p", {}, each)),
-      table([`Error ${number(repair.horizons[far], 2)} s ahead, held out`, "Before", "After", "Noise floor", "Remaining"], rows),
-      h("p", {}, `Normalised innovation squared: ${number(repair.before.innovation_ratio, 3)} before, ${number(repair.after.innovation_ratio, 3)} after.`),
-      disturbances(repair.after.disturbance) ? h("p", { "data-told": "disturbance" }, `Disturbance before: ${disturbances(repair.before.disturbance) || "–"}. After: ${disturbances(repair.after.disturbance)}.`) : null));
+      (revision.words ?? []).map((each) => h("p", {}, each)),
+      table([`Error ${number(revision.horizons[far], 2)} s ahead, held out`, "Before", "After", "Noise floor", "Remaining"], rows),
+      h("p", {}, `Normalised innovation squared: ${number(revision.before.innovation_ratio, 3)} before, ${number(revision.after.innovation_ratio, 3)} after.`),
+      disturbances(revision.after.disturbance) ? h("p", { "data-text": "disturbance" }, `Disturbance before: ${disturbances(revision.before.disturbance) || "–"}. After: ${disturbances(revision.after.disturbance)}.`) : null));
   }
 
   async showModel() {

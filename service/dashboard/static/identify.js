@@ -101,7 +101,7 @@ export class Identify {
     const disturbed = methods.map(([name, each]) => [name, disturbances(each.disturbance)]).filter(([, words]) => words);
     return h("div", { id: "methods-choice" },
       h("p", {}, h("strong", {}, result.best ? `Recommended method: ${result.best}` : "No method can be recommended")), h("p", {}, result.best_reason ?? ""),
-      disturbed.map(([name, words]) => h("p", { "data-told": "disturbance" }, `Disturbance estimated by ${name}: ${words}.`)),
+      disturbed.map(([name, words]) => h("p", { "data-text": "disturbance" }, `Disturbance estimated by ${name}: ${words}.`)),
       others.length ? h("details", {}, h("summary", {}, "Why not the others"), h("ul", {}, others)) : "");
   }
 

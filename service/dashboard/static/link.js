@@ -176,9 +176,9 @@ export class Link {
   async experiment(name, done) {
     if (this.held) return { ok: false, code: "held", text: "This page already holds an experiment.", done: true };
     const renewing = setInterval(() => this.socket.connected && this.send("renew", {}, 0), RENEWAL);
-    const asked = this.command("experiment", { name });
+    const request = this.command("experiment", { name });
     this.held = { done: (reply) => { clearInterval(renewing); this.held = null; done(reply); }, id: null, renewing };
-    const first = await asked;
+    const first = await request;
     if (!this.held) return first;
     if (!first.ok || first.done) {
       clearInterval(renewing);
