@@ -44,7 +44,7 @@ FITTED = 2
 """Number of these fits, the likeliest, that are continued."""
 ALMOST = 0.9
 """Share of the best fit's log-likelihood ratio above which fits are compared by how well they predict: fits of one
-model end that far apart (docs/decisions.md, of fits with play)."""
+model end that far apart (docs/decisions.md, "Of fits with backlash ...")."""
 
 
 def fits(base: FullFit, workspace: Workspace, names: Collection[str], known: Collection[str] = ()) -> list[FullFit]:
