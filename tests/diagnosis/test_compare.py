@@ -217,7 +217,7 @@ class TestModelsOfTheCommandLine:
         assert models["without coulomb_friction"].values["inertia"] == 1650.0
         assert [each.name for each in models["without coulomb_friction"].effects] == ["viscous_friction"]
         path.write_text(json.dumps({**said, "repair": None}))
-        with pytest.raises(RecordingError, match="holds no estimates"):
+        with pytest.raises(RecordingError, match="has no estimates"):
             self.models(str(path))
         path.write_text(json.dumps({**said, "effect": "backlash"}))
         with pytest.raises(ModelError, match="does not have it"):
@@ -233,5 +233,5 @@ class TestModelsOfTheCommandLine:
     def test_what_is_no_estimate_is_refused(self, tmp_path: Path) -> None:
         path = tmp_path / "x.json"
         path.write_text("{}{")
-        with pytest.raises(RecordingError, match="holds no estimates"):
+        with pytest.raises(RecordingError, match="has no estimates"):
             self.models(str(path))

@@ -307,7 +307,7 @@ def test_a_narrow_band_can_be_stated(tmp_path: Path) -> None:
     ).disturbance
     assert found.narrow_band is not None
     assert held_by(found.narrow_band.std, found.narrow_band.std_error, 6.0)
-    with pytest.raises(ModelError, match=r"damping_ratio: 0\.3 is too much.*give 0\.16 at most"):
+    with pytest.raises(ModelError, match=r"damping_ratio: 0\.3 is too large.*give 0\.16 at most"):
         parse(text.replace("0.1 ", "0.3 "), "track.toml")
 
 

@@ -273,7 +273,7 @@ def test_the_initial_state_of_held_out_data_is_fitted() -> None:
 
 def test_what_cannot_be_is_said() -> None:
     recording = carriage(coulomb=0.0, seed=5, seconds=4.0)
-    with pytest.raises(ModelError, match="none of this name"):
+    with pytest.raises(ModelError, match="no effect of this name"):
         revise(bare(), "no_such_effect", [recording])
     stuck = Recording(CHANNELS, recording.timestamp_ns, {**recording.values, "position": np.zeros(len(recording))})
     with pytest.raises(DataError, match="position"):
