@@ -180,7 +180,7 @@ def test_what_no_effect_explains_yet_has_no_name() -> None:
         for each in result.findings[:1]:
             assert "periodic_disturbance" in (each.effect, *each.tied_with)
     assert told[-1][1].findings
-    unknown = [(time, result) for time, result in told if time > begin and "no effect explains" in result.reason]
+    unknown = [(time, result) for time, result in told if time > begin and "no known effect explains" in result.reason]
     assert unknown
     assert unknown[0][0] < begin + 5.0 + 1.0
     assert unknown[0][1].verdict == "insufficient_data"
