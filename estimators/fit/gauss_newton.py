@@ -279,22 +279,25 @@ def _step(curvature: Array, slope: Array, free: NDArray[np.bool_], lower: Array,
 
 
 def _positive(information: Array, missing: Array, free: NDArray[np.bool_]) -> Array:
-    """`missing` curvature, corrected so that the sum with `information` is positive definite in the `free` unknowns.
+    """`missing` curvature of the `free` unknowns on which the data depend, corrected so that the sum with `information`
+    is positive definite in them.
 
     Each unknown is in the unit in which its information is 1. An eigenvalue below zero counts by its magnitude (Nocedal
     and Wright, section 3.4): along its direction a step is as short as the curvature is strong.
     """
+    corrected = np.zeros_like(missing)
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
-    size = np.where(free, np.maximum(size, max(SILENT * float(np.max(size)), 1e-150)), 1.0)
-    some = np.ix_(free, free)
-    scaled = ((information + missing) / np.outer(size, size))[some]
-    if not np.all(np.isfinite(scaled)):
-        return np.zeros_like(missing)
-    values, directions = np.linalg.eigh(scaled)
-    floor = ROUNDING * max(1.0, float(np.max(np.abs(values), initial=0.0)))
+    some = np.flatnonzero(free & (size > SILENT * float(np.max(size, initial=0.0))))
+    rows, columns = np.ix_(some, some)
+    unit = np.outer(size[some], size[some])
+    with np.errstate(over="ignore", invalid="ignore"):
+        both = (information[rows, columns] + missing[rows, columns]) / unit
+    if not np.all(np.isfinite(both)):
+        return corrected
+    values, directions = np.linalg.eigh(both)
+    floor = ROUNDING * float(np.max(np.abs(values), initial=0.0))
     more = np.where(values > 0.0, 0.0, np.maximum(np.abs(values), floor) - values)
-    corrected = missing.copy()
-    corrected[some] += (directions * more) @ directions.T * np.outer(size, size)[some]
+    corrected[rows, columns] = missing[rows, columns] + (directions * more) @ directions.T * unit
     return corrected
 
 
