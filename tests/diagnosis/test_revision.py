@@ -136,7 +136,7 @@ def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Revision
     assert "viscous_friction imitates it" in text
     assert "proves little" in text
     assert "What would separate viscous_friction" in text
-    assert "score directions correlate 0." in text
+    assert "score directions correlate by 0." in text
 
 
 def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(right: Revision) -> None:
