@@ -111,7 +111,7 @@ def test_values_at_which_less_shows_than_nearby_are_noticed() -> None:
 def test_nothing_to_look_at_is_said() -> None:
     with pytest.raises(EstimationError, match="there are none to examine"):
         structure(TOY, parameters=[])
-    with pytest.raises(ModelError, match="model structural-toy has none"):
+    with pytest.raises(ModelError, match="model structural-toy has no such parameter"):
         structure(TOY, parameters=["weight"])
 
 

@@ -74,7 +74,7 @@ def test_for_people(recording: Path) -> None:
     said = " ".join(text.split())
     assert "Disturbance: " in said
     assert "The best possible prediction 0.5 s ahead has " in said
-    assert " of the error 0.5 s ahead, and " in said  # the recording knows its loop
+    assert " of the error energy 0.5 s ahead, and " in said  # the recording knows its loop
     assert "Left untried" not in said
 
 
