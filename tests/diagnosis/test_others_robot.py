@@ -26,7 +26,7 @@ WITHIN = 3.0
 
 def diagnosed(path: Path) -> Any:
     names = [word for name in LOOKED_FOR for word in ("--effect", name)]
-    arguments = ["diagnose", str(path), "--vehicle", "twsbr", *names, "--json"]
+    arguments = ["diagnose", str(path), "--vehicle", "twsbr", *names, "--budget", "inf", "--json"]
     done = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout)
