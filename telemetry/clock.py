@@ -32,7 +32,7 @@ SMOOTH = 9
 """Samples of the cubic from which a slope is taken."""
 BLOCK = 16
 """Samples whose errors are added up before their variance is taken."""
-SIGNIFICANT = 5.0
+DEVIATIONS = 5.0
 """Standard deviations by which the channels have to contradict the time stamps."""
 
 
@@ -55,7 +55,7 @@ def with_regular_times(recording: Recording) -> Recording:
     """`recording` with the instants at which its samples were taken, if its channels show with significance that these
     are not its time stamps; its `truncated` then states this, too."""
     found = jitter(recording)
-    if found is None or found.share < SIGNIFICANT * found.share_error:
+    if found is None or found.share < DEVIATIONS * found.share_error:
         return recording
     moved = np.round(1e9 * min(1.0, found.share) * found.off).astype(np.int64)
     share = f"{100.0 * min(1.0, found.share):.0f} ± {100.0 * found.share_error:.1g} %"

@@ -158,10 +158,10 @@ class Kind(Protocol[M]):
 class Prediction:
     """How the loop of one kind of vehicle is predicted.
 
-    The loop needs the outputs `needs` of a model and gives the inputs `gives`; `of` a vehicle file returns a function
-    that predicts an experiment of it by name. `untold` are the effects that a record too poor for a diagnosis
-    distinguishes least. `assumed` returns a model with assumed delays of the loop's inputs where no recording has
-    identified them.
+    The loop needs the outputs `needs` of a model and gives the inputs `gives`; `of` a vehicle file returns a
+    function that predicts an experiment of it by name. `hardest_to_separate` are the effects that a record too poor
+    for a diagnosis distinguishes least. `assumed` returns a model with assumed delays of the loop's inputs where no
+    recording has identified them.
     """
 
     needs: frozenset[str]

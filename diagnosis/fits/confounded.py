@@ -167,12 +167,12 @@ def _with(model: Model, candidate: Candidate, values: Mapping[str, float]) -> Mo
 
 def surprise(base: FullFit, other: FullFit) -> float:
     """p-value of the log-likelihood ratio of `other` to `base`, if it were a random walk of independent blocks."""
-    log_ratio, task = [], base.fit.problem
+    rises, task = [], base.fit.problem
     block = max(1, round(BLOCK * time_scale(task.model, task.segments) / _spacing(base)))
     for one, more in zip(_densities(base), _densities(other), strict=True):
         rows = len(one) // max(1, len(one) // block)
-        log_ratio.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
-    blocks = np.concatenate(log_ratio)
+        rises.append(np.add.reduceat(more - one, np.arange(0, len(one), rows)))
+    blocks = np.concatenate(rises)
     spread = float(np.sqrt(len(blocks)) * np.std(blocks, ddof=1))
     return float(norm.sf(np.sum(blocks) / spread)) if spread > 0.0 else 1.0
 

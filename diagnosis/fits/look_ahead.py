@@ -32,7 +32,7 @@ LAGS = 12
 """Number of lags j: beyond, a predictor's response to the noise of a sample is smooth."""
 LOOKED_AHEAD = 0.1
 """Share of a sample's noise above which a fit is non-causal."""
-SIGNIFICANT = 4.0
+DEVIATIONS = 4.0
 """Standard deviations of that share by which it has to differ from zero."""
 
 
@@ -51,7 +51,7 @@ def looks_ahead(fitted: Fit, base: Fit) -> bool:
 
 def _significant(fitted: Fit, output: int) -> bool:
     share, std = look_ahead_share(fitted, output)
-    return share > max(LOOKED_AHEAD, SIGNIFICANT * std)
+    return share > max(LOOKED_AHEAD, DEVIATIONS * std)
 
 
 def look_ahead_share(fitted: Fit, output: int) -> tuple[float, float]:

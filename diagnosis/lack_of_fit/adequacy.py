@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.evidence import SIGNIFICANT
 from diagnosis.lack_of_fit.floor import Innovations, floor, innovations, shaken_as
 from diagnosis.lack_of_fit.force_probe import probe
 from diagnosis.lack_of_fit.shapes import Shape, shapes
@@ -34,7 +35,8 @@ deviations. Backlash of a gear, correctly named, left 12 to 23 % on six records,
 SHAPED = 0.12
 """Rise of the log-likelihood that a shape without a name may add, as a share of the rise by the named effects.
 
-Dry friction with bristles leaves 2 to 11 % of the rise by tanh, a wrong name 17 % and more."""
+Dry friction with bristles leaves 2 to 11 % of the rise by tanh, a wrong name 17 % and more. The rise has to exceed that
+share significantly: 30 % of 50 nats may be 4 % on a short record."""
 EXPLAINED = 0.5
 """Share of the remaining energy that a shape without a name may explain. The friction of an axis, correctly named,
 leaves a remainder of which a curve over the rate explains a fifth; of what cubic drag leaves, if called quadratic, it
@@ -42,8 +44,6 @@ explains nine tenths.
 
 If a record shows much of an effect, the error of its formula is far above the noise, and the estimated noise absorbs
 it: the rise of the log-likelihood then says little."""
-SIGNIFICANT = 2.0
-"""Standard deviations by which that rise has to exceed its share: 30 % of 50 nats may be 4 % on a short record."""
 CHANCE = 1e-3
 """p-value below which the rise by a shape is not attributed to chance."""
 MOST = 0.5

@@ -140,8 +140,8 @@ def _likeliest(white: list[Array], impulse: Array, spacing: float, freedom: floa
     best = int(np.argmin(costs))
     inside = (float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
     peak = float(minimize_scalar(cost, bounds=inside, method="bounded", options={"xatol": 0.02}).x)
-    log_ratio = 2.0 * (cost(-np.inf) - cost(peak))
-    p_value = 0.5 * float(chi2.sf(log_ratio, 1)) if log_ratio > 0.0 else 1.0
+    statistic = 2.0 * (cost(-np.inf) - cost(peak))
+    p_value = 0.5 * float(chi2.sf(statistic, 1)) if statistic > 0.0 else 1.0
     limit = cost(peak) + 0.5
     past = next((float(each) for each in tried if each > peak and cost(each) > limit), peak)
     step = float(np.exp(brentq(lambda each: cost(each) - limit, peak, past, xtol=0.01) if past > peak else peak))

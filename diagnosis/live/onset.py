@@ -137,9 +137,9 @@ def _allowed(effect: Amplitudes, information: Array, score: Array) -> Array:
         where = [place for place in range(width) if chosen >> place & 1]
         sizes = _inverse(information[np.ix_(where, where)]) @ score[where]
         inside = all(effect.lower[p] <= size <= effect.upper[p] for p, size in zip(where, sizes, strict=True))
-        log_ratio = float(sizes @ score[where])
-        if inside and log_ratio > most:
-            most = log_ratio
+        statistic = float(sizes @ score[where])
+        if inside and statistic > most:
+            most = statistic
             best = np.zeros(width)
             best[where] = sizes
             if len(where) == width:

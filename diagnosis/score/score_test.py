@@ -257,9 +257,9 @@ def _best_allowed(candidate: Candidate, square: Array, scores: Array) -> tuple[A
     for chosen in range(1, 2**width):
         where = np.flatnonzero([chosen >> place & 1 for place in range(width)])
         sizes = scores[:, where] @ _inverse(square[np.ix_(where, where)])
-        log_ratio = np.sum(sizes * scores[:, where], axis=1)
-        allowed = np.all((sizes >= lower[where]) & (sizes <= upper[where]), axis=1) & (log_ratio > most)
-        most[allowed] = log_ratio[allowed]
+        statistic = np.sum(sizes * scores[:, where], axis=1)
+        allowed = np.all((sizes >= lower[where]) & (sizes <= upper[where]), axis=1) & (statistic > most)
+        most[allowed] = statistic[allowed]
         best[allowed] = 0.0
         best[np.ix_(allowed, where)] = sizes[allowed]
     return best, most

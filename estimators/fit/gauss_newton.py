@@ -35,9 +35,6 @@ ROUNDING = 1e-10
 is rounding error."""
 SILENT = 1e-7
 """An unknown has no effect on the data if its effect, per typical magnitude, is below this share of the largest."""
-SWITCH = 1.5
-"""Factor by which the model of the cost with the estimated curvature has to predict a step better than that without, or
-worse, for the other to be used next."""
 LAST_DAMPING = 1e-4
 """Least damping of the last step, whose cost is not checked: in directions without information it must not go far."""
 
@@ -192,8 +189,7 @@ def descend(
         there = expand(trial, trial_own)
         if there is not None:
             off = here.cost - there.cost - (reserve - linear - 0.5 * plain)
-            without, with_it = abs(off), abs(off + 0.5 * more)
-            augmented = with_it <= SWITCH * without if augmented else SWITCH * with_it < without
+            augmented = abs(off + 0.5 * more) < abs(off)
         # If no common parameter is free, only the predicted fall shows whether the own ones have converged.
         done = bool(free.any()) and float(np.max(np.abs(step[:watched]), initial=0.0)) < tolerance
         if there is None or there.cost > here.cost:

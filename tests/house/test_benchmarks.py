@@ -14,6 +14,7 @@ PROGRAMS = sorted(path.name for path in FOLDER.glob("*.py"))
 SHORT = {
     "disturbance_intervals.py": ("--records", "2", "--duration", "12"),
     "false_alarms.py": ("--runs", "1", "--experiment", "multisine", "--processes", "1"),
+    "passes.py": ("--vehicle", "monocab", "--seconds", "12"),
     "monte_carlo.py": ("--runs", "2", "--duration", "15", "--method", "least_squares", "--processes", "1"),
 }
 """Of those that need no broker, browser, second vehicle or hour."""
