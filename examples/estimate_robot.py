@@ -85,7 +85,8 @@ def print_tables(found: Estimation) -> None:
         text = " to ".join("bound" if edge is None else f"{edge:.4g}" for edge in edges)
         print(f"{name:22}{start:12.4g}{value:12.4g}  {text}")
     print(
-        f"{complete.told} combinations are identified to 30 %; gradient at the minimum {complete.kkt_residual:.2g} std"
+        f"{complete.determined} combinations are identified to 30 %; "
+        f"gradient at the minimum {complete.kkt_residual:.2g} std"
     )
     print("\ncombination per unit of motor gain, with the other parameters fixed")
     for name, (value, std) in combinations(found.reduced, IDENTIFIABLE_NEAR_UPRIGHT).items():
@@ -133,7 +134,7 @@ def draw(found: Estimation, folder: Path) -> None:
         for axis, each in zip(axes.flat, found.profiles, strict=False):
             axis.plot(each.values, np.minimum(each.rises, 10.0 * RISE), ".-")
             axis.axhline(RISE, color="grey", linestyle=":")
-            axis.set_title(f"{each.parameter}{'' if each.told else ': not identifiable'}", fontsize=9)
+            axis.set_title(f"{each.parameter}{'' if each.identifiable else ': not identifiable'}", fontsize=9)
         figure.supylabel("increase of the cost (95 % dotted)")
         save(figure, folder / "profiles.png")
 

@@ -75,7 +75,7 @@ class BoundedFit:
         return np.array([step.common[: len(self.parameters)] for step in self.fit.steps])
 
     @property
-    def told(self) -> int:
+    def determined(self) -> int:
         """Number of combinations that are determined to within 30 %, at two standard deviations."""
         return int(np.sum(self.singular_values > 2.0 / 0.3))
 
@@ -95,7 +95,7 @@ class Profile:
     interval: tuple[float | None, float | None]
 
     @property
-    def told(self) -> bool:
+    def identifiable(self) -> bool:
         """Whether the parameter is identifiable: the record limits it on both sides more narrowly than its bounds."""
         return None not in self.interval
 

@@ -140,7 +140,7 @@ def test_the_complete_fit_ends_at_a_minimum_within_the_bounds(complete: BoundedF
 
 def test_the_complete_fit_tells_what_it_does_not_know(complete: BoundedFit) -> None:
     """Near upright six combinations and the voltages' offset; getting up from the bumper shows hardly more."""
-    assert 7 <= complete.told <= 8
+    assert 7 <= complete.determined <= 8
     silent = {"wheel_distance", "yaw_inertia", "armature_inductance"}
     quiet = {name for name, rise in zip(complete.parameters, complete.sensitivity, strict=True) if rise < 1e-9}
     assert quiet == silent
@@ -153,7 +153,7 @@ def test_a_profile_tells_the_silent_from_the_told(complete: BoundedFit) -> None:
     assert np.all(silent.rises < RISE)
     assert silent.interval == (None, None)
     told = profile(complete, "voltage_offset", points=1)
-    assert told.told
+    assert told.identifiable
     with pytest.raises(EstimationError, match="was not estimated"):
         profile(complete, "gear_ratio")
 
