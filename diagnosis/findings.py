@@ -67,6 +67,13 @@ class Finding:
     relevance: Relevance | None = None
 
     @property
+    def lead(self) -> float:
+        """By how much its log-likelihood ratio exceeds that of the next effect that passed all checks, or of none,
+        nats; 0 if it is tied."""
+        others = [share for name, share in self.gains.items() if name != self.effect]
+        return 0.0 if self.tied_with else self.log_likelihood_gain * (1.0 - max(others, default=0.0))
+
+    @property
     def negligible(self) -> bool:
         """Whether it causes no error that matters, as far as that is known."""
         return self.relevance is not None and self.relevance.negligible

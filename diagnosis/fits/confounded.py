@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,14 +81,15 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
     as much as the likeliest; empty if no fit succeeds.
 
     An impact that comes a sample early or late costs as much as one that was not predicted at all. So fits end hundreds
-    of nats apart, of thousands that they explain, and some of them with a filter that each impact throws off.
+    of nats apart, of thousands that they explain, and some of them with a filter that each impact throws off. How the
+    noise starts is tried with the first shape; the others start with the noise at which that fit ended.
     """
     starts = [with_effect(base.model, candidate, shape) for shape in candidate.variants]
     workspace.problem(starts[0])  # compiled before two threads need it
 
-    def tried(start: Model) -> tuple[float, Begin] | None:
+    def tried(start: Model, begin: Begin | None = None) -> tuple[float, Begin] | None:
         try:
-            found = fit(workspace.problem(start), iterations=TRIED)
+            found = fit(workspace.problem(start), iterations=TRIED, begin=begin)
         except FAILURES:
             return None
         return log_likelihood(found) - off_prior(found), found.end
@@ -98,7 +100,10 @@ def _with_impacts(base: FullFit, candidate: Candidate, workspace: Workspace) -> 
         except FAILURES:
             return None
 
-    near = sorted((each for each in side_by_side(tried, starts) if each is not None), key=lambda each: -each[0])
+    first = tried(starts[0])
+    begin = None if first is None else Begin({}, first[1].noise)
+    near = [each for each in (first, *side_by_side(partial(tried, begin=begin), starts[1:])) if each is not None]
+    near.sort(key=lambda each: -each[0])
     ends = side_by_side(fitted, [end for _, end in near[:FITTED]])
     found = [each for each in ends if each is not None and each.fit.minimum.converged]
     most = max((each.log_likelihood - base.log_likelihood for each in found), default=0.0)

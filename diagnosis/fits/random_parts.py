@@ -55,8 +55,8 @@ def absorbed(base: FullFit, last: FullFit, workspace: Workspace) -> FullFit | No
     if beside is not None and beside.evidence > last.evidence:
         if base is last:
             return beside
-        model = replace(beside.fitted, effects=base.model.effects)
-        return tried(partial(full, model, workspace, longer=FURTHER_FITS))
+        model = replace(beside.model, effects=base.model.effects)
+        return tried(partial(full, model, workspace, begin=beside.fit.end, longer=FURTHER_FITS))
     alone = _likeliest(base, workspace) if base is not last else None
     return alone if alone is not None and alone.evidence > last.evidence else None
 

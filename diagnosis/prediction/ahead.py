@@ -31,7 +31,7 @@ from estimators.data.time_scale import time_scale
 from estimators.fit.disturbance import densities
 from estimators.fit.gauss_newton import Block, Minimum, minimise
 from estimators.fit.innovations import NoiseModel
-from estimators.fit.maximum_likelihood import Fit
+from estimators.fit.maximum_likelihood import ENOUGH, Fit
 from estimators.fit.problem import Problem
 from estimators.fit.stationary import stationary
 from models.compiler.kernel import Memory
@@ -61,11 +61,10 @@ def on(fit: Fit, task: Problem) -> Fit:
 
     def started(task: Problem, common: Array, own: Sequence[Array]) -> Minimum | None:
         def evaluate(_: Array, own: Sequence[Array]) -> list[Block] | None:
-            blocks = task.evaluate(common, own, weights=weights, gain=fit.gain)
-            return blocks and [Block(each.residual, each.common[:, :0], each.own) for each in blocks]
+            return task.evaluate(common, own, weights=weights, gain=fit.gain, by_common=False)
 
         with np.errstate(all="ignore"):
-            return minimise(evaluate, nothing, own, scale=nothing, lower=nothing, upper=nothing)
+            return minimise(evaluate, nothing, own, scale=nothing, lower=nothing, upper=nothing, enough=ENOUGH)
 
     own: Sequence[Array] = task.own_start
     for data, values in ((moments, bare), (moments, common)):

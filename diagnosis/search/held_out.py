@@ -285,7 +285,7 @@ def _innovations(fitted: Fit, task: Problem) -> list[Array]:
     own = [part.copy() for part in task.own_start]
     blocks: list[Block] = []
     for _ in range(2):
-        found = task.evaluate(common, own, weights=weights, gain=fitted.gain)
+        found = task.evaluate(common, own, weights=weights, gain=fitted.gain, by_common=False)
         if found is None:
             raise ArithmeticError("the model diverges on data that it was not fitted to")
         blocks = found

@@ -6,7 +6,8 @@
     -> again, until nothing passes
 
 Then random parts are searched for with the effects in the model, and the effects again with each of these, as long as
-the evidence of all of them together rises. A random part is not a finding about the vehicle.
+the evidence of all of them together rises. Effects that lead by more than the random part explains remain: it can raise
+the log-likelihood of no other model by more. A random part is not a finding about the vehicle.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
-from diagnosis.evidence import beyond_chance
+from diagnosis.evidence import beyond_chance, likelier
 from diagnosis.findings import Finding, MadeOf
 from diagnosis.fits.random_parts import RANDOM, absorbed, expected_log_ratio
-from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_ratio, settled, with_effect
+from diagnosis.fits.refit import FURTHER_FITS, FullFit, full, log_ratio, remembered, settled, with_effect
 from diagnosis.prepare.workspace import Workspace
 from diagnosis.score.score_test import ScoreTest
 from diagnosis.search.contenders import flat_at_zero, look, undisturbed_fit
@@ -69,7 +70,8 @@ def search(base: FullFit, how: Search, before: Explanation | None = None) -> Fou
         if wider is None:
             return found
         own = replace(how, workspace=replace(workspace, untried=[])).part(begun, ONCE * (1.0 - begun))
-        again = _effects(wider, Explanation((), wider), own)
+        kept = tried(partial(_kept, found, wider, workspace)) or Explanation((), wider)
+        again = _effects(wider, kept, own)
         begun += ONCE * (1.0 - begun)
         for each in own.workspace.untried:
             workspace.leave(each)
@@ -149,6 +151,22 @@ def _held(base: FullFit, before: Explanation, how: Search) -> tuple[FullFit, Exp
         if not beyond_chance(*log_ratio(whole, without), len(workspace.candidates)):
             return base, Explanation((), base)
     return base, Explanation(before.findings, whole)
+
+
+def _kept(found: Found, wider: FullFit, workspace: Workspace) -> Explanation:
+    """The findings in the model of `wider`, which has a random part more than `found`; none if the random part explains
+    so much that another effect may be more likely with it.
+
+    Without the effects, it explains all that they leave, and some of what they explain. If that is less than their lead
+    over the next effect and over none, they remain what is named.
+    """
+    random = wider.log_likelihood - found.base.log_likelihood
+    if not found.findings or not all(likelier(each.lead - random) for each in found.findings):
+        return Explanation((), wider)
+    named = found.fits[-1]
+    model = replace(wider.model, effects=named.model.effects)
+    begin = replace(wider.fit.end, values=named.fit.end.values)
+    return Explanation(found.findings, remembered(model, workspace, begin=begin))
 
 
 def _outdone(base: FullFit, how: Search) -> bool:

@@ -140,21 +140,24 @@ class Problem:
         gain: Array | None = None,
         slopes: Array | None = None,
         also: Sequence[int] = (),
+        by_common: bool = True,
     ) -> list[Block] | None:
         """Weighted errors of every segment, followed by the deviations of its initial state from the prior.
 
         `weights` (ny, ny) turns an output error into independent ones of unit variance. `also`: indices of further
         parameters to differentiate by, after the estimated ones. `slopes` (nx * ny, p + q) are the derivatives of the
-        gain with respect to these and to q further unknowns that act only through the gain. None if the model diverges.
+        gain with respect to these and to q further unknowns that act only through the gain. Not `by_common`: only the
+        own unknowns are differentiated by, which takes a fraction of the time. None if the model diverges.
         """
         self.budget.check()
         values = self.values(common)
         blocks = []
-        columns, states = len(self.free) + len(also), len(self.kernel.states)
+        free = self.free if by_common else ()
+        columns, states = len(free) + len(also), len(self.kernel.states)
         further = 0 if slopes is None else slopes.shape[1] - columns
         starts = tuple(len(self.kernel.parameters) + state for state in self.own)
         gains = range(len(slopes)) if slopes is not None else ()
-        active = (*self.free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
+        active = (*free, *also, *starts, *(len(self.kernel.parameters) + states + entry for entry in gains))
         spread = self.spread
         for segment, initial, part in zip(self.segments, self.initials, own, strict=True):
             start = initial.copy()
