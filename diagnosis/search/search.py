@@ -163,10 +163,14 @@ def _kept(found: Found, wider: FullFit, workspace: Workspace) -> Explanation:
     random = wider.log_likelihood - found.base.log_likelihood
     if not found.findings or not all(likelier(each.lead - random) for each in found.findings):
         return Explanation((), wider)
-    named = found.fits[-1]
+    return Explanation(found.findings, _with_random_part(found.fits[-1], wider, workspace))
+
+
+def _with_random_part(named: FullFit, wider: FullFit, workspace: Workspace) -> FullFit:
+    """The fit of the model of `wider` with the effects of `named`."""
     model = replace(wider.model, effects=named.model.effects)
     begin = replace(wider.fit.end, values=named.fit.end.values)
-    return Explanation(found.findings, remembered(model, workspace, begin=begin))
+    return remembered(model, workspace, begin=begin)
 
 
 def _outdone(base: FullFit, how: Search) -> bool:

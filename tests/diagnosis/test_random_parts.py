@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -315,12 +316,12 @@ def test_a_narrow_band_can_be_stated(tmp_path: Path) -> None:
 def test_a_search_beside_a_random_part_that_time_cuts_short_keeps_what_was_found(
     monkeypatch: pytest.MonkeyPatch, untried: tuple[str, ...]
 ) -> None:
-    workspace, base = Workspace((), None, (), (), {}), SimpleNamespace(evidence=0.0)
+    workspace, base = Workspace((), None, (), (), {}), SimpleNamespace(evidence=0.0, log_likelihood=0.0)
 
-    def searched(evidence: float, findings: tuple[str, ...]) -> Found:
+    def searched(evidence: float, findings: tuple[Any, ...]) -> Found:
         return Found(base, base, findings, (), (), SimpleNamespace(evidence=evidence))  # type: ignore[arg-type]
 
-    first, second = searched(1.0, ("friction",)), searched(5.0, ())
+    first, second = searched(1.0, (SimpleNamespace(lead=0.0),)), searched(5.0, ())
     answers = iter([first, second])
 
     workspace.leave("further effects")  # the first search may have left the same
@@ -338,3 +339,30 @@ def test_a_search_beside_a_random_part_that_time_cuts_short_keeps_what_was_found
     monkeypatch.setattr(module, "absorbed", lambda *_: next(parts, None))
     found = module.search(base, Search(workspace))  # type: ignore[arg-type]
     assert found is (first if untried else second)
+
+
+@pytest.mark.parametrize(("lead", "kept"), [(26.0, True), (19.0, False), (22.0, False)])
+def test_findings_that_lead_by_more_than_a_random_part_explains_are_not_searched_for_again(
+    monkeypatch: pytest.MonkeyPatch, lead: float, kept: bool
+) -> None:
+    """The part explains 20 nats; what leads by two more would have odds of 7 to 1."""
+
+    base, wider = (SimpleNamespace(evidence=0.0, log_likelihood=each) for each in (0.0, 20.0))
+    named, beside = SimpleNamespace(evidence=40.0), SimpleNamespace(evidence=50.0)
+    friction = SimpleNamespace(effect="friction", lead=lead)
+    first = Found(base, base, (friction,), (named,), (), named)  # type: ignore[arg-type]
+    started: list[Explanation] = []
+
+    def effects(_: object, known: Explanation, how: Search) -> Found:
+        started.append(known)
+        return first if len(started) == 1 else replace(first, last=beside)  # type: ignore[arg-type]
+
+    parts, module = iter([wider]), diagnosis.search.search
+    monkeypatch.setattr(module, "_effects", effects)
+    monkeypatch.setattr(module, "_outdone", lambda *_: False)
+    monkeypatch.setattr(module, "absorbed", lambda *_: next(parts, None))
+    monkeypatch.setattr(module, "_with_random_part", lambda *_: beside)
+    found = module.search(base, Search(Workspace((), None, (), (), {})))  # type: ignore[arg-type]
+    assert found.last is beside
+    assert [each.effect for each in started[1].findings] == (["friction"] if kept else [])
+    assert started[1].fit is (beside if kept else wider)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -55,6 +56,15 @@ def test_an_adequate_model_is_so_to_within_noise_and_what_shakes_the_vehicle() -
     assert "8.1 ± 0.4 N m RMS at roll and 1.00 ± 0.10 N m RMS at pitch" in to_within(
         Diagnosis(Verdict.ADEQUATE, "", disturbance=two)
     )
+
+
+def test_a_finding_leads_by_what_it_explains_beyond_the_next_effect_or_beyond_none() -> None:
+    alone = finding("backlash", 80.0, 0.1)
+    assert alone.lead == 80.0
+    followed = replace(alone, gains={"backlash": 1.0, "hysteresis": 0.75, "static_torque": 0.5})
+    assert followed.lead == 20.0
+    assert replace(followed, gains={"backlash": 1.0, "hysteresis": 1.25}).lead == -20.0
+    assert replace(followed, tied_with=("hysteresis",)).lead == 0.0
 
 
 def test_where_none_shows_no_effect_has_to_explain_it() -> None:
