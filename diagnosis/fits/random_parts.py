@@ -2,7 +2,7 @@
 
 A random part is a hypothesis like an effect: model states, here driven by white noise, that have to raise the
 log-likelihood by more than their parameters cost (diagnosis.fits.refit). One that wins is absorbed: it joins the
-disturbance of the model alone, with which effects are then looked for anew, and is not a finding about the vehicle. If
+disturbance of the model alone, with which effects are then searched again, and is not a finding about the vehicle. If
 effects explain more without it, it is rejected: a periodic signal that continues as it began needs fewer parameters as
 an effect.
 

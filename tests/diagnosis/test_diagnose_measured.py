@@ -11,7 +11,7 @@ from diagnosis.revise.revision import revise
 from examples import emps, quarter_drone, unbalanced_disk
 from models.file.model_file import load_model
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = pytest.mark.timeout(600)
 
 
 def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
