@@ -1,5 +1,5 @@
-"""A model in the loop with the recorded vehicle's controller: near the floor where it is right, and no number where
-there is no loop. Virtual vehicle, fixed seeds."""
+"""A model in the loop with the recorded vehicle's controller: a correct model is near the floor, and without a loop
+there are no numbers. Virtual vehicle, fixed seeds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from vehicles.registry import recorded_loop
 VEHICLE = load("monocab")
 TRUTH = library.get("monocab_roll").change({"inertia": 1650.0, "gravity_stiffness": 14500.0})
 DAMPED = TRUTH.add("viscous_friction").change({"viscous_friction.coefficient": 400.0})
-"""Of the virtual vehicle's hidden effect, at its usual level."""
+"""With the virtual vehicle's hidden effect at its usual amplitude."""
 
 
 @cache
@@ -51,44 +51,44 @@ MODELS: dict[tuple[str, ...], dict[str, Model]] = {
 
 @cache
 def compared(*hide: str) -> dict[str, Comparison]:
-    """Models by name on the record of a vehicle in which this is hidden."""
+    """Comparisons by the name of the model, on a record of the vehicle in which `hide` is hidden."""
     models = MODELS[hide]
     recording = multisine(*hide)
     loops = [recorded_loop(VEHICLE, recording)]
     return {each.name: each for each in compare(models, [recording], support=VEHICLE.support, loops=loops)}
 
 
-def test_a_right_model_goes_with_the_record_to_the_noise() -> None:
-    """On 7 seeds of 30 s the precession rate came to 0.89 to 0.97, roll to 0.4 to 0.7: of the roll filter's slow error
-    the model states more than there is."""
+def test_correct_model_follows_the_record_to_the_noise() -> None:
+    """On 7 seeds of 30 s the ratio was 0.89 to 0.97 in the precession rate and 0.4 to 0.7 in roll: the model states a
+    larger slow error of the roll filter than there is."""
     loop = compared()["right"].closed_loop
     assert loop.reason == ""
-    assert loop.time[-1] - loop.time[0] > 11.0  # excitation and fading, from its first row on
+    assert loop.time[-1] - loop.time[0] > 11.0  # excitation and decay, from its first sample on
     assert 0.75 < loop.over_floor("precession_rate") < 1.25
     assert 0.3 < loop.over_floor("roll") < 1.25
     assert loop.fit_percent("roll") > 97.0
 
 
-def test_an_effect_that_is_missing_shows_and_added_it_does_not() -> None:
+def test_missing_friction_raises_the_error_until_it_is_added() -> None:
     without, with_it = (compared("viscous_friction")[name].closed_loop for name in ("right", "damped"))
     for channel in ("roll", "precession_rate"):
         assert without.over_floor(channel) > 2.0
         assert with_it.over_floor(channel) < 1.25
 
 
-def test_an_effect_that_is_not_there_shows_too() -> None:
-    # A force that does not change is integrated away in the precession rate, and leant against in roll.
+def test_superfluous_static_torque_raises_the_roll_error() -> None:
+    # In the precession rate a constant force is integrated away; in roll the vehicle leans against it.
     assert compared()["leaning"].closed_loop.over_floor("roll") > 30.0
 
 
-def test_a_delay_of_the_drives_shows_in_the_loop_alone() -> None:
-    """The measured motion of the gimbals is the model's input, so nothing that happens before it is seen otherwise."""
+def test_delay_of_the_drives_shows_only_in_the_closed_loop() -> None:
+    """The measured motion of the gimbals is the model's input, so that nothing upstream of it shows elsewhere."""
     comparison = compared("input_delay=0.5")["right"]
     assert comparison.adequate
     assert comparison.closed_loop.over_floor("precession_rate") > 4.0
 
 
-def test_a_loop_that_would_not_hold_has_no_number_but_a_reason() -> None:
+def test_diverging_closed_loop_has_a_reason_instead_of_numbers() -> None:
     loop = compared()["weak"].closed_loop
     assert "diverges" in loop.reason
     assert loop.to_json() == {
@@ -102,7 +102,7 @@ def test_a_loop_that_would_not_hold_has_no_number_but_a_reason() -> None:
     }
 
 
-def test_it_is_in_the_json_on_the_page_and_in_the_picture() -> None:
+def test_closed_loop_error_is_in_the_json_on_the_page_and_in_the_figure() -> None:
     found = list(compared().values())
     document = json.loads(json.dumps(found[0].to_json(), allow_nan=False))["closed_loop"]
     assert document["available"]
@@ -117,18 +117,18 @@ def test_it_is_in_the_json_on_the_page_and_in_the_picture() -> None:
     assert "simulated in the closed loop" in titles
 
 
-def test_without_loops_there_is_no_panel_and_one_line() -> None:
+def test_without_closed_loops_there_is_no_panel_and_one_line() -> None:
     found = replace(compared()["right"], closed_loop=ClosedLoop(reason="no controller is known"))
     assert list(closed_loop_lines([found])) == ["closed loop: not available, no controller is known"]
     assert "simulated in the closed loop" not in {axes.get_title() for axes in comparison_figure([found]).axes}
 
 
-class TestTheRecordedLoop:
+class TestRecordedLoop:
     def changed(self, **columns: np.ndarray) -> Recording:
         return replace(multisine(), values={**multisine().values, **columns})
 
     def test_needs_no_metadata(self, tmp_path: Path) -> None:
-        """A CSV has none: where the excitation enters is found from the setpoints."""
+        """A CSV file has none: the point at which the excitation enters is found from the setpoints."""
         path = tmp_path / "run.csv"
         save(multisine(), path)
         known, bare = (recorded_loop(VEHICLE, each) for each in (multisine(), load_recording(path)))
@@ -136,24 +136,24 @@ class TestTheRecordedLoop:
         assert isinstance(bare, Loop)
         assert (bare.begins, bare.ends) == (known.begins, known.ends)
 
-    def test_a_recording_of_other_software_has_none(self) -> None:
+    def test_recording_of_other_software_has_no_loop(self) -> None:
         other = small_vehicle.recording(*small_vehicle.run(1, 5.0), 0)
         assert "the vehicle is not excited" in str(recorded_loop(VEHICLE, other))
         channels = ChannelTable(each for each in multisine().channels if each.name not in ("excitation", "phase"))
         fewer = replace(multisine(), channels=channels, values={n: multisine()[n] for n in channels.names})
         assert "no channel excitation, phase" in str(recorded_loop(VEHICLE, fewer))
 
-    def test_a_raw_log_has_none(self) -> None:
+    def test_raw_log_has_no_loop(self) -> None:
         unknown = np.full(len(multisine()), np.nan)
-        told = recorded_loop(VEHICLE, self.changed(excitation=unknown, phase=unknown, roll_reference=unknown))
-        assert "use the .arrow beside it" in str(told)
+        reason = recorded_loop(VEHICLE, self.changed(excitation=unknown, phase=unknown, roll_reference=unknown))
+        assert "use the .arrow beside it" in str(reason)
 
-    def test_the_setpoints_of_another_controller_are_found_out(self) -> None:
+    def test_setpoints_of_another_controller_are_detected(self) -> None:
         heavier = VEHICLE.controller.model_copy(update={"roll_weight": 2.0 * VEHICLE.controller.roll_weight})
-        told = recorded_loop(VEHICLE.model_copy(update={"controller": heavier}), multisine())
-        assert "does not give the recorded setpoints" in str(told)
+        reason = recorded_loop(VEHICLE.model_copy(update={"controller": heavier}), multisine())
+        assert "does not give the recorded setpoints" in str(reason)
 
-    def test_what_begins_too_late_or_has_holes_is_refused(self) -> None:
+    def test_recording_that_begins_too_late_or_has_gaps_is_refused(self) -> None:
         late = multisine()["phase"] >= 6.0
         part = replace(
             multisine(),
@@ -161,13 +161,13 @@ class TestTheRecordedLoop:
             values={name: column[late] for name, column in multisine().values.items()},
         )
         assert "begins later than the controller" in str(recorded_loop(VEHICLE, part))
-        holes = multisine()["precession"].copy()
-        holes[len(holes) // 2] = np.nan
-        assert "unknown values" in str(recorded_loop(VEHICLE, self.changed(precession=holes)))
+        gaps = multisine()["precession"].copy()
+        gaps[len(gaps) // 2] = np.nan
+        assert "unknown values" in str(recorded_loop(VEHICLE, self.changed(precession=gaps)))
 
 
-def test_the_speed_loop_row_by_row_is_that_of_the_closed_form() -> None:
-    """Held setpoints exactly; a steady roll acceleration too, once its straight line is known."""
+def test_stepwise_speed_loop_matches_the_closed_form() -> None:
+    """Exactly for held setpoints, and for a constant roll acceleration once its straight line is known."""
     lag, offset, reaction, period = 0.04, 0.0013, 0.045, 0.004
     modes = MODES[Tuning.SYMMETRIC_OPTIMUM]
     speed = modes.pace / lag * modes.speed

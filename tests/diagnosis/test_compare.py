@@ -1,4 +1,4 @@
-"""Models against measurement: verdict, numbers, JSON, pictures and refusals, on synthetic truth with fixed seeds."""
+"""Models compared with measurements: verdict, numbers, JSON, figures and refusals, on synthetic truth, fixed seeds."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def compared(sweep: Recording) -> dict[str, Comparison]:
     return {comparison.name: comparison for comparison in compare(models, [sweep], support=SUPPORT)}
 
 
-def test_the_true_model_is_adequate_and_predicts_to_the_noise(compared: dict[str, Comparison]) -> None:
+def test_true_model_is_adequate_and_predicts_to_the_noise(compared: dict[str, Comparison]) -> None:
     truth = compared["truth"]
     assert truth.adequate
     assert not any(truth.fails.values())
@@ -55,7 +55,7 @@ def test_the_true_model_is_adequate_and_predicts_to_the_noise(compared: dict[str
     assert truth.fit_percent["roll"] > 90.0
 
 
-def test_the_cad_model_is_not_and_predicts_worse(compared: dict[str, Comparison]) -> None:
+def test_cad_model_is_not_adequate_and_predicts_worse(compared: dict[str, Comparison]) -> None:
     cad, truth = compared["CAD"], compared["truth"]
     assert not cad.adequate
     assert cad.innovation_ratio > 10.0 * truth.innovation_ratio
@@ -65,7 +65,7 @@ def test_the_cad_model_is_not_and_predicts_worse(compared: dict[str, Comparison]
     assert not cad.fails["state"]
 
 
-def test_a_missing_static_torque_shows_in_the_equation_with_its_size(compared: dict[str, Comparison]) -> None:
+def test_missing_static_torque_shows_in_the_equation_with_its_value(compared: dict[str, Comparison]) -> None:
     comparison = compared["no static torque"]
     assert not comparison.adequate
     (equation,) = comparison.fails["equation"]
@@ -74,7 +74,7 @@ def test_a_missing_static_torque_shows_in_the_equation_with_its_size(compared: d
     assert not comparison.fails["state"]
 
 
-def test_dry_friction_of_the_virtual_vehicle_goes_with_the_roll_rate() -> None:
+def test_missing_dry_friction_is_reported_as_a_force_that_depends_on_the_roll_rate() -> None:
     model = virtual_records.true_model()
     (comparison,) = compare({"truth": model}, [virtual_records.multisine("coulomb_friction", seed=3)], support=SUPPORT)
     assert not comparison.adequate
@@ -86,8 +86,8 @@ def test_dry_friction_of_the_virtual_vehicle_goes_with_the_roll_rate() -> None:
     assert all(entry["missing_force"] * (entry["from"] + entry["to"]) < 0.0 for entry in outer)
 
 
-def test_a_right_model_is_rarely_rejected() -> None:
-    """12 records of three kinds; a test of 1 % rejects 2 of them with a probability of 0.6 %."""
+def test_correct_model_is_rarely_rejected() -> None:
+    """12 records of three kinds; a test at a level of 1 % rejects 2 of them with a probability of 0.6 %."""
     rejected = 0
     for seeds, settings in (
         (2, {"duration": 31.0, "reference": lambda t: small_vehicle.sweep(t, 30.0)}),
@@ -102,8 +102,8 @@ def test_a_right_model_is_rarely_rejected() -> None:
     assert rejected <= 1
 
 
-def test_the_virtual_vehicle_s_true_model_is_adequate() -> None:
-    """The independent plant, the real roll filter: a false alarm has a probability of 1 %, and the seed is fixed."""
+def test_true_model_of_the_virtual_vehicle_is_adequate() -> None:
+    """The independent plant and the real roll filter: a false alarm has a probability of 1 %, and the seed is fixed."""
     (comparison,) = compare({"truth": virtual_records.true_model()}, [virtual_records.multisine()], support=SUPPORT)
     assert comparison.adequate, comparison.summary
     assert comparison.fit_percent["roll"] > 98.0
@@ -111,7 +111,7 @@ def test_the_virtual_vehicle_s_true_model_is_adequate() -> None:
     assert abs(comparison.offsets["drive_offset"]) < 0.001
 
 
-def test_the_comparison_is_json_of_the_agreed_form(compared: dict[str, Comparison]) -> None:
+def test_comparison_json_has_the_agreed_form(compared: dict[str, Comparison]) -> None:
     for comparison in compared.values():
         document = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
         agreed = {"name", "fit_percent", "rmse", "noise_floor", "innovation_ratio", "adequate", "fails"}
@@ -122,7 +122,7 @@ def test_the_comparison_is_json_of_the_agreed_form(compared: dict[str, Compariso
         assert document["missing_force"]["roll"]["unit"] == "N m"
 
 
-def test_an_axis_and_several_recordings_are_compared_alike() -> None:
+def test_models_of_an_axis_are_compared_on_several_recordings() -> None:
     records = [axis_plant.record(lambda t, x, v: -0.5 * v, seed=seed, source=f"run {seed}") for seed in (1, 2)]
     bare = axis_plant.model()
     models = {"bare": bare, "with friction": bare.add("viscous_friction").change({"viscous_friction.coefficient": 0.5})}
@@ -134,7 +134,7 @@ def test_an_axis_and_several_recordings_are_compared_alike() -> None:
     assert without.fails["equation"][0]["equation"] == "axis"
 
 
-def test_a_model_without_joints_is_compared_too() -> None:
+def test_models_without_joints_are_compared() -> None:
     bare = axis_plant.model()
     states = (bare.base_states[0], replace(bare.base_states[1], derivative="(force - stiffness * position) / inertia"))
     plain = replace(bare, name="plain", base_states=states, joints=(), actuators=(), sensors=())
@@ -146,7 +146,7 @@ def test_a_model_without_joints_is_compared_too() -> None:
     assert comparison_figure([right, wrong]).axes
 
 
-def test_data_that_cannot_be_used_are_refused_with_the_reason(sweep: Recording) -> None:
+def test_unusable_data_are_refused_with_the_reason(sweep: Recording) -> None:
     resting = replace(sweep, values={**sweep.values, "roll": np.full(len(sweep), SUPPORT)})
     with pytest.raises(DataError, match="free of its supports"):
         compare({"truth": TRUTH}, [resting], support=SUPPORT)
@@ -159,14 +159,12 @@ def test_data_that_cannot_be_used_are_refused_with_the_reason(sweep: Recording) 
         compare({"truth": TRUTH}, [degrees], support=SUPPORT)
 
 
-def test_a_model_that_cannot_be_is_refused_by_name(sweep: Recording) -> None:
+def test_impossible_model_is_refused_by_name(sweep: Recording) -> None:
     with pytest.raises(EstimationError, match="monocab_roll"):
         compare({"massless": TRUTH.change({"inertia": 1e-9})}, [sweep], support=SUPPORT)
 
 
-def test_the_picture_shows_every_model_every_view_and_every_coordinate(
-    compared: dict[str, Comparison], tmp_path: Path
-) -> None:
+def test_figure_shows_every_model_view_and_coordinate(compared: dict[str, Comparison], tmp_path: Path) -> None:
     figure = comparison_figure(list(compared.values()))
     legend = figure.axes[0].get_legend()
     assert legend is not None
@@ -178,7 +176,7 @@ def test_the_picture_shows_every_model_every_view_and_every_coordinate(
     assert (tmp_path / "comparison.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_table_has_a_verdict_a_model(compared: dict[str, Comparison]) -> None:
+def test_table_has_one_verdict_per_model(compared: dict[str, Comparison]) -> None:
     table = comparison_table(list(compared.values()))
     verdicts = [cell for cell in table.columns[-1].cells if cell]
     assert [("adequate" in str(cell)) for cell in verdicts] == [True, False, False]
@@ -193,44 +191,44 @@ class TestModelsOfTheCommandLine:
     def models(self, *options: str) -> dict[str, Model]:
         return read_models(list(options), load("monocab"))
 
-    def test_by_default_there_are_the_cad_values(self) -> None:
+    def test_default_is_the_model_with_cad_values(self) -> None:
         models = self.models()
         assert list(models) == ["CAD"]
         assert models["CAD"].values["inertia"] == load("monocab").parameters.values["inertia"]
 
-    def test_estimates_replace_what_they_determine(self, tmp_path: Path) -> None:
+    def test_estimates_replace_only_the_values_they_determine(self, tmp_path: Path) -> None:
         path = self.estimates(tmp_path / "x.estimates.json", inertia=1650.0, gravity_stiffness=None, drive_lag=0.1)
         models = self.models(path)
         assert list(models) == ["CAD", "a_method"]
         assert models["a_method"].values["inertia"] == 1650.0
         assert models["a_method"].values["gravity_stiffness"] == models["CAD"].values["gravity_stiffness"]
 
-    def test_what_adding_an_effect_says_holds_the_model_before(self, tmp_path: Path) -> None:
+    def test_output_of_model_add_gives_the_model_before_the_effect(self, tmp_path: Path) -> None:
         file, path = tmp_path / "mine.toml", tmp_path / "added.json"
         effects = "".join(f'\n[[effects]]\nname = "{name}"\n' for name in ("viscous_friction", "coulomb_friction"))
         file.write_text(f'base = "monocab_roll"\n{effects}')
         before = {"parameters": {"inertia": {"value": 1650.0}}}
-        said = {"file": str(file), "effect": "coulomb_friction", "repair": {"before": before}}
-        path.write_text(json.dumps(said))
+        output = {"file": str(file), "effect": "coulomb_friction", "repair": {"before": before}}
+        path.write_text(json.dumps(output))
         models = self.models(str(path))
         assert list(models) == ["CAD", "without coulomb_friction"]
         assert models["without coulomb_friction"].values["inertia"] == 1650.0
         assert [each.name for each in models["without coulomb_friction"].effects] == ["viscous_friction"]
-        path.write_text(json.dumps({**said, "repair": None}))
+        path.write_text(json.dumps({**output, "repair": None}))
         with pytest.raises(RecordingError, match="has no estimates"):
             self.models(str(path))
-        path.write_text(json.dumps({**said, "effect": "backlash"}))
+        path.write_text(json.dumps({**output, "effect": "backlash"}))
         with pytest.raises(ModelError, match="does not have it"):
             self.models(str(path))
 
-    def test_a_shipped_model_and_a_model_file_are_read(self, tmp_path: Path) -> None:
+    def test_shipped_model_and_model_file_are_read(self, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"
         path.write_text('base = "monocab_roll"\n\n[[effects]]\nname = "coulomb_friction"\n')
         models = self.models("monocab_reduced", str(path), str(path))
         assert list(models) == ["CAD", "monocab_reduced", "mine", "mine (mine.toml)"]
         assert models["mine"].values == load_model(path).values
 
-    def test_what_is_no_estimate_is_refused(self, tmp_path: Path) -> None:
+    def test_file_without_estimates_is_refused(self, tmp_path: Path) -> None:
         path = tmp_path / "x.json"
         path.write_text("{}{")
         with pytest.raises(RecordingError, match="has no estimates"):

@@ -1,4 +1,4 @@
-"""What is hidden in the virtual cube is found, at its edge and at its wheel; what is right has nothing missing."""
+"""Effects hidden in the virtual cube are found, at its edge and at its wheel; without one, nothing is found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vehicles.registry import models_of, recorded_loop
 
 VEHICLE = load("cube")
 SEED, EXCITED = 41, 20.0
-LOOKED_FOR = (
+CANDIDATES = (
     "static_torque",
     "viscous_friction",
     "coulomb_friction",
@@ -24,9 +24,9 @@ LOOKED_FOR = (
     "sensor_delay",
     "sensor_scale",
 )
-"""What a person would suspect first; all places of each."""
+"""The effects that a person would suspect first, each at all places."""
 WITHIN = 3.0
-"""Standard deviations."""
+"""Standard deviations that an amplitude may be off."""
 
 
 def found(*hide: str) -> Diagnosis:
@@ -35,7 +35,7 @@ def found(*hide: str) -> Diagnosis:
         models_of(VEHICLE).nominal,
         [recording],
         support=VEHICLE.support,
-        candidates=LOOKED_FOR,
+        candidates=CANDIDATES,
         loops=[recorded_loop(VEHICLE, recording)],
     )
 
@@ -44,9 +44,9 @@ def found(*hide: str) -> Diagnosis:
     "hidden",
     of_many(("coulomb_friction", "wheel_coulomb_friction", "viscous_friction", "input_deadband"), "coulomb_friction"),
 )
-def test_what_is_hidden_is_found_with_its_size(hidden: str) -> None:
-    told = found(hidden, "disturbance")
-    first = told.findings[0]
+def test_hidden_effect_is_found_with_its_amplitude(hidden: str) -> None:
+    diagnosis = found(hidden, "disturbance")
+    first = diagnosis.findings[0]
     assert AT_THE_WHEEL.get(hidden, hidden) in (first.effect, *first.tied_with)
     size = next(iter(first.parameters.values()))
     assert size.value is not None
@@ -55,10 +55,10 @@ def test_what_is_hidden_is_found_with_its_size(hidden: str) -> None:
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0])
-def test_where_nothing_is_hidden_nothing_is_missing(level: float) -> None:
-    told = found(f"disturbance={level:g}")
-    assert told.verdict is Verdict.ADEQUATE, told.reason
-    (tilt,) = told.disturbance
+def test_cube_without_hidden_effect_is_adequate_and_its_disturbance_estimated(level: float) -> None:
+    diagnosis = found(f"disturbance={level:g}")
+    assert diagnosis.verdict is Verdict.ADEQUATE, diagnosis.reason
+    (tilt,) = diagnosis.disturbance
     assert tilt.shown is (level > 0.0)
     if level:
         assert tilt.std == pytest.approx(CUBE.disturbance.rms, rel=0.2)

@@ -1,4 +1,4 @@
-"""From recordings to a verdict: what is hidden in the virtual vehicle is found, and nothing else is."""
+"""From recordings to a verdict: the effects hidden in the virtual vehicle are found, and no others."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def found_in(*hide: str) -> Diagnosis:
 
 
 class TestNothingMissing:
-    def test_a_clean_record_is_explained(self) -> None:
+    def test_clean_record_is_adequate(self) -> None:
         found = found_in()
         assert found.verdict is Verdict.ADEQUATE
         assert found.findings == ()
         assert found.innovation_ratio_after == pytest.approx(1.0, abs=0.1)  # the tolerance of adequacy itself
 
-    def test_it_says_what_would_have_shown(self) -> None:
+    def test_minimum_detectable_effects_are_reported(self) -> None:
         found = found_in()
         assert found.minimum_detectable is not None
         assert found.minimum_detectable["coulomb_friction"] < 0.1 * HIDDEN["coulomb_friction"].size
@@ -52,14 +52,14 @@ class TestOneEffect:
         ("hide", "name", "parameter", "within"),
         of_many(
             [
-                # The plant's friction has bristles, which tanh has not: a tenth of the size.
+                # The plant's friction has bristles, tanh does not: a tenth of the amplitude.
                 ("coulomb_friction", "coulomb_friction", "torque", 0.1),
                 ("viscous_friction", "viscous_friction", "coefficient", 0.1),
             ],
             ("viscous_friction", "viscous_friction", "coefficient", 0.1),
         ),
     )
-    def test_is_named_and_sized(self, hide: str, name: str, parameter: str, within: float) -> None:
+    def test_is_named_with_its_amplitude(self, hide: str, name: str, parameter: str, within: float) -> None:
         found = found_in(hide)
         assert found.verdict is Verdict.MISSING_EFFECT
         assert found.findings[0].effect == name
@@ -67,28 +67,28 @@ class TestOneEffect:
         size = found.findings[0].parameters[f"{name}.{parameter}"].value
         assert size == pytest.approx(HIDDEN[hide].size, rel=within)
 
-    def test_the_error_falls_to_the_floor_also_on_unseen_data(self) -> None:
+    def test_error_falls_to_the_floor_and_held_out_data_confirm_the_effect(self) -> None:
         found = found_in("viscous_friction")
         before, after = found.innovation_ratio_before, found.innovation_ratio_after
         assert before is not None
         assert after is not None
         assert before > 1.5
         assert after == pytest.approx(1.0, abs=0.1)
-        unseen = found.findings[0].held_out
-        assert unseen is not None
-        assert unseen.gain > 2.0 * unseen.std
+        held_out = found.findings[0].held_out
+        assert held_out is not None
+        assert held_out.gain > 2.0 * held_out.std
 
-    def test_a_line_is_found_at_its_frequency(self) -> None:
+    def test_periodic_disturbance_is_found_at_its_frequency(self) -> None:
         finding = found_in("periodic_disturbance").findings[0]
         assert finding.effect == "periodic_disturbance"
         assert finding.parameters["periodic_disturbance.frequency"].value == pytest.approx(1.3, abs=0.01)
 
-    def test_what_does_the_same_is_named_together(self) -> None:
+    def test_indistinguishable_effects_are_tied(self) -> None:
         finding = found_in("static_torque").findings[0]
         assert {finding.effect, *finding.tied_with} >= {"static_torque", "sensor_offset"}
         assert "Tied with" in finding.explanation
 
-    def test_the_explanation_has_equation_size_and_neighbour(self) -> None:
+    def test_explanation_has_equation_unit_uncertainty_and_detection_limit(self) -> None:
         text = found_in("viscous_friction").findings[0].explanation
         for part in ("coefficient rate", "N m s/rad", " ± ", "would have shown"):
             assert part in text
@@ -101,7 +101,7 @@ class TestTwoEffects:
 
 
 class TestOwnEffect:
-    def test_ranks_with_the_rest(self) -> None:
+    def test_is_ranked_with_those_of_the_catalogue(self) -> None:
         own = Effect(
             name="wheel_drag",
             family=Family.SPEED_DRAG,
@@ -124,7 +124,7 @@ def changed(recording: Recording, **channels: np.ndarray) -> Recording:
     return replace(recording, values={**recording.values, **channels})
 
 
-class TestDataThatCannotTell:
+class TestInsufficientData:
     def insufficient(self, recording: Recording) -> str:
         found = diagnose(MODEL, [recording], support=VEHICLE.support)
         assert found.verdict is Verdict.INSUFFICIENT_DATA
@@ -133,13 +133,13 @@ class TestDataThatCannotTell:
         return found.reason
 
     def test_too_short(self) -> None:
-        """8 s are asked of the MONOCAB, twenty of its natural times."""
+        """The MONOCAB needs 8 s, twenty of its natural times."""
         assert "Remedy: record 8 s or more" in self.insufficient(multisine().between(0.0, 8.0))
 
     def test_no_excitation(self) -> None:
         assert "noise" in self.insufficient(record("monocab", "hold", seed=9))
 
-    def test_a_single_sine(self) -> None:
+    def test_single_sine(self) -> None:
         whole = multisine()
         time = whole.time - whole.time[0]
         sine = {"roll": 0.01 * np.sin(6.0 * time), "roll_rate": 0.06 * np.cos(6.0 * time)}
@@ -149,23 +149,23 @@ class TestDataThatCannotTell:
         rate = np.clip(multisine()["roll_rate"], -0.03, 0.03)
         assert "roll_rate" in self.insufficient(changed(multisine(), roll_rate=rate))
 
-    def test_degrees_for_radians(self) -> None:
+    def test_degrees_instead_of_radians(self) -> None:
         assert "degrees" in self.insufficient(changed(multisine(), roll_rate=np.degrees(multisine()["roll_rate"])))
 
-    def test_degrees_for_radians_that_lie_beyond_the_supports(self) -> None:
-        """So quiet a run that its degrees could be rad: it looks like a vehicle that hardly left its supports."""
+    def test_degrees_instead_of_radians_beyond_the_supports(self) -> None:
+        """A run so quiet that its degrees could be radians: the vehicle seems to have hardly left its supports."""
         whole = multisine().between(10.0)
         angle, rate = (0.2 * np.degrees(whole[name]) for name in ("roll", "roll_rate"))
         assert "convert degrees to rad" in self.insufficient(changed(whole, roll=angle, roll_rate=rate))
 
-    def test_a_sensor_that_is_slower_than_the_rows(self) -> None:
-        """A camera: what it showed last stands in the rows until the next frame."""
+    def test_sensor_slower_than_the_sampling_rate(self) -> None:
+        """A camera: the samples repeat its last value until the next frame."""
         whole = multisine()
         reason = self.insufficient(changed(whole, roll=whole["roll"][np.arange(len(whole)) // 3 * 3]))
         assert "roll: holds each value for 3 samples" in reason
         assert "Remedy: record one sample per frame" in reason
 
-    def test_two_channels_swapped(self) -> None:
+    def test_swapped_channels(self) -> None:
         whole = multisine()
         swapped = changed(whole, roll_rate=whole["precession_rate"], precession_rate=whole["roll_rate"])
         assert "roll_rate" in self.insufficient(swapped)
@@ -200,20 +200,24 @@ class TestDocument:
             "explanation",
         }
 
-    def test_what_is_compiled_is_told(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        """As on a computer that has none of its models yet."""
+    def test_progress_names_the_effects_whose_models_are_compiled(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As on a computer on which no model was compiled yet."""
         monkeypatch.setenv("UPRIGHT_CACHE", str(tmp_path))
         monkeypatch.setattr("models.compiler.kernel._loaded", {})
-        told: list[str] = []
+        messages: list[str] = []
         friction = multisine("coulomb_friction")
         few = ("coulomb_friction", "viscous_friction")
-        diagnose(MODEL, [friction], support=VEHICLE.support, candidates=few, progress=lambda text, _: told.append(text))
-        compiled = [text for text in told if ": compiling with " in text]
+        diagnose(
+            MODEL, [friction], support=VEHICLE.support, candidates=few, progress=lambda text, _: messages.append(text)
+        )
+        compiled = [text for text in messages if ": compiling with " in text]
         assert any(text.endswith("with dry friction of constant magnitude") for text in compiled)
 
-    def test_progress_is_told_in_order(self) -> None:
-        told: list[float] = []
-        diagnose(MODEL, [multisine()], support=VEHICLE.support, progress=lambda text, share: told.append(share))
-        assert told == sorted(told)
-        assert told[0] >= 0.0
-        assert told[-1] <= 1.0
+    def test_progress_never_decreases(self) -> None:
+        shares: list[float] = []
+        diagnose(MODEL, [multisine()], support=VEHICLE.support, progress=lambda text, share: shares.append(share))
+        assert shares == sorted(shares)
+        assert shares[0] >= 0.0
+        assert shares[-1] <= 1.0

@@ -1,4 +1,4 @@
-"""What the diagnosis says of measured machines. The records lie beside the checkout."""
+"""Diagnosis of measured machines. The records are beside the checkout."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from models.file.model_file import load_model
 pytestmark = pytest.mark.timeout(600)
 
 
-def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
+def test_emps_without_dry_friction_and_offset_lacks_asymmetric_friction(measured_data: Path) -> None:
     """Dry friction of 20.39 N and an offset of 3.16 N are published. In motion the two are one friction that differs
-    between the directions, which is what is named: their mean is asked for within 1 %, half their difference within 2 %
-    (1.2 % are measured; the offset also acts at rest, where friction takes what is asked of it)."""
+    between the directions, and this is named. Its mean has to be right within 1 %. Half its difference is 1.2 % off,
+    because the offset also acts at rest, where friction takes any value that is required. Expressed as the two effects
+    of which it is made, both values have to be right within 1 %."""
     model = emps.model()
     for effect in ("coulomb_friction", "static_torque"):
         model = model.remove(effect)
@@ -34,7 +35,7 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
     assert finding.made_of is not None
     for name in ("coulomb_friction.torque", "static_torque.torque"):
         assert finding.made_of.parameters[name].value == pytest.approx(emps.PUBLISHED[name], rel=0.01)
-    # The formula of the one has a mean only in motion, that of the two at rest, too.
+    # The formula of the single effect has a mean only in motion, that of the two at rest, too.
     assert finding.made_of.log_likelihood_gain < 0.0
     assert "coulomb_friction.torque = 20." in finding.explanation
     assert finding.to_json()["made_of"]["parameters"].keys() == finding.made_of.parameters.keys()
@@ -46,10 +47,10 @@ def test_emps_from_mass_and_viscous_friction_alone(measured_data: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.timeout(900)
-def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
-    """100 s of it. Its friction is neither viscous nor dry alone, and nobody has published its sizes: those from
-    prediction errors and from a simulation differ by a third (docs/explanation/measured-data.md). Whether the dry part
-    is as large in both directions nobody has, either."""
+def test_disk_modelled_without_friction_lacks_viscous_and_dry_friction(measured_data: Path) -> None:
+    """100 s of the record. The friction is neither viscous nor dry alone, and its values are not published: those from
+    prediction errors and from a simulation differ by a third (docs/explanation/measured-data.md). Nor is it published
+    whether the dry part is equal in both directions."""
     model = load_model(Path(unbalanced_disk.__file__).with_suffix(".toml"))
     for name in ("viscous_friction", "coulomb_friction"):
         model = model.remove(name)
@@ -63,16 +64,17 @@ def test_disk_from_a_pendulum_without_friction(measured_data: Path) -> None:
         assert finding.held_out_error_closed_percent > 80.0
     assert found.innovation_ratio_after is not None
     assert found.innovation_ratio_before is not None
-    # 1.29 of 13.2: beside a disturbance of two rows at least the noise of 25 ms rows is not all of the vehicle's.
+    # From 13.2 to 1.29: with a disturbance that is correlated over at least two samples of 25 ms, not all of the noise
+    # is that of the vehicle.
     assert found.innovation_ratio_after - 1.0 < 0.05 * (found.innovation_ratio_before - 1.0)
 
 
 @pytest.mark.thorough
 @pytest.mark.timeout(400)
-def test_drone_from_thrust_and_gravity_alone(measured_data: Path) -> None:
-    """It is shaken about 19 Hz. Beside that, dry friction is found; before a narrow band was looked for there, the
-    record was `unknown`, and nearest came 95 % of the inertia on a spring. Added, friction helps on another
-    experiment."""
+def test_drone_modelled_by_thrust_and_gravity_lacks_dry_friction(measured_data: Path) -> None:
+    """The drone vibrates at about 19 Hz. Beside this disturbance, dry friction is found. Before the disturbance could
+    have a narrow band there, the verdict was `unknown`, and the nearest effect was 95 % of the inertia on a spring.
+    Adding friction reduces the error on another experiment."""
     model = load_model(Path(quarter_drone.__file__).with_suffix(".toml"))
     for effect in model.effects:
         model = model.remove(effect.name)
@@ -83,5 +85,5 @@ def test_drone_from_thrust_and_gravity_alone(measured_data: Path) -> None:
     assert found.disturbance[0].narrow_band is not None
     assert found.disturbance[0].narrow_band.frequency == pytest.approx(19.0, abs=1.0)
     revised = revise(model, "coulomb_friction", [multisine], [sweep])
-    # Of the energy of the error 0.5 s ahead more than half goes: with less, what is left would be the larger effect.
+    # More than half of the error energy 0.5 s ahead is removed: otherwise the remainder would be the larger effect.
     assert revised.budget.after < 0.5 * revised.budget.before

@@ -1,5 +1,5 @@
-"""One definition of what is asked for. That what a diagnosis names is needed, tests/diagnosis/test_hidden_catalogue.py
-asks."""
+"""One definition of when an effect is needed. tests/diagnosis/test_hidden_catalogue.py checks that the effects which a
+diagnosis names are needed."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ import pytest
 from diagnosis.evidence import LEVEL, ODDS, beyond_chance, is_supported, likelier
 
 
-def test_chance_alone_is_as_rare_as_said() -> None:
-    """Of 20,000 records, in which four parameters explain white noise, no more than chance gives of LEVEL."""
+def test_false_alarm_rate_equals_the_level() -> None:
+    """Of 20,000 records in which four parameters explain white noise, a share of LEVEL is called beyond chance."""
     noise = np.random.default_rng(1).standard_normal((20_000, 4))
-    beyond = sum(beyond_chance(gain, 4) for gain in 0.5 * np.sum(noise**2, axis=1))
+    beyond = sum(beyond_chance(log_ratio, 4) for log_ratio in 0.5 * np.sum(noise**2, axis=1))
     assert abs(beyond / len(noise) - LEVEL) < 4.0 * math.sqrt(LEVEL / len(noise))
 
 
-def test_one_of_many_has_to_gain_more() -> None:
+def test_best_of_many_effects_needs_a_higher_log_likelihood_ratio() -> None:
     assert beyond_chance(5.0, 1)
     assert not beyond_chance(5.0, 1, tries=30)
     assert beyond_chance(8.0, 1, tries=30)
 
 
-def test_a_gain_alone_does_not_ask_for_an_effect_whose_size_is_that_of_noise() -> None:
+def test_effect_with_an_insignificant_amplitude_is_not_supported() -> None:
     assert not is_supported(1000.0, 1, 1.9)
     assert is_supported(1000.0, 1, 2.1)
 
 
 @pytest.mark.parametrize("tries", [1.0, 40.0])
-def test_of_many_explanations_each_has_to_be_likelier_by_their_number(tries: float) -> None:
+def test_required_odds_grow_with_the_number_of_explanations(tries: float) -> None:
     assert not likelier(math.log(0.99 * ODDS * tries), tries)
     assert likelier(math.log(1.01 * ODDS * tries), tries)

@@ -1,4 +1,4 @@
-"""An effect gets its finer formula where a record asks for it, so that what the usual one leaves gets no name."""
+"""An effect gets its finer formula if a record requires it, so that the remainder of the usual one is not named."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ MODEL = with_values(
 )
 
 
-@pytest.mark.parametrize("hide", [("disturbance", "coulomb_friction"), ("coulomb_friction",)], ids=["shaken", "still"])
-def test_friction_whose_contact_bends_is_named_alone(hide: tuple[str, ...]) -> None:
-    """By the sign of the rate it was Stribeck friction, play beside it, or something without a name."""
+@pytest.mark.parametrize(
+    "hide", [("disturbance", "coulomb_friction"), ("coulomb_friction",)], ids=["disturbed", "undisturbed"]
+)
+def test_friction_with_an_elastic_contact_is_the_only_finding(hide: tuple[str, ...]) -> None:
+    """With the sign of the rate it was Stribeck friction, backlash beside it, or something that no effect explains."""
     recording = record("monocab", "multisine", hide=hide, seed=6001)
     candidates = ("coulomb_friction", "stribeck_friction", "viscous_friction", "backlash")
     found = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates)
@@ -39,7 +41,7 @@ def test_friction_whose_contact_bends_is_named_alone(hide: tuple[str, ...]) -> N
 
 
 @pytest.mark.parametrize("name", ["coulomb_friction", "stribeck_friction", "asymmetric_friction"])
-def test_a_contact_is_a_spring_before_it_slides_and_the_usual_friction_after(name: str) -> None:
+def test_contact_is_a_spring_before_it_slides_and_usual_friction_after(name: str) -> None:
     usual = find(name)
     finer = usual.finer
     assert finer is not None
@@ -53,7 +55,7 @@ def test_a_contact_is_a_spring_before_it_slides_and_the_usual_friction_after(nam
         assert number(finer.force, known | {"bend": share}) == pytest.approx(share * sliding)
 
 
-def test_a_model_with_a_finer_formula_is_read_again_as_it_was(tmp_path: Path) -> None:
+def test_finer_formula_survives_writing_and_reading_a_model(tmp_path: Path) -> None:
     effect = find("coulomb_friction").finer
     assert effect is not None
     model = MODEL.add(effect).change({"coulomb_friction.torque": 60.0, "coulomb_friction.travel": 1e-4})
