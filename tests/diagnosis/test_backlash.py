@@ -43,9 +43,9 @@ def impulse(rate: np.ndarray, actuator_rate: np.ndarray, step: float, **values: 
     force = compile(effect.force, "force", "eval")
     state = dict.fromkeys(codes, 0.0)
     given, total = np.empty(len(rate)), 0.0
-    for row, (each, moved) in enumerate(zip(rate.tolist(), actuator_rate.tolist(), strict=True)):
+    for place, (each, moved) in enumerate(zip(rate.tolist(), actuator_rate.tolist(), strict=True)):
         known = {**names, **state, "rate": each, "actuator_rate": moved}
-        given[row] = total = total + step * float(eval(force, {"__builtins__": {}}, known))
+        given[place] = total = total + step * float(eval(force, {"__builtins__": {}}, known))
         for name, code in codes.items():
             state[name] += step * float(eval(code, {"__builtins__": {}}, known))
     return given

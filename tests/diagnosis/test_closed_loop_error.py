@@ -179,5 +179,5 @@ def test_stepwise_speed_loop_matches_the_closed_form() -> None:
     closed, _, _ = respond(time - offset, time - period, jumps, speed, modes.setpoint)
     assert np.allclose(stepped, closed, rtol=0.0, atol=1e-9)
     steps = SpeedLoopSteps(lag, offset, reaction, period, 0.0)
-    pushed = [steps.step(0.0, 0.6 * row * period) for row in range(100)]
+    pushed = [steps.step(0.0, 0.6 * sample * period) for sample in range(100)]
     assert pushed[-1] == pytest.approx(-reaction * 0.6, rel=1e-4)

@@ -1,4 +1,4 @@
-"""The noise floor: what is read from a record, and what a right model leaves over it."""
+"""The noise floor: what is estimated from a record, and what a correct model leaves above it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def clean() -> Problem:
     return monocab()
 
 
-def test_white_noise_is_told_apart_from_motion_and_from_an_impact() -> None:
-    """20,000 rows give 4,800 degrees of freedom: a standard deviation of 1 % of the noise; four of them are allowed."""
+def test_white_noise_is_separated_from_motion_and_from_an_impact() -> None:
+    """20,000 samples give 4,800 degrees of freedom: a standard deviation of 1 % of the noise; four are allowed."""
     random = np.random.default_rng(3)
     time = np.arange(20000) / 200.0
     motion = np.sin(2.0 * np.pi * 3.0 * time)
@@ -37,16 +37,16 @@ def test_white_noise_is_told_apart_from_motion_and_from_an_impact() -> None:
     assert 4000 < freedom < 5500
 
 
-def test_white_noise_has_no_bias_from_the_median_of_small_blocks() -> None:
-    """Four million rows tell it to 0.14 %. With the second moment's degrees of freedom it would be 0.8 % too small."""
+def test_median_of_small_blocks_does_not_bias_the_white_noise() -> None:
+    """Four million samples give it to 0.14 %. The second moment's degrees of freedom would make it 0.8 % too small."""
     variance, _ = white_variance([np.random.default_rng(2).standard_normal((4_000_000, 1))])
     assert variance == pytest.approx(1.0, abs=0.006)
 
 
-def test_white_noise_is_told_between_impacts_and_beside_what_is_unknown() -> None:
-    """Play strikes once or twice in each half second; the first rows of an actuator are not judged. With a third of the
-    blocks struck the median is the 78th percentile of the others, which is a sixth above theirs. Blocks four times as
-    long, of which each is struck, say 3.3e-3."""
+def test_white_noise_is_estimated_despite_impacts_and_unknown_samples() -> None:
+    """Backlash causes one or two impacts in each half second; the first samples of an actuator are not judged. With
+    impacts in a third of the blocks, the median is the 78th percentile of the other blocks, a sixth above their median.
+    Blocks four times as long, each of which contains an impact, give 3.3e-3."""
     signal = 1e-3 * np.random.default_rng(3).standard_normal((4000, 1))
     signal[::80] += 0.03
     signal[:45] = np.nan
@@ -54,7 +54,7 @@ def test_white_noise_is_told_between_impacts_and_beside_what_is_unknown() -> Non
     assert 1.0e-3 < np.sqrt(variance) < 1.3e-3
 
 
-def test_a_sensor_is_measured_and_one_that_is_known_keeps_what_the_model_says(clean: Problem) -> None:
+def test_sensor_noise_is_measured_unless_the_model_states_it_as_known(clean: Problem) -> None:
     std, freedom = sensor_noise(clean)
     roll, rate = clean.model.outputs
     assert std[0] == roll.noise
@@ -65,8 +65,8 @@ def test_a_sensor_is_measured_and_one_that_is_known_keeps_what_the_model_says(cl
     assert rate.noise != std[1]
 
 
-def test_a_right_model_leaves_the_floor_and_one_that_lacks_friction_does_not(clean: Problem) -> None:
-    """9,000 innovations over a noise of 2,000 degrees of freedom: a standard deviation of 3.5 %."""
+def test_correct_model_is_at_the_floor_and_one_without_friction_is_not(clean: Problem) -> None:
+    """9,000 innovations divided by a noise of 2,000 degrees of freedom: a standard deviation of 3.5 %."""
     found = with_nuisances(clean, clean.kernel.vector())
     assert found.ratio == pytest.approx(1.0, abs=0.12)
     assert innovation_ratio(clean, found.fit.values, found.floor) == pytest.approx(found.ratio, rel=1e-3)
@@ -75,7 +75,7 @@ def test_a_right_model_leaves_the_floor_and_one_that_lacks_friction_does_not(cle
     assert innovation_ratio(rough, values, floor(rough, values)) > 10.0
 
 
-def test_the_innovations_of_a_right_model_are_white(clean: Problem) -> None:
+def test_innovations_of_a_correct_model_are_white(clean: Problem) -> None:
     (white,) = with_nuisances(clean, clean.kernel.vector()).normalised
     rate = white[:, 1] - white[:, 1].mean()
     for lag in (1, 2, 5, 50):
@@ -83,8 +83,8 @@ def test_the_innovations_of_a_right_model_are_white(clean: Problem) -> None:
         assert abs(correlation) < 4.0 / np.sqrt(len(rate))
 
 
-def test_process_noise_is_lowered_to_what_shows_and_never_raised() -> None:
-    """The axis has none; a model that states 1 m/s/sqrt(s) would hide 2 N in a second."""
+def test_process_noise_is_lowered_to_what_the_record_shows_and_never_raised() -> None:
+    """The axis has no process noise; a model that states 1 m/s/sqrt(s) would hide 2 N in a second."""
     data = [axis_plant.record()]
     shares = {}
     for stated in (1.0, 1e-3):
@@ -98,8 +98,8 @@ def test_process_noise_is_lowered_to_what_shows_and_never_raised() -> None:
     assert floor(heavier, heavier.kernel.vector()).process_shares.max() == 1.0
 
 
-def test_predictions_of_a_right_model_are_off_by_the_floor_at_every_horizon(clean: Problem) -> None:
-    """At 2 s there are 17 independent predictions: their RMS is known to a sixth, and the floor is an upper one."""
+def test_prediction_errors_of_a_correct_model_match_the_floor_at_every_horizon(clean: Problem) -> None:
+    """At 2 s there are 17 independent predictions: their RMS is known to a sixth, and the floor is an upper bound."""
     ahead = predictions(with_nuisances(clean, clean.kernel.vector()))
     assert tuple(each.horizon for each in ahead) == (0.05, 0.2, 0.5, 2.0)
     for each in ahead:
@@ -107,7 +107,7 @@ def test_predictions_of_a_right_model_are_off_by_the_floor_at_every_horizon(clea
     assert ahead[-1].floor["roll"] > 100.0 * ahead[0].floor["roll"]  # the plant is unstable: exp(3 * 2)
 
 
-def test_a_model_that_no_filter_can_follow_is_refused_by_name(clean: Problem) -> None:
+def test_model_without_a_finite_inertia_is_refused(clean: Problem) -> None:
     values = clean.kernel.vector({"inertia": float("nan")})
     with pytest.raises((EstimationError, ArithmeticError, ValueError), match=r"monocab_roll|finite|NaN"):
         floor(clean, values)

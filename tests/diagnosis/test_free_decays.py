@@ -1,4 +1,4 @@
-"""Swings that die away: friction that anybody sees is named, whatever looks at it: encoder, camera, at 50 to 500 Hz."""
+"""Free decays: friction that is clearly visible is named, whether by an encoder or by a camera, at 50 to 500 Hz."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def sizes(found: Diagnosis) -> dict[str, float | None]:
     return {name: each.value for finding in found.findings for name, each in finding.parameters.items()}
 
 
-def test_dry_and_viscous_friction_of_a_pendulum_with_an_encoder() -> None:
+def test_dry_and_viscous_friction_of_a_pendulum_with_an_encoder_are_named() -> None:
     body = Body(dry=0.012, viscous=0.001)
     found = diagnose(body.model(1e-3, 0.3), [body.by_encoder(4096)])
     assert found.verdict is Verdict.MISSING_EFFECT, found.reason
@@ -49,9 +49,9 @@ def test_dry_and_viscous_friction_of_a_pendulum_with_an_encoder() -> None:
         (["viscous_friction"], Body(dry=0.0003, viscous=0.004, begin=1.0, rate=500.0)),
     ],
 )
-def test_friction_of_a_pendulum_before_a_camera_that_is_late_and_jitters(names: list[str], body: Body) -> None:
-    """The right effect was refused by unseen data, which were judged with noise that their own fit excludes, and one
-    that no part of the record tells had its name."""
+def test_friction_of_a_pendulum_is_named_from_a_camera_with_delay_and_jitter(names: list[str], body: Body) -> None:
+    """Held-out data used to reject the right effect, because they were judged with a noise that their own fit excludes,
+    and an effect that is not identifiable from any part of the record was named instead."""
     record = body.by_camera(noise=2e-3, jitter=2e-3, late=0.015, rate=50.0, seed=3)
     found = diagnose(body.model(2e-3, 0.3), [record])
     assert found.verdict is Verdict.MISSING_EFFECT, found.reason
@@ -61,47 +61,47 @@ def test_friction_of_a_pendulum_before_a_camera_that_is_late_and_jitters(names: 
         assert size == pytest.approx(hidden[name], rel=0.15)
 
 
-def test_a_passive_motor_whose_current_is_noise_alone() -> None:
-    """A torque that is measured, and does not act, drives the model: the verdict was unknown, with a force that goes
-    with it."""
+def test_friction_and_current_noise_of_a_passive_motor_are_found() -> None:
+    """The model is driven by a measured torque that does not act: the verdict used to be unknown, with a force that is
+    correlated with this torque."""
     body = Body(dry=0.012, viscous=0.001)
     found = diagnose(body.model(1e-3, 0.3), [body.by_encoder(4096, torque_noise=0.003, seed=7)])
     assert found.verdict is Verdict.MISSING_EFFECT, found.reason
     assert [each.effect for each in found.findings] == ["coulomb_friction", "viscous_friction"]
     assert sizes(found)["coulomb_friction.torque"] == pytest.approx(0.012, rel=0.05)
     assert sizes(found)["viscous_friction.coefficient"] == pytest.approx(0.001, rel=0.1)
-    (told,) = found.sensor_errors
-    assert isinstance(told, InputError)
-    assert told.std == pytest.approx(0.003, rel=0.05)
-    assert abs(told.idle - 1.0) < 3.0 * told.idle_error
+    (error,) = found.sensor_errors
+    assert isinstance(error, InputError)
+    assert error.std == pytest.approx(0.003, rel=0.05)
+    assert abs(error.idle - 1.0) < 3.0 * error.idle_error
     assert "of which" in disturbance_sentences(found)
     assert found.to_json()["sensor_errors"]["torque"]["unit"] == "N m"
-    # It is of the record, and not of the machine.
+    # This noise belongs to the record, not to the machine.
     assert found.revised is not None
     assert found.revised.joints[0].load == body.model(1e-3, 0.3).joints[0].load
     assert not noisy_inputs(found.revised)
 
 
-class TestNoiseOfAnInput:
-    def test_its_size_is_told_beside_a_level_that_wanders(self) -> None:
+class TestInputNoise:
+    def test_std_is_estimated_beside_a_random_walk(self) -> None:
         random = np.random.default_rng(4)
-        level = np.cumsum(0.02 * random.standard_normal(5000))
-        found = input_noise(driven_by(level + 0.1 * random.standard_normal(5000)), "torque")
+        walk = np.cumsum(0.02 * random.standard_normal(5000))
+        found = input_noise(driven_by(walk + 0.1 * random.standard_normal(5000)), "torque")
         assert found is not None
         assert found.std == pytest.approx(0.1, rel=0.05)
-        # The gain of the steady filter solves k^2 / (1 - k) = (0.02 / 0.1)^2.
+        # The gain of the steady-state filter solves k^2 / (1 - k) = (0.02 / 0.1)^2.
         assert found.time == pytest.approx(-0.005 / np.log1p(-0.181), rel=0.15)
 
     @pytest.mark.parametrize("kind", ["sine", "steps", "walk"])
-    def test_there_is_none_in_what_moves_by_itself(self, kind: str) -> None:
+    def test_signals_without_added_noise_have_none(self, kind: str) -> None:
         time, random = np.arange(5000) / 200.0, np.random.default_rng(5)
         steps = np.repeat(random.standard_normal(50), 100)
         walk = np.cumsum(random.standard_normal(5000))
         readings = {"sine": np.sin(2.0 * np.pi * 0.7 * time), "steps": steps, "walk": walk}
         assert input_noise(driven_by(readings[kind]), "torque") is None
 
-    def test_a_torque_without_an_order_that_acts_is_no_noise(self) -> None:
-        """The readings look like noise, and the body says that all of them act."""
+    def test_random_torque_that_acts_is_not_noise(self) -> None:
+        """The readings look like noise, but the motion of the body shows that all of it acts."""
         table = 0.05 * np.random.default_rng(3).standard_normal(20000)
         body = Body(viscous=0.001, begin=0.5, span=20.0, torque=lambda time: float(table[round(time * 200.0)]))
         record = body.by_encoder(4096)
@@ -112,7 +112,7 @@ class TestNoiseOfAnInput:
 
 
 def driven_by(readings: NDArray[np.float64]) -> Problem:
-    """A body that swings, of which the torque reads so, at 200 Hz."""
+    """A swinging body whose torque sensor gives these `readings`, at 200 Hz."""
     body = Body(span=len(readings) / 200.0)
     record = body.by_encoder(4096)
     record = Recording(record.channels, record.timestamp_ns, {**record.values, "torque": readings})
@@ -120,7 +120,7 @@ def driven_by(readings: NDArray[np.float64]) -> Problem:
 
 
 @pytest.mark.thorough
-def test_viscous_friction_of_an_arm_without_gravity() -> None:
+def test_viscous_friction_of_an_arm_without_gravity_is_named() -> None:
     arm = Body(inertia=0.005, stiffness=0.0, dry=1e-4, viscous=0.0015, begin=0.0, rate=500.0, torque=pushed)
     found = diagnose(arm.model(2e-3, 0.05), [arm.by_encoder(2048)])
     assert found.verdict is Verdict.MISSING_EFFECT, found.reason
@@ -128,8 +128,8 @@ def test_viscous_friction_of_an_arm_without_gravity() -> None:
     assert sizes(found)["viscous_friction.coefficient"] == pytest.approx(0.0015, rel=0.02)
 
 
-def test_the_measured_swing_is_dry_friction(measured_data: Path) -> None:
-    """By its peaks and by its authors it is 0.2 to 0.3 N m; by a simulation that is fitted without predictor 0.18."""
+def test_measured_swing_has_dry_friction(measured_data: Path) -> None:
+    """Its peaks and its authors give 0.2 to 0.3 N m, a simulation fitted without a predictor 0.18."""
     folder = measured_data.parent / "field" / "swing"
     if not folder.is_dir():
         pytest.skip("the measured swing is not there")
@@ -141,17 +141,17 @@ def test_the_measured_swing_is_dry_friction(measured_data: Path) -> None:
     assert finding.made_of.parameters["coulomb_friction.torque"].value == pytest.approx(0.2, abs=0.03)
 
 
-class TestCounts:
-    def test_a_step_is_found_in_what_counts_alone(self) -> None:
+class TestQuantisation:
+    def test_step_is_found_only_in_quantised_signals(self) -> None:
         random = np.random.default_rng(1)
         smooth = np.cumsum(random.standard_normal(1000))
         assert step_of(np.round(smooth / 0.3) * 0.3) == pytest.approx(0.3, rel=1e-6)
         assert step_of(smooth) == 0.0
         assert step_of(np.full(1000, 2.0)) == 0.0
-        # Text that rounds counts in its last digit.
+        # Rounding in a text file quantises to the last digit.
         assert step_of(np.round(smooth, 4)) == pytest.approx(1e-4, rel=1e-3)
 
-    def test_an_output_that_counts_has_a_quantisers_noise(self) -> None:
+    def test_quantised_output_has_the_noise_of_a_quantiser(self) -> None:
         body = Body(dry=0.012, span=10.0)
         known = ready(body.model(1e-4, 0.3), [body.by_encoder(4096)]).outputs[0]
         assert known.counted
@@ -159,7 +159,7 @@ class TestCounts:
         seen = ready(body.model(1e-4, 0.3), [body.by_camera(noise=2e-3, jitter=0.0, late=0.0, rate=50.0, seed=1)])
         assert not seen.outputs[0].counted
 
-    def test_a_rest_is_left_out_and_a_turning_point_is_not(self) -> None:
+    def test_rest_is_left_out_and_turning_points_are_not(self) -> None:
         body = Body(dry=0.03, span=20.0)
         record = body.by_encoder(4096)
         model = ready(body.model(1e-4, 0.3), [record])
@@ -168,7 +168,7 @@ class TestCounts:
         assert np.isfinite(cut["position"][: moves[-1] + 1]).all()
         assert np.isnan(cut["position"][moves[-1] + 1 :]).all()
 
-    def test_a_fit_takes_an_encoder_at_rest_for_no_better_than_it_is(self) -> None:
+    def test_encoder_at_rest_has_at_least_its_quantisation_noise(self) -> None:
         body = Body(dry=0.03, span=20.0)
         record = body.by_encoder(4096)
         model = ready(body.model(1e-4, 0.3).add("coulomb_friction"), [record])
@@ -180,7 +180,7 @@ class TestCounts:
         assert seen.covariance[0, 0] >= model.outputs[0].noise ** 2
 
 
-def test_the_usual_rate_is_found_where_an_output_has_a_name_of_its_own() -> None:
+def test_typical_rate_is_found_for_an_output_with_a_name_of_its_own() -> None:
     body = Body(span=10.0)
     record = body.by_encoder(4096)
     task = problem(body.model(1e-4, 0.3), [record])
@@ -190,8 +190,8 @@ def test_the_usual_rate_is_found_where_an_output_has_a_name_of_its_own() -> None
     )
 
 
-def test_a_covariance_is_settled_when_each_of_its_states_is() -> None:
-    """A disturbance of 100 N m that fades within two rows, and beside it an angle of 1e-5 rad that wanders slowly."""
+def test_covariance_has_converged_only_when_that_of_each_state_has() -> None:
+    """A disturbance of 100 N m that decays within two samples, beside an angle of 1e-5 rad that drifts slowly."""
     transition, known = np.diag([0.6, 0.99995])[None], np.diag([1e-4, 1e10])[None]
     process = np.diag([1e4, 1e-18])[None]
     both = innovations._doubled(transition, known, process)

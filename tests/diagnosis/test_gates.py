@@ -1,4 +1,4 @@
-"""What decides about effects that were fitted, by their numbers alone; and that a table of these decides the same."""
+"""The gates decide about fitted effects by their numbers alone, and a table of these numbers decides the same."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ FAILS = HeldOut(gain=5.0, std=20.0, closed_percent=90.0, closed_std=5.0, closing
 
 
 def fitted(name: str, log_likelihood: float, parameters: int = 1, **changes: object) -> Tried:
-    """An effect that passes every gate, unless it is changed."""
+    """An effect that passes every gate, apart from `changes`."""
     usual = Tried(name, find(name), log_likelihood, parameters, ROWS, True, True, t_ratio=30.0, p_value=1e-9)
     return replace(usual, **changes)  # type: ignore[arg-type]
 
 
 def decided(*tried: Tried, held_out: dict[str, HeldOut | None] | None = None, p_value: float = 1e-9) -> Round:
-    """What comes of them as the only ones of thirty that were tried; held-out data let all stand but `held_out`."""
-    asked = Round((), 30, tuple(gated(each, 30) for each in tried), p_value)
+    """The decision if these are the only effects fitted of thirty; held-out data confirm all except by `held_out`."""
+    undecided = Round((), 30, tuple(gated(each, 30) for each in tried), p_value)
     known = held_out or {}
-    return decide(asked, lambda best: replace(best, held_out=known.get(best.name, STANDS)), lambda other: None)
+    return decide(undecided, lambda best: replace(best, held_out=known.get(best.name, STANDS)), lambda other: None)
 
 
 @pytest.mark.parametrize(
@@ -46,18 +46,18 @@ def test_each_gate_refuses_with_its_reason(changes: dict[str, object], reason: s
     assert sum(bool(gate(tried, 30)) for gate in GATES) == bool(reason)
 
 
-def test_the_likeliest_is_named_and_what_no_gate_lets_through_is_not() -> None:
+def test_likeliest_effect_that_passes_every_gate_is_named() -> None:
     found = decided(fitted("cubic_stiffness", 900.0, inside_bounds=False), fitted("viscous_friction", 300.0))
     assert (found.named, found.tied_with) == ("viscous_friction", ())
     assert found.tried[0].refused == "its amplitude ends at a bound"
     assert not decided(fitted("cubic_stiffness", 900.0, converged=False)).named
 
 
-def test_nothing_is_named_that_chance_makes_among_all_that_were_tried() -> None:
+def test_nothing_is_named_if_chance_explains_the_best_of_all_effects_tried() -> None:
     assert not decided(fitted("viscous_friction", 300.0), p_value=0.02).named
 
 
-def test_of_two_that_explain_almost_the_same_the_simpler_is_named_and_the_other_tied_with_it() -> None:
+def test_simpler_of_two_almost_equal_effects_is_named_and_the_other_is_tied() -> None:
     coulomb, stribeck = fitted("coulomb_friction", 300.0), fitted("stribeck_friction", 310.0, 3)
     found = decided(coulomb, stribeck)
     assert found.named == "coulomb_friction"
@@ -65,27 +65,27 @@ def test_of_two_that_explain_almost_the_same_the_simpler_is_named_and_the_other_
     assert decided(coulomb, replace(stribeck, log_likelihood=400.0)).named == "stribeck_friction"
 
 
-def test_one_that_held_out_data_refuse_makes_room_for_the_next() -> None:
+def test_next_effect_is_named_if_held_out_data_reject_the_first() -> None:
     first, second = fitted("viscous_friction", 300.0), fitted("cubic_stiffness", 200.0)
     found = decided(first, second, held_out={"viscous_friction": FAILS})
     assert found.named == "cubic_stiffness"
     assert found.tried[0].refused == "does not hold on held-out data"
 
 
-def test_after_one_that_was_refused_none_is_named_that_held_out_data_say_nothing_of() -> None:
+def test_after_a_rejection_no_effect_is_named_without_a_held_out_result() -> None:
     first, second = fitted("viscous_friction", 300.0), fitted("cubic_stiffness", 200.0)
     assert decided(first, held_out={"viscous_friction": None}).named == "viscous_friction"
     assert not decided(first, second, held_out={"viscous_friction": FAILS, "cubic_stiffness": None}).named
 
 
-def test_only_so_many_are_tried_on_held_out_data() -> None:
+def test_number_of_effects_checked_on_held_out_data_is_limited() -> None:
     names = ("viscous_friction", "cubic_stiffness", "hysteresis", "end_stop")
     tried = [fitted(name, 300.0 - 50.0 * place) for place, name in enumerate(names)]
     refused = dict.fromkeys(names[:CHECKED], FAILS)
     assert not decided(*tried, held_out=refused).named  # type: ignore[arg-type]
 
 
-def test_a_table_decides_what_was_decided_and_tells_what_it_lacks() -> None:
+def test_table_reproduces_the_decision_and_names_missing_held_out_data() -> None:
     found = decided(fitted("coulomb_friction", 300.0), fitted("stribeck_friction", 310.0, 3), fitted("end_stop", 2.0))
     line = {
         "case": "monocab still coulomb_friction",
@@ -99,8 +99,8 @@ def test_a_table_decides_what_was_decided_and_tells_what_it_lacks() -> None:
     assert decisions.decided_again(line) == []
     assert decisions.right(line)
     assert decisions.false_names(line) == 0
-    (told,) = decisions.summary([line])
-    assert "right   1 of   1, false names  0" in told
+    (text,) = decisions.summary([line])
+    assert "right   1 of   1, false names  0" in text
     other = json.loads(json.dumps(line))
     other["rounds"][0]["tried"][1]["log_likelihood"] = 400.0
     ((_, how),) = decisions.decided_again(other)
@@ -108,10 +108,10 @@ def test_a_table_decides_what_was_decided_and_tells_what_it_lacks() -> None:
         "coulomb_friction = stribeck_friction is now stribeck_friction, and needs held-out data about stribeck_friction"
     )
     changed = {**line, "named": [["stribeck_friction"]]}
-    (told,) = decisions.difference({line["case"]: line}, {line["case"]: changed})
-    assert told.startswith("WORSE")
+    (text,) = decisions.difference({line["case"]: line}, {line["case"]: changed})
+    assert text.startswith("WORSE")
 
 
-def test_every_case_of_the_net_has_a_name_of_its_own() -> None:
+def test_every_case_of_the_regression_test_has_a_unique_name() -> None:
     names = [each.name for each in decisions.cases()]
     assert len(names) == len(set(names)) >= 280

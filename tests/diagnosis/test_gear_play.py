@@ -1,8 +1,8 @@
-"""Play in the gears of the balancing robot, hidden in the virtual robot, found and added from the command line.
+"""Backlash in the gears of the balancing robot, hidden in the virtual robot, found and added from the command line.
 
-With the paper's gains a robot with play rattles from row to row; with softer ones it crosses the gap when its motors
-reverse. Seen from the motors nothing moves; the body falls through the gap and is struck. The plant has two gears with
-elastic teeth that rebound, the model one place within the play that does not.
+With the paper's gains a robot with backlash rattles from sample to sample; with softer ones it crosses the gap when its
+motors reverse. The motors' encoders do not show this; the body falls through the gap until an impact. The plant has two
+gears with elastic teeth that rebound, the model a single position within the backlash that does not.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from telemetry.storage import save
 from vehicles.file import load
 
 SEED = 74
-"""Decided nothing."""
+"""No setting was chosen with it."""
 RATTLES = 913
-"""Where the square wave rattles, 64 times the floor. On this and 911, whose play had no name, it was decided where fits
-begin and how unseen data judge them."""
-LOOKED_FOR = ("backlash", "input_deadband", "coulomb_friction", "actuator_lag")
+"""With this seed the gears rattle on the square wave, 64 times the floor. This seed and 911, in which backlash was not
+named, were used to choose where fits begin and how held-out data judge them."""
+CANDIDATES = ("backlash", "input_deadband", "coulomb_friction", "actuator_lag")
 """At all places. The whole catalogue takes three minutes."""
 OTHERS = ("sine", "doublet", "sine_stream")
 WITHIN = 3.0
-"""Standard deviations that the width may be off, or"""
+"""Allowed error of the width in standard deviations, or"""
 NEAR = 0.1
-"""the share of itself: where a blow is about to come a row later, its ± is of that row alone. On SEED it is 0.4 % of
-the width, which is 6 % off; on RATTLES 33 %, and the width 15 % off."""
+"""as a share of the width: if an impact is about to come one sample later, the ± is determined by that sample alone. On
+SEED it is 0.4 % of the width, which is 6 % off; on RATTLES 33 %, and the width 15 % off."""
 
 pytestmark = [pytest.mark.timeout(900), pytest.mark.patient]
 
@@ -62,13 +62,13 @@ def upright(*arguments: Any) -> Any:
 
 
 def diagnosed(recording: Path, vehicle: Path) -> Any:
-    names = [word for name in LOOKED_FOR for word in ("--effect", name)]
-    # On a busy machine a test of what is found is none of how soon.
+    names = [word for name in CANDIDATES for word in ("--effect", name)]
+    # This tests what is found, not how soon: the machine may be busy.
     return upright("diagnose", recording, "--vehicle", vehicle, "--budget", "inf", *names)
 
 
 @pytest.mark.parametrize("seed", of_many([SEED, RATTLES], SEED))
-def test_play_of_the_gears_is_found_with_its_size(vehicle: Path, seed: int) -> None:
+def test_backlash_of_the_gears_is_found_with_its_width(vehicle: Path, seed: int) -> None:
     found = diagnosed(recorded("square", vehicle, "backlash", seed=seed), vehicle)
     assert found["verdict"] == "missing_effect", found["reason"]
     assert [each["effect"] for each in found["findings"]] == ["backlash"], found["reason"]
@@ -76,20 +76,20 @@ def test_play_of_the_gears_is_found_with_its_size(vehicle: Path, seed: int) -> N
     true = TWSBR_HIDDEN["backlash"].size
     assert abs(width["value"] - true) < max(WITHIN * width["std"], NEAR * true)
     assert width["std"] < width["value"]
-    # A blow that comes a row early or late is as large as one that is not expected.
+    # An impact predicted a sample early or late leaves as large an error as one that is not predicted.
     before, after = (found[f"innovation_ratio_{when}"] - 1.0 for when in ("before", "after"))
     assert after < LEFT_BY_IMPACTS * before
     assert "Impacts that come a sample early or late" in found["reason"]
 
 
-def test_without_play_none_is_found(vehicle: Path) -> None:
+def test_robot_without_backlash_is_adequate(vehicle: Path) -> None:
     found = diagnosed(recorded("square", vehicle), vehicle)
     assert found["verdict"] == "adequate", found["reason"]
 
 
 @pytest.fixture(scope="module")
 def added(vehicle: Path) -> Any:
-    """What adding it to the robot's model says; the model is beside the vehicle file."""
+    """Output of adding backlash to the robot's model; the new model is beside the vehicle file."""
     others = [each for name in OTHERS for each in ("--held-out", recorded(name, vehicle, "backlash"))]
     return upright(
         "model", "add", "twsbr", "backlash", "--vehicle", vehicle, "--output", vehicle.parent / "repaired.toml",
@@ -98,9 +98,9 @@ def added(vehicle: Path) -> Any:
 
 
 @pytest.mark.thorough
-def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: Any) -> None:
-    """Each model with the filter that was fitted with it: a twentieth of a second ahead in tilt and tilt rate, and in
-    this a fifth ahead as well."""
+def test_adding_backlash_reduces_the_error_on_three_held_out_experiments(added: Any) -> None:
+    """Each model with the filter that was fitted with it: a twentieth of a second ahead in tilt and tilt rate, and a
+    fifth of a second ahead in tilt rate."""
     revision = added["repair"]
     assert revision["needed"]
     for channel, horizon, least in (("tilt", 0, 0.05), ("tilt_rate", 0, 0.25), ("tilt_rate", 1, 0.25)):
@@ -109,8 +109,8 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(added: 
 
 
 @pytest.mark.thorough
-def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -> None:
-    """A blow that comes a row early or late is left to be explained, and some torque that sets in there can."""
+def test_nothing_more_is_named_with_backlash_in_the_model(added: Any, vehicle: Path) -> None:
+    """An impact predicted a sample early or late leaves an error that a torque with an onset there can explain."""
     assert added["repair"]["needed"]
     found = upright(
         "diagnose", recorded("square", vehicle, "backlash"), "--vehicle", vehicle, "--budget", "inf",
@@ -122,12 +122,12 @@ def test_with_it_in_the_model_nothing_more_is_named(added: Any, vehicle: Path) -
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("experiment", OTHERS)
-def test_compared_it_falls_on_each_of_them(added: Any, vehicle: Path, experiment: str) -> None:
-    """Through a filter that no model's errors made. Of 18 longer experiments (the benchmark's, seeds 74, 803, 805, 807,
-    808 and 912) 13 % of the error's energy went at least on 17, up to a fifth of a second ahead."""
-    said = vehicle.parent / "added.json"
-    said.write_text(json.dumps(added), encoding="utf-8")
-    models = ["--model", said, "--model", vehicle.parent / "repaired.toml"]
+def test_compare_shows_a_smaller_error_on_each_held_out_experiment(added: Any, vehicle: Path, experiment: str) -> None:
+    """With a filter that was not made from any model's errors. On 17 of 18 longer experiments (the benchmark's, seeds
+    74, 803, 805, 807, 808 and 912) the error energy fell by at least 13 %, up to a fifth of a second ahead."""
+    output = vehicle.parent / "added.json"
+    output.write_text(json.dumps(added), encoding="utf-8")
+    models = ["--model", output, "--model", vehicle.parent / "repaired.toml"]
     found = upright("compare", recorded(experiment, vehicle, "backlash"), "--vehicle", vehicle, *models)
     before, after = (each["by_horizon"] for each in found["models"][-2:])
     assert [each["name"] for each in found["models"]] == ["CAD", "without backlash", "repaired"]
@@ -137,8 +137,8 @@ def test_compared_it_falls_on_each_of_them(added: Any, vehicle: Path, experiment
             assert (new["rmse"][channel] / old["rmse"][channel]) ** 2 < 0.95, (channel, old["horizon"])
 
 
-def test_the_formula_is_that_of_the_place() -> None:
-    """A gear whose rotor is a mass of the model, and a gimbal whose motion is imposed on what it moves."""
+def test_backlash_formula_depends_on_the_place() -> None:
+    """A gear whose rotor is a mass of the model, and a gimbal whose motion is imposed on its load."""
     robot, monocab = library.get("twsbr").add("backlash"), library.get("monocab_roll").add("backlash")
     assert {each.name for each in robot.effects[-1].parameters} == {"backlash.width", "backlash.half_width"}
     assert "backlash.load_inertia" in {each.name for each in monocab.effects[-1].parameters}

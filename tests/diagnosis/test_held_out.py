@@ -1,4 +1,4 @@
-"""What fits of a part of the data say of the rest, and which parts can say anything."""
+"""How fits of one part of the data are judged on the rest, and which parts can judge an effect."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ MODEL = with_values(
     nominal_model("monocab").remove("static_torque"), VEHICLE.parameters.values, VEHICLE.parameters.deviations
 )
 COUPLING = 0.25
-"""Twice what 30 s of this excitation just show. The gimbals are away from zero in the first 3 s only."""
+"""Twice the minimum detectable coupling in 30 s of this excitation. The gimbals are away from zero in the first 3 s
+only."""
 
 
 @pytest.fixture(scope="module")
@@ -39,19 +40,19 @@ def found() -> Diagnosis:
     return diagnose(MODEL, [record("monocab", "multisine", hide=hide, seed=71)], support=VEHICLE.support)
 
 
-def test_an_effect_is_not_judged_where_it_does_nothing(found: Diagnosis) -> None:
-    """The other two thirds had refused it: what they said of it was noise of other parameters."""
+def test_effect_is_not_judged_on_data_in_which_it_does_not_act(found: Diagnosis) -> None:
+    """The other two thirds used to reject it, although their result was only noise of other parameters."""
     assert found.verdict is Verdict.MISSING_EFFECT
     finding = next(each for each in found.findings if each.effect == "gimbal_angle_coupling")
     assert finding.held_out is None
     size = finding.parameters["gimbal_angle_coupling.coupling"]
     assert size.value is not None
     assert size.std is not None
-    # Four standard deviations: a right one would miss with one seed in ten thousand.
+    # Four standard deviations: a correct standard deviation would fail with one seed in ten thousand.
     assert size.value == pytest.approx(COUPLING, abs=4.0 * size.std)
 
 
-def test_it_is_said_that_nothing_was_held_against_it(found: Diagnosis) -> None:
+def test_explanation_advises_another_record_if_none_was_held_out(found: Diagnosis) -> None:
     for each in found.findings:
         assert ("record once more" in each.explanation) == (each.held_out is None)
 
@@ -60,32 +61,32 @@ def test_it_is_said_that_nothing_was_held_against_it(found: Diagnosis) -> None:
     ("closed", "closed_std", "closing", "stands"),
     [
         (90.0, 20.0, 85.0, True),
-        (-80.0, 16.0, 55.0, False),  # it does much ahead, and makes it worse
-        (-30.0, 16.0, 55.0, True),  # not surely
-        (-9.0, 4.0, 2.0, True),  # it does next to nothing there: what else is wrong decides
+        (-80.0, 16.0, 55.0, False),  # it changes the error ahead by much, and for the worse
+        (-30.0, 16.0, 55.0, True),  # not significantly
+        (-9.0, 4.0, 2.0, True),  # it changes next to nothing there: other errors decide
         (None, None, None, True),
     ],
 )
-def test_an_error_ahead_judges_what_does_something_ahead(
+def test_error_ahead_judges_only_effects_that_change_it(
     closed: float | None, closed_std: float | None, closing: float | None, stands: bool
 ) -> None:
-    told = HeldOut(30.0, 6.0, closed_percent=closed, closed_std=closed_std, closing_percent=closing)
-    assert told.stands is stands
+    result = HeldOut(30.0, 6.0, closed_percent=closed, closed_std=closed_std, closing_percent=closing)
+    assert result.stands is stands
 
 
-def test_where_parts_strike_the_rows_alone_judge() -> None:
+def test_likelihood_alone_judges_if_parts_collide() -> None:
     grows = HeldOut(30.0, 6.0, closed_percent=-80.0, closed_std=16.0, closing_percent=55.0)
     assert not grows.stands
     assert replace(grows, impacts=True).stands
     assert not replace(grows, impacts=True, gain=5.0).stands
 
 
-def test_a_likelihood_that_does_not_rise_refuses_whatever_the_error_ahead() -> None:
+def test_too_small_a_rise_of_the_likelihood_rejects_whatever_the_error_ahead() -> None:
     assert not HeldOut(3.0, 6.0, closed_percent=90.0, closed_std=10.0, closing_percent=90.0).stands
 
 
-def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_leaves() -> None:
-    """It shows by the rows; half a second ahead the error is a dozen times what it does there."""
+def test_small_input_asymmetry_is_confirmed_beside_errors_of_the_speed_loop() -> None:
+    """It shows from sample to sample; half a second ahead the error is a dozen times its contribution."""
     hide = ("input_asymmetry=0.0008", "load_dependent_friction=0.01")
     recording = record("monocab", "multisine", hide=hide, seed=83, duration=30.0)
     values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
@@ -100,23 +101,24 @@ def test_a_small_asymmetry_of_the_command_stands_up_beside_what_the_speed_loop_l
     assert finding.held_out.closing_percent < finding.held_out.closed_std
 
 
-def test_an_error_costs_what_a_normal_distribution_says() -> None:
+def test_loss_without_impacts_is_that_of_a_normal_distribution() -> None:
     white = np.array([[0.0, 0.0], [1.0, 2.0], [60.0, 0.0]])
     assert loss(white, impacts=False).tolist() == [0.0, 2.5, 1800.0]
 
 
-def test_where_parts_strike_one_blow_out_of_time_does_not_outweigh_many_rows() -> None:
-    """Beyond what the tails are for, an error costs what the wider distribution says: the ratio of the densities at 0,
-    and a hundredth of the square."""
+def test_one_mistimed_impact_does_not_outweigh_many_samples() -> None:
+    """In the tails, an error costs what the wider distribution gives: the ratio of the densities at 0, and a hundredth
+    of the square."""
     white = np.array([[0.0], [1.0], [2.0], [60.0]])
-    none, one, two, blow = loss(white, impacts=True)
+    none, one, two, impact = loss(white, impacts=True)
     assert (none, one, two) == pytest.approx((0.0, 0.5, 2.0), abs=2e-3)
-    assert blow == pytest.approx(np.log(WIDER / TAILS) + 0.5 * (60.0 / WIDER) ** 2, abs=2e-3)
+    assert impact == pytest.approx(np.log(WIDER / TAILS) + 0.5 * (60.0 / WIDER) ** 2, abs=2e-3)
 
 
-def test_noise_that_may_be_larger_leaves_what_is_added_to_a_known_sensors() -> None:
-    """Innovations of a roll that is known to a hundred thousandth of a radian are taken for ten times that. Scaled with
-    what the larger noise makes of them, they were less, and the model without the effect was likelier by hundreds."""
+def test_possible_noise_keeps_the_floor_that_is_added_to_a_known_noise() -> None:
+    """Innovations of a roll that is known to a hundred-thousandth of a radian are taken for ten times that. When they
+    were scaled with the innovations of the larger noise, they were smaller, and the model without the effect was more
+    likely by hundreds of nats."""
     quiet = record("monocab", "multisine", hide=["gimbal_imbalance"], seed=61, duration=20.0)
     model = with_values(get("monocab_roll"), VEHICLE.parameters.values, VEHICLE.parameters.deviations)
     recordings = after_settling(model, [quiet], VEHICLE.support)

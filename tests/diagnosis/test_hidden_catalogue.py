@@ -1,8 +1,9 @@
-"""Each effect of the catalogue hidden in the virtual vehicle on the bus, found, taken back and added as anybody would.
+"""Each effect of the catalogue, hidden in the virtual vehicle on the bus, is found, undone and added as by any user.
 
-`upright diagnose RECORDING --auto MODEL` writes the repaired model, `upright model undo` takes its effects back, and
-`upright model add MODEL EFFECT` with the recording adds what the diagnosis named, fitted to the first two thirds and
-held against the last. The tool is told nothing but the recording; the sizes are those of `upright demo --hide EFFECT`.
+`upright diagnose RECORDING --auto MODEL` writes the revised model, `upright model undo` removes its effects, and
+`upright model add MODEL EFFECT` with the recording adds the effect that the diagnosis named, fitted to the first two
+thirds and validated on the last. The tool gets nothing but the recording; the amplitudes are those of `upright demo
+--hide EFFECT`.
 """
 
 from __future__ import annotations
@@ -27,21 +28,21 @@ from telemetry.storage import save
 pytestmark = pytest.mark.patient
 
 SEED, ANOTHER = 61, 81
-"""Decided nothing."""
+"""No setting was chosen with these."""
 COMMANDED = {each.name for each in CATALOGUE.values() if each.place is Place.ACTUATOR}
 CREEPS = {"torque_drift"}
-"""Held against another run: the plant creeps since it was switched on, 3 s before the record begins, which no formula
-knows, and a third of a run beyond the fitted ones asks for just that."""
+"""Validated on another run: the plant has crept since it was switched on, 3 s before the record begins. No formula
+includes this, and the third of a run after the fitted ones depends on exactly that."""
 SIZED = {"cubic_stiffness": "coefficient", "flexible_mode": "share"}
-"""Effects whose size has to come out within a tenth: the plant's hardening is a sinh. Others are in test_diagnose."""
+"""Effects with a value that has to be right within a tenth: the plant's hardening is a sinh. Others: test_diagnose."""
 CLOSED = 0.97
-"""Of the held-out error energy, half a second ahead, that exceeds the sensors'. Bristles are not quite tanh: the
-formula of Stribeck friction leaves a fiftieth of what the plant does."""
+"""Share of the held-out error energy in excess of the sensors', half a second ahead, that an effect has to remove.
+Bristles are not quite tanh: the formula of Stribeck friction leaves a fiftieth of what the plant does."""
 FLOOR = 1.05
-"""Error energy over the sensors' below which nothing is left to close."""
+"""Ratio of the error energy to that of the sensors below which nothing is left to remove."""
 
 EVERY_TIME = ("coulomb_friction", "cubic_stiffness", "input_delay", "sensor_offset", "torque_step")
-"""Forces, the command, a sensor, and what sets in."""
+"""Forces, the command, a sensor, and an effect with an onset."""
 
 
 def upright(*arguments: Any) -> Any:
@@ -52,30 +53,30 @@ def upright(*arguments: Any) -> Any:
 
 def recorded(effect: str, folder: Path, seed: int = SEED) -> Path:
     path = folder / f"{effect or 'clean'}{seed}.arrow"
-    # 20 s are what the gate asks for with some to spare.
+    # 20 s are more than the gate requires.
     hide = (LEVELS.get(effect, effect),) if effect else ()
     save(record("monocab", "multisine", hide=hide, seed=seed, duration=20.0), path)
     return path
 
 
 def added(file: Path, effect: str, recording: Path, *held_out: Path) -> Any:
-    """What `model add` says of `effect` in the model of `file` with all its effects taken back."""
+    """Output of `model add` for `effect` in the model of `file`, after all its effects were undone."""
     while read(file).history:
         upright("model", "undo", file)
     others = [word for each in held_out for word in ("--held-out", each)]
     return upright("model", "add", file, effect, "--recording", recording, *others)["repair"]
 
 
-def test_the_virtual_vehicle_can_hide_the_whole_catalogue() -> None:
+def test_virtual_vehicle_can_hide_all_effects_except_nonlinear_gravity() -> None:
     # The restoring torque of gravity is the sine of roll in the plant already.
     assert {*CATALOGUE} - {*HIDDEN} == {"gravity_nonlinearity"}
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("effect", of_many(sorted(HIDDEN.keys() - {LEARNED}), *EVERY_TIME))
-def test_what_is_hidden_is_found_added_and_the_error_falls(effect: str, tmp_path: Path) -> None:
+def test_hidden_effect_is_found_and_adding_it_reduces_the_error(effect: str, tmp_path: Path) -> None:
     recording, model = recorded(effect, tmp_path), tmp_path / "repaired.toml"
-    # On a busy machine a test of what is found is none of how soon.
+    # This tests what is found, not how soon: the machine may be busy.
     found = upright("diagnose", recording, "--auto", model, "--budget", "inf")
     assert found["verdict"] == "missing_effect", found["reason"]
     named = next(each for each in found["findings"] if effect in {each["effect"], *each["tied_with"]})
@@ -100,11 +101,11 @@ def actuators(model: Path) -> Path:
     return model.with_name(f"{model.stem}-actuators.toml")
 
 
-def test_what_the_filter_has_learned_leaves_nothing_to_find(tmp_path: Path) -> None:
+def test_effect_that_the_filter_has_learned_is_not_a_candidate(tmp_path: Path) -> None:
     found = upright("diagnose", recorded(LEARNED, tmp_path))
     assert found["verdict"] == "adequate"
     assert "learned" in found["not_candidates"][LEARNED]
 
 
-def test_where_nothing_is_hidden_nothing_is_found(tmp_path: Path) -> None:
+def test_record_without_hidden_effect_is_adequate(tmp_path: Path) -> None:
     assert upright("diagnose", recorded("", tmp_path))["verdict"] == "adequate"

@@ -1,4 +1,4 @@
-"""The instants at which a step would explain most, against steps that are made one by one."""
+"""The change points at which a step would explain most, compared with steps that are computed one by one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MODEL = with_values(
 
 
 def in_two(recording: Recording) -> Recording:
-    """The recording with a second of unknown angle in it: two stretches, the second the longer."""
+    """The recording with a second of unknown angle in it: two segments, of which the second is longer."""
     time = recording.time - recording.time[0]
     roll = recording["roll"].copy()
     roll[(time > 15.0) & (time < 16.0)] = np.nan
@@ -33,7 +33,7 @@ def in_two(recording: Recording) -> Recording:
 
 
 @pytest.mark.timeout(300)
-def test_the_best_instants_are_those_of_steps_that_are_tried_one_by_one() -> None:
+def test_best_change_points_match_steps_computed_one_by_one() -> None:
     recording = in_two(multisine("torque_step=0.05"))
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, ["torque_step"])
     assert len(workspace.segments) == 2
@@ -42,7 +42,7 @@ def test_the_best_instants_are_those_of_steps_that_are_tried_one_by_one() -> Non
     candidate = candidates_for(MODEL, [recording], ["torque_step"])[0][0]
     problem = workspace.problem(attached(MODEL, [candidate]))
     found = at_instants(candidate, white, problem)
-    # Of the usual rise first, then of the sharpest.
+    # Those with the usual rise first, then those with the sharpest.
     assert found.picked == 2 * MOST
     start, rise = candidate.attached.qualified("start"), candidate.attached.qualified("rise")
     usual, sharp = found.variants[-2 * MOST : -MOST], found.variants[-MOST:]
@@ -58,6 +58,6 @@ def test_the_best_instants_are_those_of_steps_that_are_tried_one_by_one() -> Non
 
     longer = workspace.segments[1].time
     others = np.arange(longer[0] + 0.5, longer[-1] - 0.5, 0.5).tolist()
-    # The step rises within 0.3 s: between two instants that are tried it explains a little more than at them.
+    # The step rises within 0.3 s: between two change points that are tried it explains a little more than at them.
     assert explained(tried[0]) > 0.99 * max(explained(each) for each in others)
     assert explained(tried[0]) >= explained(tried[1])

@@ -1,4 +1,4 @@
-"""An IMU whose values are milliseconds old when they arrive, as the vehicle file says."""
+"""An IMU whose values are milliseconds old when they arrive, as stated in the vehicle file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from vehicles.monocab.identification.own import drive_lag
 from vehicles.registry import recorded_loop
 
 LATENCY = 0.0075
-"""s: not a whole number of rows, and the drives are sampled after the IMU."""
+"""s: not a multiple of the sampling period, and the drives are sampled after the IMU."""
 
 
 @cache
@@ -57,17 +57,17 @@ def known(model: Model, kind: str = "monocab") -> Model:
 
 
 def without_age(recording: Recording) -> Recording:
-    """As recordings were before they had the channel."""
+    """`recording` as before the channel existed."""
     values = {name: column for name, column in recording.values.items() if name != "setpoint_age"}
     channels = type(recording.channels)(each for each in recording.channels if each.name != "setpoint_age")
     return replace(recording, channels=channels, values=values)
 
 
-# --- the virtual one
+# --- the virtual IMU
 
 
-def test_the_virtual_imu_is_as_late_as_its_file_says() -> None:
-    """Of a swing of 5 Hz; a straight line between samples would lose 2e-3 of it, Hermite's cubics lose 1e-5."""
+def test_virtual_imu_is_as_late_as_its_file_states() -> None:
+    """For a swing of 5 Hz, linear interpolation between samples would lose 2e-3 of it; Hermite's cubics lose 1e-5."""
     period, omega = 0.004, 2.0 * math.pi * 5.0
 
     def motion(time: float) -> tuple[float, ...]:
@@ -75,17 +75,17 @@ def test_the_virtual_imu_is_as_late_as_its_file_says() -> None:
         return sine, omega * cosine, -(omega**2) * sine
 
     path = SensorPath(0.0, LATENCY, period)
-    seen = [path.pass_on(motion(row * period)) for row in range(200)]
-    true = [motion(row * period - LATENCY) for row in range(200)]
+    seen = [path.pass_on(motion(sample * period)) for sample in range(200)]
+    true = [motion(sample * period - LATENCY) for sample in range(200)]
     angle, rate, _ = np.abs(np.array(seen) - np.array(true))[5:].max(axis=0)
     assert angle < 2e-5
     assert rate < 2e-5 * omega
 
 
-def test_without_latency_nothing_is_changed() -> None:
+def test_imu_without_latency_passes_values_on_unchanged() -> None:
     path = SensorPath(0.0, 0.0, 0.004)
-    for row in range(5):
-        assert path.pass_on((float(row), 2.0, 3.0)) == (float(row), 2.0, 3.0)
+    for sample in range(5):
+        assert path.pass_on((float(sample), 2.0, 3.0)) == (float(sample), 2.0, 3.0)
     assert ImuNode().latency == 0.0
 
 
@@ -93,13 +93,13 @@ def test_without_latency_nothing_is_changed() -> None:
 
 
 @pytest.mark.parametrize(("kind", "experiment"), [("monocab", "multisine"), ("twsbr", "square")])
-def test_rows_say_when_their_setpoints_left(kind: str, experiment: str) -> None:
+def test_samples_state_when_their_setpoints_were_sent(kind: str, experiment: str) -> None:
     assert set(recorded(kind, experiment, LATENCY)["setpoint_age"]) == {-LATENCY}
     assert set(recorded(kind, experiment, 0.0)["setpoint_age"]) == {0.0}
 
 
-def test_setpoints_begin_to_act_when_they_are_sent() -> None:
-    """What is left is the way over the bus, as with an IMU that is not late. Before, it was 7.5 ms more."""
+def test_setpoint_offset_does_not_depend_on_the_imu_latency() -> None:
+    """What remains is the transmission over the bus, as with an IMU that is not late. Before, it was 7.5 ms more."""
     prompt, late = recorded("monocab", "multisine", 0.0), recorded("monocab", "multisine", LATENCY)
 
     def offset(recording: Recording) -> float:
@@ -109,7 +109,7 @@ def test_setpoints_begin_to_act_when_they_are_sent() -> None:
     assert offset(without_age(late)) == pytest.approx(offset(late) + LATENCY, abs=2e-4)
 
 
-def test_the_robot_s_voltages_begin_to_act_when_they_are_sent() -> None:
+def test_voltage_offset_of_the_robot_does_not_depend_on_the_imu_latency() -> None:
     def offset(recording: Recording) -> float:
         found = prediction_error(known(get("twsbr"), "twsbr"), [recording], estimate=["voltage_offset"])
         return float(found.parameters["voltage_offset"].value or 0.0)
@@ -118,8 +118,8 @@ def test_the_robot_s_voltages_begin_to_act_when_they_are_sent() -> None:
     assert offset(late) == pytest.approx(offset(prompt), abs=5e-4)
 
 
-def test_the_loop_is_closed_with_the_delay_it_had() -> None:
-    """The right model goes with the record to the noise, as with an IMU that is not late; with setpoints 7.5 ms too
+def test_closed_loop_is_simulated_with_the_delay_of_the_recording() -> None:
+    """The correct model follows the record to the noise, as with an IMU that is not late; with setpoints 7.5 ms too
     early it does not."""
     late = recorded("monocab", "multisine", LATENCY)
     right = get("monocab_roll").change({"inertia": PlantTruth().inertia, "gravity_stiffness": 14500.0})
@@ -135,7 +135,7 @@ def test_the_loop_is_closed_with_the_delay_it_had() -> None:
 
 
 @pytest.mark.parametrize("age", [math.nan, 0.02])
-def test_rows_that_do_not_say_when_their_setpoints_left_make_no_loop(age: float) -> None:
+def test_unknown_or_excessive_setpoint_age_prevents_the_closed_loop(age: float) -> None:
     late = recorded("monocab", "multisine", LATENCY)
     ages = late["setpoint_age"].copy()
     ages[len(ages) // 2] = age
@@ -144,7 +144,7 @@ def test_rows_that_do_not_say_when_their_setpoints_left_make_no_loop(age: float)
     assert "setpoint_age" in found
 
 
-def test_a_row_that_does_not_say_when_its_setpoint_left_is_passed_over() -> None:
+def test_sample_with_unknown_setpoint_age_is_skipped_by_the_drive_lag() -> None:
     late = recorded("monocab", "multisine", LATENCY)
     ages = late["setpoint_age"].copy()
     ages[len(ages) // 2] = math.nan
@@ -157,14 +157,14 @@ def inertia(recording: Recording, method: str) -> float:
 
 
 @pytest.mark.parametrize("method", ["recursive_least_squares", "recursive_prediction_error"])
-def test_the_live_estimators_bear_drives_that_are_sampled_after_the_imu(method: str) -> None:
-    """Least squares had no row then, and said that the vehicle had hardly left its supports."""
+def test_live_estimators_accept_drives_sampled_after_the_imu(method: str) -> None:
+    """Least squares used to have no sample then, and reported that the vehicle had hardly left its supports."""
     assert (recorded("monocab", "multisine", LATENCY)["drive_age"] < 0.0).all()
     late, prompt = (inertia(recorded("monocab", "multisine", latency), method) for latency in (LATENCY, 0.0))
     assert late == pytest.approx(prompt, rel=0.02)
 
 
-def test_the_live_estimators_take_recordings_without_it() -> None:
+def test_live_estimators_accept_recordings_without_setpoint_age() -> None:
     old = without_age(recorded("monocab", "multisine", LATENCY))
     assert inertia(old, "recursive_prediction_error") > 1000.0
 
@@ -182,22 +182,22 @@ def verdict(recording: Recording) -> tuple[Verdict, list[str]]:
     return found.verdict, [each.effect for each in found.findings]
 
 
-def test_a_late_imu_is_no_late_command() -> None:
-    """Where the setpoints do not say when they left, they look 7.5 ms late: that is what the channel is for."""
+def test_late_imu_is_not_diagnosed_as_input_delay() -> None:
+    """Without the channel `setpoint_age`, setpoints look 7.5 ms late: this is why it exists."""
     recording = recorded("monocab", "multisine", LATENCY)
     assert verdict(recording) == (Verdict.ADEQUATE, [])
     assert verdict(without_age(recording)) == (Verdict.MISSING_EFFECT, ["input_delay"])
 
 
-# --- CAD values that the recordings tell better
+# --- CAD values that the recordings determine better
 
 
 def higher(configuration: SimulationConfig) -> SimulationConfig:
-    """A trim mass a standard deviation and a half higher than the vehicle file says."""
+    """A trim mass one and a half standard deviations higher than the vehicle file states."""
     return replace(configuration, plant=PlantTruth(trim_height=0.475))
 
 
-def test_a_cad_value_that_the_record_tells_better_is_estimated() -> None:
+def test_cad_value_that_the_record_determines_better_is_estimated() -> None:
     recording = record("monocab", "multisine", seed=42, duration=20.0, configure=higher)
     model, support = ready(known(get("monocab_roll")), [recording]), load("monocab").support
     alone = fit(problem(model, [recording], support=support))
@@ -207,24 +207,24 @@ def test_a_cad_value_that_the_record_tells_better_is_estimated() -> None:
     fitted = fit(problem(more, [recording], support=support))
     assert released(more, fitted) is more, "what else is held, the record does not tell"
     found = dict(zip(fitted.problem.kernel.parameters, fitted.values.tolist(), strict=True))
-    # To half of what was known before, or better: that is what it is asked for.
+    # To half of the prior standard deviation or better: this is the condition for its release.
     assert found["trim_height"] == pytest.approx(0.475, abs=3.0 * 0.025)
     assert verdict(recording) == (Verdict.ADEQUATE, [])
 
 
-def test_what_is_held_and_off_is_no_disturbance() -> None:
-    """A vehicle of the benchmark whose trim mass is two standard deviations higher than its file says, and moves when
-    the vehicle is shaken. Beside the height of the file the disturbance takes over what it does. It is the one of 200
-    where that showed most."""
+def test_estimating_a_wrong_cad_value_keeps_its_error_out_of_the_disturbance() -> None:
+    """A vehicle of the benchmark whose trim mass is two standard deviations higher than its file states, and moves when
+    the vehicle is disturbed. With the height held at that of the file, the estimated disturbance absorbs its effect. Of
+    200 vehicles this one showed it most."""
     bench, case = Bench(disturbances=drawn_for("monocab")), Case((), 0.0, 1.0, "multisine", 9057)
-    its = drawn(case.seed("vehicle"))
-    true, _ = disturbance_of(case, bench, its)
+    true_vehicle = drawn(case.seed("vehicle"))
+    true, _ = disturbance_of(case, bench, true_vehicle)
     assert true is not None
-    recording = bench.record(case.excitation, {}, case.noise, bench.duration, case.seed(), its, true)
+    recording = bench.record(case.excitation, {}, case.noise, bench.duration, case.seed(), true_vehicle, true)
     support = load("monocab").support
-    (told,) = prediction_error(bench.nominal, [recording], support=support).disturbance
+    (estimated,) = prediction_error(bench.nominal, [recording], support=support).disturbance
     (held,) = disturbances(fit(problem(ready(bench.nominal, [recording]), [recording], support=support)))
-    assert told.std_error is not None
+    assert estimated.std_error is not None
     assert held.std_error is not None
-    assert abs(told.std - true.rms) < 3.0 * told.std_error
+    assert abs(estimated.std - true.rms) < 3.0 * estimated.std_error
     assert held.std - true.rms > 3.0 * held.std_error

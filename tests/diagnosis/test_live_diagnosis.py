@@ -1,4 +1,4 @@
-"""The live diagnosis on the virtual vehicle: what it names, since when, that it is quiet, and that it harms nothing."""
+"""The live diagnosis on the virtual vehicle: its names and onsets, its false alarms, and that it disturbs nothing."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ def recorded(*hide: str, excitation: str = "multisine", seed: int = 1, duration:
 
 
 def course(recording: Recording, diagnosis: LiveDiagnosis | None = None) -> list[tuple[float, LiveResult]]:
-    """The result after every second, with the time, s from the first row on."""
+    """The result after every second, with the time in s from the first sample."""
     diagnosis = diagnosis or LiveDiagnosis(nominal_model("monocab"), **GIVEN)
-    told, begin = [], recording.timestamp_ns[0]
+    results, begin = [], recording.timestamp_ns[0]
     for number, frame in enumerate(recording.frames(MONOCAB)):
         diagnosis.update(frame)
         if number % VEHICLE.control.rate == 0:
-            told.append(((frame.timestamp_ns - begin) * 1e-9, diagnosis.result()))
-    return told
+            results.append(((frame.timestamp_ns - begin) * 1e-9, diagnosis.result()))
+    return results
 
 
 def onset(recording: Recording, second: float) -> float:
-    """s from the first row on, of an effect that sets in `second` s after the drives started."""
+    """Onset, s from the first sample, of an effect that sets in `second` s after the drives started."""
     return BOOT_TIME + second - (int(recording.metadata["start_ns"]) - START_NS) * 1e-9
 
 
@@ -70,33 +70,33 @@ def size(finding: LiveFinding) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("excitation", "seed"), [("multisine", 1), ("multisine", 2), ("sweep", 1), ("hold", 1)])
-def test_where_nothing_is_missing_nothing_is_named_at_any_time(excitation: str, seed: int) -> None:
-    """By its level, once in a hundred minutes; seeds are fixed. One record has a line that only chance put there."""
-    told = course(recorded(excitation=excitation, seed=seed))
-    assert [result.findings for _, result in told] == [()] * len(told)
-    assert told[0][1].verdict == "insufficient_data"
-    assert told[-1][1].verdict == "adequate"
-    assert told[-1][1].detectable["viscous_friction"] > 0.0
+def test_nothing_is_named_at_any_time_if_nothing_is_missing(excitation: str, seed: int) -> None:
+    """By its level, one false name in a hundred minutes; seeds are fixed. One record has a line due to chance alone."""
+    results = course(recorded(excitation=excitation, seed=seed))
+    assert [result.findings for _, result in results] == [()] * len(results)
+    assert results[0][1].verdict == "insufficient_data"
+    assert results[-1][1].verdict == "adequate"
+    assert results[-1][1].detectable["viscous_friction"] > 0.0
 
 
 @pytest.mark.parametrize("seed", [11, 12])
-def test_a_vehicle_that_is_shaken_has_no_name_and_its_disturbance_is_that_of_the_batch_fit(seed: int) -> None:
-    """8 N m RMS with 0.3 s. Both rest on the same record, but for 0.1 s at its ends: half a deviation is allowed."""
+def test_disturbed_vehicle_has_no_finding_and_the_disturbance_of_the_batch_fit(seed: int) -> None:
+    """8 N m RMS with 0.3 s. Both use the same record except 0.1 s at its ends: half a standard deviation is allowed."""
     recording = recorded("disturbance=8,0.3", seed=seed)
     diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
-    told = course(recording, diagnosis)
-    assert [result.findings for _, result in told] == [()] * len(told)
-    assert told[-1][1].verdict == "adequate"
+    results = course(recording, diagnosis)
+    assert [result.findings for _, result in results] == [()] * len(results)
+    assert results[-1][1].verdict == "adequate"
     model = with_values(nominal_model("monocab"), GIVEN["parameters"], GIVEN["deviations"])
-    (there,) = prediction_error(model, [recording], support=VEHICLE.support).disturbance
+    (fitted,) = prediction_error(model, [recording], support=VEHICLE.support).disturbance
     estimate = diagnosis.estimator.result()
     assert not set(estimate.parameters) & is_of_disturbance(disturbed(model, ()))
-    (here,) = estimate.disturbance
+    (running,) = estimate.disturbance
     for live, batch, truth in (
-        ((here.std, here.std_error), (there.std, there.std_error), 8.0),
+        ((running.std, running.std_error), (fitted.std, fitted.std_error), 8.0),
         (
-            (here.correlation_time, here.correlation_time_error),
-            (there.correlation_time, there.correlation_time_error),
+            (running.correlation_time, running.correlation_time_error),
+            (fitted.correlation_time, fitted.correlation_time_error),
             0.3,
         ),
     ):
@@ -104,45 +104,45 @@ def test_a_vehicle_that_is_shaken_has_no_name_and_its_disturbance_is_that_of_the
         assert abs(live[0] - batch[0]) < 0.5 * batch[1]  # type: ignore[operator]
         assert abs(live[0] - truth) < 3.0 * live[1]  # type: ignore[operator]
         assert live[1] == pytest.approx(batch[1], rel=0.3)
-    entry = told[-1][1].to_json()["disturbance"]["roll"]
-    assert entry["rms"] == pytest.approx(here.std, abs=here.std_error)
+    entry = results[-1][1].to_json()["disturbance"]["roll"]
+    assert entry["rms"] == pytest.approx(running.std, abs=running.std_error)
     assert entry["shown"]
 
 
-def test_friction_that_sets_in_on_a_shaken_vehicle_gets_its_name() -> None:
+def test_friction_that_sets_in_on_a_disturbed_vehicle_is_named() -> None:
     recording = recorded("disturbance=8,0.3", "viscous_friction=1@25")
-    begin, told = onset(recording, 25.0), course(recording)
-    named = [(time, result.findings[0]) for time, result in told if result.findings]
+    begin, results = onset(recording, 25.0), course(recording)
+    named = [(time, result.findings[0]) for time, result in results if result.findings]
     right = [time for time, each in named if "viscous_friction" in (each.effect, *each.tied_with)]
     assert named[0][0] > begin
     assert right[0] == named[0][0]
-    assert right[0] - begin < 5.0 + 1.0  # results are looked at once a second
-    assert "viscous_friction" in (told[-1][1].findings[0].effect, *told[-1][1].findings[0].tied_with)
+    assert right[0] - begin < 5.0 + 1.0  # one result a second
+    assert "viscous_friction" in (results[-1][1].findings[0].effect, *results[-1][1].findings[0].tied_with)
 
 
-def test_friction_that_sets_in_during_the_run_is_named_within_five_seconds_with_its_time_and_size() -> None:
+def test_friction_that_sets_in_is_named_within_five_seconds_with_onset_and_size() -> None:
     recording = recorded("viscous_friction=0.5@25")
-    begin, told = onset(recording, 25.0), course(recording)
-    named = [(time, result.findings[0]) for time, result in told if result.findings]
+    begin, results = onset(recording, 25.0), course(recording)
+    named = [(time, result.findings[0]) for time, result in results if result.findings]
     assert named[0][0] > begin
-    assert named[0][0] - begin < 5.0 + 1.0  # results are looked at once a second
-    # In its first seconds friction is told from its neighbours by little: it may be one of those that are tied.
+    assert named[0][0] - begin < 5.0 + 1.0  # one result a second
+    # In its first seconds friction is hardly distinguishable from its neighbours: it may be one of the tied effects.
     right = [time for time, each in named if "viscous_friction" in (each.effect, *each.tied_with)]
     assert right[0] - begin < 5.0 + 1.0
-    last = told[-1][1].findings[0]
+    last = results[-1][1].findings[0]
     assert last.effect == "viscous_friction"
     assert abs(last.since - begin) < 1.5
     value, std = size(last)
-    # 200 N m s/rad. One linear step from a model without friction, whose noise stood in for it: a size, no more.
+    # 200 N m s/rad. One linear step from a model without friction, whose noise took its place: only a rough size.
     assert 100.0 < value < 400.0
     assert 0.0 < std < 0.2 * value
 
 
-def test_weak_friction_is_named_within_five_seconds_with_what_it_is_not_told_from_yet() -> None:
-    """Three times what half a minute would just show: in five seconds kinds of friction are hardly told apart."""
+def test_weak_friction_is_named_within_five_seconds_with_effects_tied_so_far() -> None:
+    """Three times the minimum detectable amplitude in 30 s: in five seconds kinds of friction hardly differ."""
     recording = recorded("coulomb_friction=0.0263@25")
-    begin, told = onset(recording, 25.0), course(recording)
-    named = [(time, result.findings[0]) for time, result in told if result.findings]
+    begin, results = onset(recording, 25.0), course(recording)
+    named = [(time, result.findings[0]) for time, result in results if result.findings]
     assert begin < named[0][0] < begin + 5.0 + 1.0
     for _, each in named:
         assert "coulomb_friction" in (each.effect, *each.tied_with)
@@ -150,44 +150,46 @@ def test_weak_friction_is_named_within_five_seconds_with_what_it_is_not_told_fro
         assert each.p_value < 0.01
 
 
-def test_where_nothing_is_near_a_name_every_other_second_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And every one from soon after something set in."""
-    looked: list[int] = []
+def test_only_every_other_second_is_evaluated_if_no_effect_is_near_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From soon after an onset, every second is evaluated."""
+    evaluated: list[int] = []
     look = Gathered.look
 
     def counted(self: Gathered, *arguments: Any) -> LiveResult:
-        looked.append(self.products.seconds)
+        evaluated.append(self.products.seconds)
         return look(self, *arguments)
 
     monkeypatch.setattr(Gathered, "look", counted)
     recording = recorded("viscous_friction=0.5@25")
-    told = course(recording)
+    results = course(recording)
     begin = onset(recording, 25.0)
-    quiet = max(result.seconds for time, result in told if time < begin)
-    before, after = ([each for each in looked if (each > quiet) is late] for late in (False, True))
+    quiet = max(result.seconds for time, result in results if time < begin)
+    before, after = ([each for each in evaluated if (each > quiet) is late] for late in (False, True))
     assert len(set(before)) < 0.8 * quiet
     assert max(np.diff(before)) <= 2
-    # Two seconds to be near a name, then no second is left out.
+    # Within two seconds it is near a name; after that no second is left out.
     assert set(range(quiet + 3, max(after) + 1)) <= set(after)
 
 
-def test_what_no_effect_explains_yet_has_no_name() -> None:
-    """Machinery starts: until its frequency is known nothing that is looked for is like it. A weaker one passes for a
-    random force until then. What is named beside it, second, is not asked."""
+def test_nothing_is_named_until_an_effect_explains_the_data() -> None:
+    """Machinery starts: until its frequency is known, no candidate resembles it. A weaker disturbance is taken for a
+    random force until then. A second effect that is named beside it is not tested."""
     recording = recorded("periodic_disturbance=4@25")
-    begin, told = onset(recording, 25.0), course(recording)
-    for _, result in told:
+    begin, results = onset(recording, 25.0), course(recording)
+    for _, result in results:
         for each in result.findings[:1]:
             assert "periodic_disturbance" in (each.effect, *each.tied_with)
-    assert told[-1][1].findings
-    unknown = [(time, result) for time, result in told if time > begin and "no known effect explains" in result.reason]
+    assert results[-1][1].findings
+    unknown = [
+        (time, result) for time, result in results if time > begin and "no known effect explains" in result.reason
+    ]
     assert unknown
     assert unknown[0][0] < begin + 5.0 + 1.0
     assert unknown[0][1].verdict == "insufficient_data"
     assert unknown[0][1].detectable
 
 
-def test_dry_friction_from_the_beginning_has_no_onset_and_is_told_with_what_it_is_tied_with() -> None:
+def test_dry_friction_from_the_beginning_has_no_onset_and_is_named_with_its_ties() -> None:
     finding = course(recorded("coulomb_friction=0.5"))[-1][1].findings[0]
     assert finding.effect in ("coulomb_friction", "asymmetric_friction")
     assert "coulomb_friction" in (finding.effect, *finding.tied_with)
@@ -195,7 +197,7 @@ def test_dry_friction_from_the_beginning_has_no_onset_and_is_told_with_what_it_i
     assert finding.p_value < 1e-6
 
 
-def test_a_person_who_sits_down_is_a_torque_step() -> None:
+def test_person_who_sits_down_is_named_a_torque_step() -> None:
     recording = recorded("torque_step=0.2@25")
     finding = course(recording)[-1][1].findings[0]
     assert finding.effect == "torque_step"
@@ -203,8 +205,8 @@ def test_a_person_who_sits_down_is_a_torque_step() -> None:
     assert finding.family == "bias"
 
 
-def test_a_disturbance_is_named_with_its_frequency_wherever_that_is() -> None:
-    """Machinery on board at 1.3 Hz; the catalogue's own start is 1 Hz, which a record of 30 s tells from it."""
+def test_periodic_disturbance_is_named_with_its_frequency() -> None:
+    """Machinery on board at 1.3 Hz; the catalogue starts from 1 Hz, which a record of 30 s distinguishes from it."""
     finding = course(recorded("periodic_disturbance=0.5"))[-1][1].findings[0]
     assert finding.effect == "periodic_disturbance"
     frequency, std, unit = finding.sizes["periodic_disturbance.frequency"]
@@ -214,8 +216,8 @@ def test_a_disturbance_is_named_with_its_frequency_wherever_that_is() -> None:
 
 
 @pytest.mark.parametrize("frequency", [0.31, 1.337, 7.77])
-def test_a_line_is_found_between_the_bins(frequency: float) -> None:
-    """Beside noise of the same power; a tenth of a bin, which is 1/20 Hz wide. Only the last 32 s are looked at."""
+def test_spectral_line_between_the_bins_is_found(frequency: float) -> None:
+    """In noise of the same power, to a tenth of a bin of 1/20 Hz. Only the last 32 s are evaluated."""
     rng = np.random.default_rng(3)
     finder, time = LineFinder(0.004), 0.004 * np.arange(10_000)
     signal = np.stack((np.sin(2.0 * np.pi * frequency * time), np.zeros(len(time))), axis=1)
@@ -229,8 +231,8 @@ def test_a_line_is_found_between_the_bins(frequency: float) -> None:
     assert 31.0 <= found[1] <= 33.0
 
 
-def test_a_line_that_has_just_begun_is_found_among_what_is_recent() -> None:
-    """Half the noise in amplitude, in the last 5 of 31 s; all 31 s alone have another one that chance made."""
+def test_spectral_line_that_has_just_begun_is_found_in_the_recent_samples() -> None:
+    """Half the noise in amplitude, in the last 5 of 31 s; in all 31 s another line, due to chance, is stronger."""
     rng = np.random.default_rng(5)
     time = 0.004 * np.arange(7750)
     rows = rng.standard_normal((len(time), 2))
@@ -245,8 +247,8 @@ def test_a_line_that_has_just_begun_is_found_among_what_is_recent() -> None:
     assert abs(strongest(rows, 0.004)[1] - 1.3) > 0.5, "or all of it would have done"
 
 
-def test_noise_alone_is_seldom_taken_for_a_line() -> None:
-    """A tenth of the time at most, of 40: more than 9 would come of less than one seed in a hundred."""
+def test_noise_alone_rarely_gives_a_spectral_line() -> None:
+    """In at most a tenth of 40 draws: more than 9 would occur with less than one seed in a hundred."""
     rng = np.random.default_rng(11)
     followed = 0
     for _ in range(40):
@@ -256,7 +258,7 @@ def test_noise_alone_is_seldom_taken_for_a_line() -> None:
     assert followed <= 9
 
 
-def test_the_recursion_gives_the_same_numbers_with_and_without_it() -> None:
+def test_recursive_estimator_gives_the_same_numbers_with_and_without_diagnosis() -> None:
     diagnosis, alone = (
         LiveDiagnosis(nominal_model("monocab"), **GIVEN),
         RecursivePredictionError(nominal_model("monocab"), **GIVEN),
@@ -267,7 +269,7 @@ def test_the_recursion_gives_the_same_numbers_with_and_without_it() -> None:
     assert diagnosis.estimator.result().to_json() == alone.result().to_json()
 
 
-def test_the_same_cycles_give_the_same_diagnosis_after_a_reset() -> None:
+def test_same_cycles_give_the_same_diagnosis_after_a_reset() -> None:
     diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
     first = course(recorded("coulomb_friction=0.5"), diagnosis)[-1][1]
     diagnosis.reset()
@@ -275,7 +277,7 @@ def test_the_same_cycles_give_the_same_diagnosis_after_a_reset() -> None:
     assert course(recorded("coulomb_friction=0.5"), diagnosis)[-1][1] == first
 
 
-def test_a_failure_ends_the_diagnosis_and_not_the_recursion(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_ends_the_diagnosis_but_not_the_recursive_estimator(monkeypatch: pytest.MonkeyPatch) -> None:
     diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
 
     def fails(*_: object) -> None:
@@ -288,8 +290,8 @@ def test_a_failure_ends_the_diagnosis_and_not_the_recursion(monkeypatch: pytest.
     assert diagnosis.estimator.result().status == "ok"
 
 
-def test_steps_are_made_finer_where_an_effect_moves_too_fast() -> None:
-    """A play that is crossed within a cycle: in one step a row its derivative runs away, in finer ones it does not."""
+def test_integration_steps_are_refined_for_a_fast_effect() -> None:
+    """Backlash, crossed within a cycle: with one step per sample its derivative diverges, with finer steps not."""
     diagnosis = LiveDiagnosis(
         nominal_model("monocab"), effects=[replace(each, stiff=False) for each in CATALOGUE.values()], **GIVEN
     )
@@ -298,7 +300,7 @@ def test_steps_are_made_finer_where_an_effect_moves_too_fast() -> None:
     assert not result.reason
 
 
-def test_a_gap_begins_anew_and_is_no_effect() -> None:
+def test_gap_begins_a_new_segment_and_causes_no_finding() -> None:
     recording = recorded()
     frames = list(recording.frames(MONOCAB))
     diagnosis = LiveDiagnosis(nominal_model("monocab"), **GIVEN)
@@ -314,7 +316,7 @@ def test_a_gap_begins_anew_and_is_no_effect() -> None:
     assert result.seconds < 0.8 * len(frames) / VEHICLE.control.rate
 
 
-def test_bank_and_news_tell_it_as_json_once() -> None:
+def test_bank_gives_the_diagnosis_as_json_and_news_reports_it_once() -> None:
     bank = online_estimators("monocab", GIVEN["parameters"], GIVEN["deviations"], GIVEN["support"])
     waiting = bank.diagnosis()
     assert waiting is not None
@@ -322,27 +324,27 @@ def test_bank_and_news_tell_it_as_json_once() -> None:
     assert "compiled" in waiting["reason"]
     bank.join()
     bank.update(recorded("coulomb_friction=0.5").frames(MONOCAB))
-    told = json.loads(json.dumps(bank.diagnosis()))
-    assert told["verdict"] == "missing_effect"
+    document = json.loads(json.dumps(bank.diagnosis()))
+    assert document["verdict"] == "missing_effect"
     assert {"effect", "family", "parameters", "probability", "p_value", "tied_with", "explanation", "since"} <= set(
-        told["findings"][0]
+        document["findings"][0]
     )
     news = News()
-    (text,) = news.of({**told, "findings": told["findings"][:1]})
+    (text,) = news.of({**document, "findings": document["findings"][:1]})
     assert "friction" in text
     assert "N m" in text
-    assert news.of({**told, "findings": told["findings"][:1]}) == []
+    assert news.of({**document, "findings": document["findings"][:1]}) == []
 
 
-def test_the_terminal_says_what_it_is_since_when_and_what_else_it_may_be() -> None:
+def test_terminal_shows_the_effect_with_its_onset_value_and_ties() -> None:
     finding = {
         "effect": "coulomb_friction",
         "parameters": {"coulomb_friction.torque": {"value": 31.25, "std": 2.2, "unit": "N m", "identifiable": True}},
         "tied_with": ["asymmetric_friction"],
         "since": 26.4,
     }
-    told = missing_effects({"verdict": "missing_effect", "findings": [finding], "reason": "", "seconds": 30})
-    assert "coulomb_friction since 26 s: torque 31.25 ± 2.2 N m, or asymmetric_friction" in told
+    text = missing_effects({"verdict": "missing_effect", "findings": [finding], "reason": "", "seconds": 30})
+    assert "coulomb_friction since 26 s: torque 31.25 ± 2.2 N m, or asymmetric_friction" in text
     nothing = missing_effects({"verdict": "adequate", "findings": [], "reason": "", "seconds": 30})
     assert nothing == "missing effect: none detected in 30 s"
     early = missing_effects({"verdict": "insufficient_data", "findings": [], "reason": "no [free] motion"})
@@ -350,7 +352,7 @@ def test_the_terminal_says_what_it_is_since_when_and_what_else_it_may_be() -> No
     assert missing_effects(None) == ""
 
 
-def test_a_kernel_for_candidates_at_zero_says_what_that_of_the_whole_model_says() -> None:
+def test_kernel_for_candidates_at_zero_agrees_with_that_of_the_whole_model() -> None:
     model = nominal_model("monocab")
     found, _ = candidates_for(model, (), ("coulomb_friction", "hysteresis", "position_cogging", "sensor_delay"))
     found += candidates_for(model, (), ("gyro_bias", "sensor_scale", "cubic_stiffness"))[0]
@@ -360,18 +362,18 @@ def test_a_kernel_for_candidates_at_zero_says_what_that_of_the_whole_model_says(
     random, time = np.random.default_rng(4), 0.004 * np.arange(300)
     inputs = 0.01 * np.sin(np.outer(time, 3.0 + np.arange(len(whole.inputs))))
     knots = np.ascontiguousarray(np.repeat(time[:, None], len(whole.inputs), axis=1))
-    # So slow that the steps can follow a hysteresis: where they cannot, rounding grows.
+    # So slow that the steps can follow a hysteresis: otherwise rounding errors grow.
     measured = 1e-4 * random.standard_normal((len(time), len(whole.outputs)))
     segment = Segment(time, knots, inputs, measured)
     gain = np.zeros((len(whole.states), len(whole.outputs)))
     gain[:2] = 0.2 * np.eye(2)
     initial, active = np.full(len(whole.states), 1e-3), [whole.index(name) for name in names]
     full = whole.run(segment, values, initial, gain=gain, active=active)
-    told = quick.run(segment, values, initial, gain=gain, active=active)
-    np.testing.assert_allclose(told.predicted, full.predicted, rtol=1e-12, atol=1e-15)
+    reduced = quick.run(segment, values, initial, gain=gain, active=active)
+    np.testing.assert_allclose(reduced.predicted, full.predicted, rtol=1e-12, atol=1e-15)
     scale = np.max(np.abs(full.sensitivity), axis=(0, 1))
     assert (scale > 0.0).all()
-    np.testing.assert_allclose(told.sensitivity / scale, full.sensitivity / scale, atol=1e-11)  # rounding alone
+    np.testing.assert_allclose(reduced.sensitivity / scale, full.sensitivity / scale, atol=1e-11)  # rounding alone
     with pytest.raises(ModelError):
         quick.run(segment, values, initial, active=[whole.index(model.parameters[0].name)])
     values[active[0]] = 1.0

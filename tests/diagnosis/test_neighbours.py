@@ -1,4 +1,4 @@
-"""Effects that were found one after the other, looked for again beside each other."""
+"""Effects that were found one after the other are searched for again with the others in the model."""
 
 from __future__ import annotations
 
@@ -29,47 +29,47 @@ DRAGS = ("viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic
 
 
 def found_in(*hide: str, candidates: tuple[str, ...] | None = None, duration: float = 20.0) -> Diagnosis:
-    # Seed 31 took no part in any choice; 20 s are what the gate asks for with some to spare.
+    # No setting was chosen with seed 31; 20 s are more than the gate requires.
     recording = record("monocab", "multisine", hide=hide, seed=31, duration=duration)
     return diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates)
 
 
 @pytest.fixture(scope="module")
 def two_drags() -> Diagnosis:
-    """Quadratic drag and dry friction, each a few times what such a record would just show."""
+    """Quadratic drag and dry friction, each a few times the minimum detectable amplitude of such a record."""
     return found_in("coulomb_friction=0.04", "quadratic_drag=0.1", candidates=DRAGS)
 
 
 class TestTwoDrags:
-    def test_both_are_found_where_viscous_friction_explains_most_alone(self, two_drags: Diagnosis) -> None:
+    def test_both_are_found_although_viscous_friction_alone_explains_most(self, two_drags: Diagnosis) -> None:
         found = two_drags
         assert found.verdict is Verdict.MISSING_EFFECT
         assert len(found.findings) == 2
         assert any({"quadratic_drag"} == {each.effect, *each.tied_with} for each in found.findings)
         assert any("coulomb_friction" in {each.effect, *each.tied_with} for each in found.findings)
-        # What is shown step by step ends with both, whichever was found first.
+        # The steps end with both effects, whichever was found first.
         assert [len(each.model.effects) for each in found.steps] == [0, 1, 2]
         assert found.steps[-1].log_likelihood > found.steps[1].log_likelihood > found.steps[0].log_likelihood
 
-    def test_each_is_told_with_its_size_beside_the_other(self, two_drags: Diagnosis) -> None:
+    def test_quadratic_drag_has_its_size_with_dry_friction_in_the_model(self, two_drags: Diagnosis) -> None:
         found = two_drags
         (drag,) = (each for each in found.findings if each.effect == "quadratic_drag")
         size = drag.parameters["quadratic_drag.coefficient"]
         assert size.value is not None
         assert size.std is not None
-        # 0.1 of 5000 N m s^2/rad^2, to three standard deviations: bristles are not quite tanh.
+        # 0.1 of 5000 N m s^2/rad^2, within three standard deviations: bristles are not quite tanh.
         assert abs(size.value - 500.0) < 3.0 * size.std
         assert found.revised is not None
         assert found.revised.values["quadratic_drag.coefficient"] == size.value
 
 
-def test_what_is_not_missing_beside_another_is_left_out() -> None:
-    # Two thirds of the record are after the step: a constant torque explains most of it, alone.
+def test_effect_that_another_makes_superfluous_is_removed() -> None:
+    # Two thirds of the record are after the step: alone, a constant torque explains most of it.
     found = found_in("torque_step=0.02", candidates=("static_torque", "torque_step", "viscous_friction"))
     assert [each.effect for each in found.findings] == ["torque_step"]
 
 
-def test_evidence_counts_the_further_parameters() -> None:
+def test_second_effect_that_is_not_hidden_is_not_beyond_chance() -> None:
     recording = record("monocab", "multisine", hide=("viscous_friction=0.1",), seed=31, duration=20.0)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, ("viscous_friction", "quadratic_drag"))
     base = full(MODEL, workspace)
@@ -77,13 +77,13 @@ def test_evidence_counts_the_further_parameters() -> None:
     two = full(MODEL.add("viscous_friction").add("quadratic_drag"), workspace)
     assert (base.count, one.count, two.count) == (0, 1, 2)
     assert beyond_chance(*log_ratio(one, base), len(workspace.candidates))
-    # The second one is not there.
+    # The second effect is not in the plant.
     assert not beyond_chance(*log_ratio(two, one), len(workspace.candidates))
 
 
-def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> None:
-    """Friction that differs between the directions explains most of dry friction with a creeping torque, alone. 20 s
-    do not tell the two from the one, by odds of 2; 30 s do, by millions."""
+def test_effect_that_combines_two_is_split_into_these() -> None:
+    """Alone, friction that differs between the directions explains most of dry friction with a creeping torque. 20 s do
+    not distinguish the two from the one (odds of 2); 30 s do (odds of millions)."""
     candidates = ("coulomb_friction", "static_torque", "torque_drift", "asymmetric_friction")
     recording = record(
         "monocab", "multisine", hide=("coulomb_friction=0.03", "torque_drift=0.04"), seed=31, duration=30.0
@@ -91,18 +91,18 @@ def test_an_effect_that_is_made_of_two_is_taken_apart_into_what_they_are() -> No
     one = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=("asymmetric_friction",))
     assert [each.effect for each in one.findings] == ["asymmetric_friction"]
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, candidates)
-    told: list[str] = []
-    how = Search(workspace, progress=lambda text, share: told.append(text))
+    messages: list[str] = []
+    how = Search(workspace, progress=lambda text, share: messages.append(text))
     found = split(Explanation(one.findings, one.steps[-1]), how)
-    assert "splitting asymmetric_friction in two" in told
-    _are_dry_friction_and_a_creeping_torque(found.findings)
-    # Looked for among all of them, the two are found without that.
-    _are_dry_friction_and_a_creeping_torque(
+    assert "splitting asymmetric_friction in two" in messages
+    _assert_dry_friction_and_torque_drift(found.findings)
+    # With all candidates, the search finds the two without this.
+    _assert_dry_friction_and_torque_drift(
         diagnose(MODEL, [recording], support=VEHICLE.support, candidates=candidates).findings
     )
 
 
-def _are_dry_friction_and_a_creeping_torque(findings: Sequence[Finding]) -> None:
+def _assert_dry_friction_and_torque_drift(findings: Sequence[Finding]) -> None:
     names = [{each.effect, *each.tied_with} for each in findings]
     assert len(names) == 2
     assert any("coulomb_friction" in each and "torque_drift" not in each for each in names)
@@ -119,18 +119,18 @@ PARTS = ("coulomb_friction", "static_torque")
         (("asymmetric_friction=0.1",), True),
     ),
 )
-def test_two_are_put_together_where_one_that_is_made_of_them_does_as_well(
+def test_two_effects_are_merged_if_one_that_combines_them_explains_as_much(
     hide: tuple[str, ...], together: bool
 ) -> None:
-    """Both records look like dry friction and a torque to who knows no third."""
+    """Both records look like dry friction and a static torque if there is no third candidate."""
     recording = record("monocab", "multisine", hide=hide, seed=31, duration=30.0)
     two = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=PARTS)
     assert {each.effect for each in two.findings} == set(PARTS)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
-    told: list[str] = []
+    messages: list[str] = []
     before = Explanation(two.findings, two.steps[-1])
-    found = merge(before, Search(workspace, progress=lambda text, share: told.append(text)))
-    assert len(told) == 1
+    found = merge(before, Search(workspace, progress=lambda text, share: messages.append(text)))
+    assert len(messages) == 1
     if not together:
         assert found is before
         return
@@ -139,14 +139,14 @@ def test_two_are_put_together_where_one_that_is_made_of_them_does_as_well(
     sizes = [asymmetric.parameters[f"asymmetric_friction.torque_{way}"].value for way in ("forward", "backward")]
     assert sizes[0] is not None
     assert sizes[1] is not None
-    assert sizes[0] > sizes[1] > 0.0  # as it is hidden: a third, the other way
+    assert sizes[0] > sizes[1] > 0.0  # as hidden: a third of it the other way
 
 
 @pytest.mark.thorough
-def test_what_explains_nearly_as_much_as_two_is_tied_with_the_one_that_is_like_it(
+def test_effect_that_explains_nearly_as_much_as_two_is_tied_with_the_similar_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As where the odds are for two: bristles keep their mean at rest, so that asymmetric friction looks like them."""
+    """As if the odds were for two: bristles keep their mean at rest, so that asymmetric friction looks like the two."""
     recording = record("monocab", "multisine", hide=("asymmetric_friction=0.1",), seed=31, duration=30.0)
     two = diagnose(MODEL, [recording], support=VEHICLE.support, candidates=PARTS)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, (*PARTS, "asymmetric_friction"))
@@ -159,10 +159,10 @@ def test_what_explains_nearly_as_much_as_two_is_tied_with_the_one_that_is_like_i
     assert found.fit is two.steps[-1]
 
 
-def test_looking_again_does_not_end_with_less_than_there_was(
+def test_repeated_search_does_not_end_with_a_lower_likelihood(
     two_drags: Diagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fit without an effect may end where no other helps, as the robot's did with a fifth of its lever arm."""
+    """A fit without an effect may end where no other effect helps, as the robot's did with a fifth of its lever arm."""
     last = two_drags.steps[-1]
     lost = replace(last, log_likelihood=last.log_likelihood - 1e3)
     recording = record(
@@ -176,8 +176,8 @@ def test_looking_again_does_not_end_with_less_than_there_was(
     assert swap(before, Search(workspace)) is before
 
 
-def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:
-    """20 s show no end of a creep of 45 s: where it settles is anything, that it creeps is beyond doubt."""
+def test_effect_is_significant_although_its_shape_is_undetermined() -> None:
+    """20 s do not show the end of a creep of 45 s: its final value is undetermined, but it creeps beyond doubt."""
     recording = record("monocab", "multisine", hide=("torque_drift=0.1",), seed=31, duration=20.0)
     workspace = Workspace.of(MODEL, [recording], VEHICLE.support, ("torque_drift",))
     (candidate,) = workspace.candidates
@@ -189,8 +189,8 @@ def test_the_size_of_an_effect_is_sure_though_its_shape_is_open() -> None:
     assert t_ratio(fitted, fitted.name) > 2.0 * SIGNIFICANT
 
 
-def test_that_there_is_an_effect_is_sure_though_its_size_is_open() -> None:
-    """All torques of the balancing robot are told together with the mass of its body, of which little is known."""
+def test_effect_is_significant_although_its_amplitude_is_undetermined() -> None:
+    """All torques of the balancing robot are determined only relative to the mass of its body, which is uncertain."""
     vehicle = load("twsbr")
     model = with_values(nominal_model("twsbr"), vehicle.parameters.values, vehicle.parameters.deviations)
     model = model.change(estimated=[*(each.name for each in model.parameters if each.estimated), "body_mass"])

@@ -1,4 +1,4 @@
-"""The next experiment: one that was not run gives what was predicted for it; one that is too strong is refused."""
+"""The next experiment: when it is run, it gives what was predicted for it; one that is too strong is refused."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def only(*names: str, **changes: Any) -> VehicleFile:
 
 
 def while_excited(recording: Recording) -> Recording:
-    """`recording` as if its roll were known during the excitation alone: the rise tells effects apart, too."""
+    """`recording` as if its roll were known during the excitation alone: the rise distinguishes effects, too."""
     roll = np.where(recording["phase"] == Phase.EXCITE, recording["roll"], np.nan)
     return replace(recording, values={**recording.values, "roll": roll})
 
 
 @pytest.mark.parametrize("name", ["monocab_roll", "monocab_reduced", "monocab_full"])
-def test_the_loop_gives_the_record_that_the_model_itself_predicts(name: str) -> None:
+def test_simulated_loop_gives_the_record_that_the_model_itself_predicts(name: str) -> None:
     model = with_friction(vehicle_model(name))
     (doublet,), _ = experiments_of(only("doublet"))
     course = simulate(model, doublet)
@@ -73,20 +73,20 @@ def test_the_loop_gives_the_record_that_the_model_itself_predicts(name: str) -> 
     assert np.array_equal(run.predicted, course.rows.measured)
 
 
-def test_the_loop_moves_as_the_virtual_vehicle_does() -> None:
-    # The virtual vehicle's true values (simulation.config); its roll also has the noise of the roll filter in it.
+def test_simulated_loop_moves_like_the_virtual_vehicle() -> None:
+    # The virtual vehicle's true values (simulation.config); its roll also contains the noise of the roll filter.
     model = vehicle_model().change({"inertia": 1650.0, "gravity_stiffness": 14500.0})
     (sweep,), _ = experiments_of(only("sweep", duration=SECONDS))
     measured = record("monocab", "sweep", seed=2, duration=SECONDS)
     excited = np.flatnonzero(measured["phase"] == Phase.EXCITE)[: round(SECONDS / VEHICLE.period)]
     predicted = simulate(model, sweep).rows.measured[: len(excited), 0]
     error = measured["roll"][excited] - predicted
-    # What the rise left of lean and of roll error dies away in the first seconds; then a tenth is within the speed
-    # loop that this model takes as a lag.
+    # The lean and the roll error that the rise has left decay in the first seconds; after that a tenth covers the speed
+    # loop, which this model describes as a lag.
     assert np.std(error[1250:]) < 0.1 * np.std(predicted[1250:])
 
 
-def test_an_experiment_that_is_too_strong_is_refused_with_its_limit() -> None:
+def test_experiment_that_is_too_strong_is_refused_with_its_limit() -> None:
     rivals = [Rival.assumed(NOTHING_MORE, vehicle_model()), Rival.assumed("x", with_friction(vehicle_model()))]
     strong, _ = experiments_of(only("square", amplitude_deg=3.6))
     (outlook,) = suggest(rivals, strong).outlooks
@@ -98,22 +98,23 @@ def test_an_experiment_that_is_too_strong_is_refused_with_its_limit() -> None:
     assert choice.outlooks[0].refused
 
 
-def test_what_cannot_be_predicted_or_moves_nothing_is_left_out_with_the_reason() -> None:
+def test_experiments_that_start_at_rest_or_lack_an_excitation_are_left_out() -> None:
     found, left_out = experiments_of(VEHICLE)
     assert set(left_out) == {"hold", "step"}
     assert {each.name for each in found} | set(left_out) == set(VEHICLE.experiments)
 
 
-def test_an_effect_shows_against_nothing_and_the_larger_the_sooner() -> None:
+def test_log_odds_of_an_effect_against_none_grow_with_its_amplitude() -> None:
     (doublet,), _ = experiments_of(only("doublet"))
     alone = Rival.assumed(NOTHING_MORE, vehicle_model())
     nats = []
     for torque in (0.5, 1.0):
         rival = Rival.assumed("coulomb_friction", with_friction(vehicle_model(), torque))
         nats.append(expected_log_odds(rival, simulate(rival.model, doublet).rows, alone))
-    # A small effect's odds grow with the square of its size; a larger one's a little less, as it passes for noise.
+    # The log-odds of a small effect grow with the square of its amplitude, those of a larger one a little less, as it
+    # passes for noise.
     assert 3.0 < nats[1] / nats[0] < 4.1
-    # Who has nothing more in him can be imitated by who has: nothing speaks against that one but its parameter.
+    # A model with the effect can imitate one without: nothing speaks against it but its additional parameter.
     rows = simulate(alone.model, doublet).rows
     assert expected_log_odds(alone, rows, rival) < 0.01 * nats[0]
 
@@ -132,14 +133,14 @@ def choice(rivals: list[Rival]) -> Choice:
 
 
 def measured_log_odds(experiment: str, rivals: list[Rival]) -> float:
-    """nats for viscous against dry friction in a further record of that vehicle."""
+    """Log-odds, nats, of viscous against dry friction in a further record of that vehicle."""
     recording = while_excited(record("monocab", experiment, hide=["viscous_friction=0.5"], seed=5, duration=SECONDS))
     workspace = Workspace.of(vehicle_model(), [recording], VEHICLE.support, PAIR)
     viscous, dry = (full(rival.model, workspace).log_likelihood for rival in rivals)
     return viscous - dry
 
 
-def test_the_suggested_experiment_separates_better_than_the_worst_safe_one(choice: Choice, rivals: list[Rival]) -> None:
+def test_suggested_experiment_separates_better_than_the_worst_safe_one(choice: Choice, rivals: list[Rival]) -> None:
     assert choice.best is not None
     pair = PAIR
     safe = [each for each in choice.outlooks if not each.refused]
@@ -147,12 +148,12 @@ def test_the_suggested_experiment_separates_better_than_the_worst_safe_one(choic
     chosen = max(safe, key=lambda each: each.rates[pair])
     assert chosen.experiment.name == choice.best.experiment.name
     better, worse = (measured_log_odds(each.experiment.name, rivals) for each in (chosen, worst))
-    # Odds scatter by sqrt(2 E), here 20 of 200 nats and 12 of 70: both bounds are three times that.
+    # Log-odds scatter by sqrt(2 E), here 20 of 200 nats and 12 of 70: both bounds are three times that.
     assert better > worse + 60.0
     assert better == pytest.approx(chosen.rates[pair] * SECONDS, rel=0.3)
 
 
-def test_no_more_time_is_asked_for_than_the_vehicle_file_allows(choice: Choice) -> None:
+def test_suggested_experiment_is_no_longer_than_the_vehicle_file_allows(choice: Choice) -> None:
     best = choice.best
     assert best is not None
     assert best.experiment.duration <= SECONDS
@@ -163,7 +164,7 @@ def test_no_more_time_is_asked_for_than_the_vehicle_file_allows(choice: Choice) 
     assert document["parameters"]["duration"] == best.experiment.duration
 
 
-def test_effects_that_only_just_show_need_several_runs() -> None:
+def test_barely_detectable_effects_need_several_runs() -> None:
     best = separating(only("square", "doublet"), vehicle_model(), PAIR).best
     assert best is not None
     assert best.experiment.name == "square"
@@ -171,7 +172,7 @@ def test_effects_that_only_just_show_need_several_runs() -> None:
     assert f"({best.runs} runs of 30 s)" in best.text
 
 
-def test_rivals_that_nothing_separates_do_not_keep_the_others_together() -> None:
+def test_inseparable_rivals_do_not_prevent_the_separation_of_others() -> None:
     viscous = vehicle_model().add("viscous_friction").change({"viscous_friction.coefficient": 400.0})
     dry = Rival.assumed("dry", with_friction(vehicle_model(), 20.0))
     best = suggest(
@@ -182,7 +183,7 @@ def test_rivals_that_nothing_separates_do_not_keep_the_others_together() -> None
     assert best.text == "12 s of doublet separates dry from viscous and twin; nothing here separates viscous from twin"
 
 
-def test_a_diagnosis_gets_what_separates_its_tied_effects() -> None:
+def test_tied_effects_get_an_experiment_that_separates_them() -> None:
     vehicle = only("sweep", "output_sweep", duration=SECONDS)
     recording = record("monocab", "square", hide=["coulomb_friction=0.2"], seed=4, duration=SECONDS)
     model = vehicle_model()
@@ -206,14 +207,14 @@ def test_a_diagnosis_gets_what_separates_its_tied_effects() -> None:
     alone = replace(tied, findings=(replace(finding, tied_with=()),))
     assert suggest_for(vehicle, alone, model, [recording]) is None
     assert suggest_for(vehicle, Diagnosis(Verdict.UNKNOWN, ""), model, [recording]) is None
-    # Whatever cannot be predicted costs the suggestion, not the diagnosis.
+    # If prediction is impossible, only the suggestion is lost, not the diagnosis.
     strange = replace(tied, revised=library.get("axis").add("coulomb_friction"))
     assert suggest_for(vehicle, strange, model, [recording]) is None
     with pytest.raises(OutOfTime):
         suggest_for(vehicle, tied, model, [recording], budget=Budget.of(0.0))
 
 
-def test_recordings_that_could_not_be_used_are_followed_by_what_tells_friction() -> None:
+def test_insufficient_data_get_an_experiment_that_separates_kinds_of_friction() -> None:
     vehicle = only("square", "doublet")
     found = suggest_for(vehicle, Diagnosis(Verdict.INSUFFICIENT_DATA, "too short"), vehicle_model(), [])
     assert found is not None
@@ -221,7 +222,7 @@ def test_recordings_that_could_not_be_used_are_followed_by_what_tells_friction()
     assert set(found["separates"]) == set(PAIR)
 
 
-def test_an_adequate_model_is_asked_for_what_may_have_been_missed() -> None:
+def test_adequate_model_gets_an_experiment_for_an_effect_that_it_may_lack() -> None:
     vehicle = only("sweep", duration=SECONDS)
     recording = record("monocab", "square", seed=4, duration=SECONDS)
     model = vehicle_model()
@@ -233,11 +234,11 @@ def test_an_adequate_model_is_asked_for_what_may_have_been_missed() -> None:
     assert found["separates"] == ["viscous_friction", NOTHING_MORE]
 
 
-def test_the_command_runs_the_experiment_that_separates(tmp_path: Path) -> None:
-    asked: list[Mapping[str, Any]] = []
+def test_command_runs_the_experiment_that_separates(tmp_path: Path) -> None:
+    requests: list[Mapping[str, Any]] = []
 
     async def answer(request: Message) -> Any:
-        asked.append(request)
+        requests.append(request)
         yield result(ExitCode.REFUSED, "interlock", "The trim drive is off.")
 
     text = Path(VEHICLE.path).read_text(encoding="utf-8")
@@ -256,12 +257,12 @@ def test_the_command_runs_the_experiment_that_separates(tmp_path: Path) -> None:
 
     code, output = asyncio.run(run())
     assert code == ExitCode.REFUSED
-    assert asked == [{"verb": "experiment", "name": "square"}]
+    assert requests == [{"verb": "experiment", "name": "square"}]
     assert "of square" in output
     assert "separates" in output
 
 
-def test_a_part_of_the_recordings_is_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_from_and_to_select_a_part_of_the_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hold.arrow"
     whole = record("monocab", "hold", seed=6, duration=2.0)
     save(whole, path)
@@ -279,13 +280,13 @@ def test_a_part_of_the_recordings_is_looked_at(tmp_path: Path, monkeypatch: pyte
     (part,) = seen
     assert part.duration == pytest.approx(1.0, abs=0.02)
     assert part.timestamp_ns[0] - whole.timestamp_ns[0] == pytest.approx(0.5e9, abs=0.02e9)
-    # A part of nothing, and a part that there is not, are said.
+    # A part without a recording, and a part outside of the recording, are refused.
     assert CliRunner().invoke(app, ["experiment", "sweep", "--from", "0.5"]).exit_code == ExitCode.USAGE
     nothing = CliRunner().invoke(app, [*arguments[:5], "--from", "500"])
     assert "has no rows from 500" in str(nothing.exception)
     assert len(seen) == 1
 
 
-def test_the_command_needs_one_name_or_two_effects() -> None:
+def test_command_without_a_name_or_with_two_is_a_usage_error() -> None:
     assert CliRunner().invoke(app, ["experiment"]).exit_code == ExitCode.USAGE
     assert CliRunner().invoke(app, ["experiment", "sweep", "square"]).exit_code == ExitCode.USAGE
