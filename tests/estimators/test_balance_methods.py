@@ -1,4 +1,4 @@
-"""Least squares and instrumental variables on a joint's balance, on synthetic truth with fixed seeds and on EMPS."""
+"""Least squares and instrumental variables on a joint's balance: synthetic data of known truth, fixed seeds; EMPS."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ SUPPORT = float(np.radians(4.0))
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0, "static_torque.torque": 40.0}
 ROLL = get("monocab_roll").add("static_torque")
 DRIVEN = replace(ROLL, actuators=tuple(replace(each, commanded=True) for each in ROLL.actuators))
-"""The same, had its gimbals followed a command at once."""
+"""The same model with gimbals that follow a command immediately."""
 MIXED = replace(
     ROLL,
     outputs=tuple(replace(each, expression="roll + roll_rate") for each in ROLL.outputs),
 )
-"""Every sensor shows the same sum: no solving for one of the two."""
+"""Both sensors show the same sum of angle and rate, so neither of the two can be solved for."""
 NOMINAL = small_vehicle.Truth()
 
 
@@ -66,7 +66,7 @@ def without(recording: Recording, name: str) -> Recording:
     return Recording(table, recording.timestamp_ns, {n: recording[n] for n in table.names}, recording.metadata)
 
 
-def rows(recording: Recording, kept: np.ndarray) -> Recording:
+def part_of(recording: Recording, kept: np.ndarray) -> Recording:
     values = {name: column[kept] for name, column in recording.values.items()}
     return replace(recording, timestamp_ns=recording.timestamp_ns[kept], values=values)
 
@@ -81,7 +81,7 @@ def error(estimate: Estimate, name: str) -> float:
 # --- the balance as a regression
 
 
-def test_the_monocab_balance_is_split_into_what_is_known_and_one_regressor_a_parameter() -> None:
+def test_monocab_balance_is_split_into_known_terms_and_one_regressor_per_parameter() -> None:
     balance = split(ROLL)
     assert balance.free == ("inertia", "gravity_stiffness", "static_torque.torque")
     assert balance.shifts == ("drive_offset",)
@@ -93,7 +93,7 @@ def test_the_monocab_balance_is_split_into_what_is_known_and_one_regressor_a_par
     assert float(balance.known.subs(at)) == pytest.approx(3300 * 0.1 + 500 * (9.81 * 0.2 - 0.4 * 0.3))
 
 
-def test_every_output_that_shows_a_state_is_solved_for_it() -> None:
+def test_states_are_solved_from_the_outputs_that_measure_them() -> None:
     model = get("monocab_full").change(estimated=["inertia", "gravity_stiffness"])
     balance = split(model.add("sensor_scale").change({"sensor_scale.scale": 0.1}, estimated=["inertia"]))
     symbols = {symbol.name for part in (balance.known, *balance.regressors) for symbol in part.free_symbols}
@@ -116,17 +116,17 @@ def test_every_output_that_shows_a_state_is_solved_for_it() -> None:
         (replace(ROLL, joints=(replace(ROLL.joints[0], rate="2 * roll_rate"),)), "is not a state"),
     ],
 )
-def test_a_balance_that_is_no_regression_is_refused_by_name(model: Model, words: str) -> None:
+def test_balance_that_gives_no_regression_is_refused_with_reason_and_remedy(model: Model, words: str) -> None:
     with pytest.raises(EstimationError, match=words) as caught:
         least_squares(model, [])
     assert caught.value.remedy
 
 
-def test_the_batch_filter_is_the_recursive_one() -> None:
+def test_batch_filter_matches_the_recursive_filter() -> None:
     random = np.random.default_rng(1)
     time = np.cumsum(random.uniform(0.001, 0.004, 400))
     signal = random.standard_normal(400)
-    signal[0] = 0.0  # the recursive one takes the start value off
+    signal[0] = 0.0  # the recursive filter subtracts the start value
     recursive = StateVariableFilter(1, 25.0, 3)
     recursive.start([0.0])
     batch = filtered(Pieces(time, signal[:-1, None], signal[1:, None]), 25.0, 3, 3)
@@ -135,11 +135,11 @@ def test_the_batch_filter_is_the_recursive_one() -> None:
         np.testing.assert_allclose(batch[:, place, 0], recursive.outputs()[:, 0], rtol=1e-9, atol=1e-9)
 
 
-# --- what is estimated
+# --- estimates
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_sweep_gives_the_truth_within_one_percent(sweep: list[Recording], method: Method) -> None:
+def test_sweep_gives_the_true_parameters_within_one_percent(sweep: list[Recording], method: Method) -> None:
     found = [method(ROLL, [recording], support=SUPPORT) for recording in sweep]
     assert all(estimate.status is Status.OK for estimate in found)
     for estimate in found:
@@ -151,21 +151,21 @@ def test_a_sweep_gives_the_truth_within_one_percent(sweep: list[Recording], meth
         for estimate in found
         for name, truth in TRUTH.items()
     ]
-    assert sum(inside) >= 7  # of 9 intervals of 95 %: fewer has a probability of 0.8 %
+    assert sum(inside) >= 7  # of nine 95 % intervals; the probability of fewer is 0.8 %
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_step_from_rest_gives_the_truth_within_three_percent(method: Method) -> None:
+def test_step_from_rest_gives_the_true_parameters_within_three_percent(method: Method) -> None:
     stamps, table = small_vehicle.run(2, 8.0, from_support=True)
     for seed in range(2):
         estimate = method(ROLL, [small_vehicle.recording(stamps, table, seed)], support=SUPPORT)
         assert abs(error(estimate, "inertia")) < 0.03
         assert abs(error(estimate, "gravity_stiffness")) < 0.03
-        assert estimate.span < 7.0  # what happens on the support does not count
+        assert estimate.span < 7.0  # samples on the support are not used
 
 
-def test_gyro_noise_biases_least_squares_and_not_instrumental_variables(noisy_sweep: list[Recording]) -> None:
-    # The paper's finding: its least squares is off since the differentiated rate carries the noise.
+def test_gyro_noise_biases_least_squares_but_not_instrumental_variables(noisy_sweep: list[Recording]) -> None:
+    # As in the paper: least squares is biased because the differentiated rate contains the noise.
     for recording in noisy_sweep:
         plain = error(least_squares(ROLL, [recording], support=SUPPORT), "inertia")
         assert plain < -0.05
@@ -173,7 +173,7 @@ def test_gyro_noise_biases_least_squares_and_not_instrumental_variables(noisy_sw
         assert abs(error(instrumental_variables(ROLL, [recording], support=SUPPORT), "inertia")) < 0.02
 
 
-def test_dry_friction_is_estimated_along() -> None:
+def test_dry_friction_is_estimated_jointly_with_the_inertia() -> None:
     (recording,) = sweeps(1, 16.0, small_vehicle.Truth(coulomb_friction=60.0))
     for method in METHODS:
         estimate = method(ROLL.add("coulomb_friction"), [recording], support=SUPPORT)
@@ -181,42 +181,47 @@ def test_dry_friction_is_estimated_along() -> None:
         assert abs(error(estimate, "inertia")) < 0.01
 
 
-def test_several_recordings_are_one_regression(sweep: list[Recording]) -> None:
+def test_several_recordings_are_combined_in_one_regression(sweep: list[Recording]) -> None:
     alone = least_squares(ROLL, sweep[:1], support=SUPPORT)
     together = least_squares(ROLL, sweep, support=SUPPORT)
     assert together.samples == 3 * alone.samples
     assert together.span == pytest.approx(3 * alone.span)
-    exact = [least_squares(sharp(ROLL), part, support=SUPPORT).parameters["inertia"].std for part in (sweep[:1], sweep)]
+    exact = [
+        least_squares(with_exact_anchors(ROLL), part, support=SUPPORT).parameters["inertia"].std
+        for part in (sweep[:1], sweep)
+    ]
     assert exact[1] == pytest.approx(exact[0] / np.sqrt(3.0), rel=0.3)
 
 
-def sharp(model: Model) -> Model:
-    """With no doubt about what is not estimated."""
+def with_exact_anchors(model: Model) -> Model:
+    """`model` with exactly known anchors."""
     return model.change(deviations=dict.fromkeys(("angular_momentum", "trim_mass", "trim_height"), 0.0))
 
 
-def test_the_anchor_passes_its_uncertainty_on(sweep: list[Recording]) -> None:
-    exact = least_squares(sharp(ROLL), sweep[:1], support=SUPPORT).parameters["inertia"]
-    doubtful = sharp(ROLL).change(deviations={"angular_momentum": 33.0})
+def test_uncertainty_of_the_anchor_is_propagated(sweep: list[Recording]) -> None:
+    exact = least_squares(with_exact_anchors(ROLL), sweep[:1], support=SUPPORT).parameters["inertia"]
+    doubtful = with_exact_anchors(ROLL).change(deviations={"angular_momentum": 33.0})
     anchored = least_squares(doubtful, sweep[:1], support=SUPPORT)
     inertia = anchored.parameters["inertia"]
     assert inertia.value == exact.value
     assert inertia.std == pytest.approx(np.hypot(exact.std, 0.01 * inertia.value), rel=0.01)
     assert anchored.correlation is not None
-    assert anchored.correlation[0, 1] > 0.8  # both go with the angular momentum
+    assert anchored.correlation[0, 1] > 0.8  # both are proportional to the angular momentum
 
 
-def test_a_parameter_that_is_held_is_an_anchor_too(sweep: list[Recording]) -> None:
+def test_held_parameter_serves_as_an_anchor(sweep: list[Recording]) -> None:
     held = least_squares(ROLL.change({"gravity_stiffness": 14500.0}), sweep[:1], support=SUPPORT, estimate=["inertia"])
     assert list(held.parameters) == ["inertia"]
     assert abs(error(held, "inertia")) < 0.02
     free = least_squares(ROLL, sweep[:1], support=SUPPORT)
-    assert held.parameters["inertia"].std > free.parameters["inertia"].std  # CAD's stiffness is that uncertain
+    assert held.parameters["inertia"].std > free.parameters["inertia"].std  # the held CAD value is that uncertain
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_misalignment_of_the_drives_is_found_and_does_no_harm(sweep: list[Recording], method: Method) -> None:
-    # Said to be 3 ms younger than they are: the values were true 3 ms earlier than their time stamps say.
+def test_time_offset_of_the_drives_is_estimated_and_does_not_bias_the_inertia(
+    sweep: list[Recording], method: Method
+) -> None:
+    # The recorded age is 3 ms too small: the values were sampled 3 ms earlier than recorded.
     late = with_channels(sweep[0], drive_age=sweep[0]["drive_age"] - 0.003)
     estimate = method(ROLL, [late], support=SUPPORT)
     assert estimate.values["drive_offset"] == pytest.approx(-0.003, abs=0.0003)
@@ -224,17 +229,17 @@ def test_a_misalignment_of_the_drives_is_found_and_does_no_harm(sweep: list[Reco
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_gaps_and_unknown_values_do_no_harm(sweep: list[Recording], method: Method) -> None:
+def test_gaps_and_unknown_values_do_not_bias_the_inertia(sweep: list[Recording], method: Method) -> None:
     kept = np.ones(len(sweep[0]), dtype=bool)
-    kept[2000:2100] = False  # the bus was away for 0.4 s
+    kept[2000:2100] = False  # no bus traffic for 0.4 s
     speed = sweep[0]["precession_rate"].copy()
     speed[4000:4010] = np.nan
-    estimate = method(ROLL, [rows(with_channels(sweep[0], precession_rate=speed), kept)], support=SUPPORT)
+    estimate = method(ROLL, [part_of(with_channels(sweep[0], precession_rate=speed), kept)], support=SUPPORT)
     assert estimate.status is Status.OK
     assert abs(error(estimate, "inertia")) < 0.02
 
 
-def test_a_result_is_complete_and_becomes_json_without_nan(sweep: list[Recording]) -> None:
+def test_result_is_complete_and_its_json_contains_no_nan(sweep: list[Recording]) -> None:
     by_name = least_squares("monocab_roll", sweep[:1], support=SUPPORT)
     assert list(by_name.parameters) == ["inertia", "gravity_stiffness", "drive_offset"]
     estimate = least_squares(ROLL, sweep[:1], support=SUPPORT)
@@ -247,7 +252,7 @@ def test_a_result_is_complete_and_becomes_json_without_nan(sweep: list[Recording
     assert "NaN" not in json.dumps(estimate.to_json())
 
 
-# --- what is not
+# --- no estimate, with a reason
 
 
 def assert_unknown(estimate: Estimate, status: Status, words: str) -> None:
@@ -258,7 +263,7 @@ def assert_unknown(estimate: Estimate, status: Status, words: str) -> None:
     assert "NaN" not in json.dumps(estimate.to_json())
 
 
-def test_standing_still_is_too_little_excitation() -> None:
+def test_standing_still_is_reported_as_too_little_excitation() -> None:
     stamps, table = small_vehicle.run(1, 6.0)
     recording = small_vehicle.recording(stamps, table, 0)
     plain = least_squares(ROLL, [recording], support=SUPPORT)
@@ -268,7 +273,7 @@ def test_standing_still_is_too_little_excitation() -> None:
     assert_unknown(instrumental, Status.TOO_LITTLE_EXCITATION, "excitation never moves")
 
 
-def test_without_a_known_excitation_there_are_no_instruments(sweep: list[Recording]) -> None:
+def test_instrumental_variables_need_a_known_excitation(sweep: list[Recording]) -> None:
     missing = instrumental_variables(ROLL, [without(sweep[0], "excitation")], support=SUPPORT)
     assert_unknown(missing, Status.MISSING_CHANNEL, "channel excitation is missing")
     unknown = with_channels(sweep[0], excitation=np.full(len(sweep[0]), np.nan))
@@ -279,8 +284,8 @@ def test_without_a_known_excitation_there_are_no_instruments(sweep: list[Recordi
     assert abs(error(other, "inertia")) < 0.01
 
 
-def test_what_the_excitation_does_not_move_has_no_instrument(sweep: list[Recording]) -> None:
-    # The vehicle moves as before; the alleged excitation has nothing to do with it.
+def test_excitation_unrelated_to_the_motion_is_rejected_as_instrument(sweep: list[Recording]) -> None:
+    # The motion is unchanged; the recorded excitation is unrelated to it.
     random = np.random.default_rng(4)
     unrelated = with_channels(sweep[0], excitation=0.01 * np.repeat(random.standard_normal(len(sweep[0]) // 25), 25))
     estimate = instrumental_variables(ROLL, [unrelated], support=SUPPORT)
@@ -295,38 +300,38 @@ def test_what_the_excitation_does_not_move_has_no_instrument(sweep: list[Recordi
         (lambda r: with_channels(r, roll_rate=np.degrees(r["roll_rate"])), Status.BAD_DATA, "degrees"),
         (lambda r: with_channels(r, roll_rate=np.clip(r["roll_rate"], -0.02, 0.02)), Status.BAD_DATA, "is clipped at"),
         (lambda r: with_channels(r, roll=np.zeros(len(r))), Status.BAD_DATA, "never moves"),
-        (lambda r: rows(r, np.arange(len(r)) % 60 < 40), Status.TOO_FEW_SAMPLES, "gapless"),
+        (lambda r: part_of(r, np.arange(len(r)) % 60 < 40), Status.TOO_FEW_SAMPLES, "gapless"),
         (lambda r: with_channels(r, roll=r["roll"] + 0.1), Status.TOO_FEW_SAMPLES, "free of its supports"),
     ],
 )
-def test_data_that_cannot_be_used_give_no_value_but_a_reason(
+def test_unusable_data_give_a_reason_instead_of_a_value(
     sweep: list[Recording], method: Method, change: Callable[[Recording], Recording], status: Status, words: str
 ) -> None:
     assert_unknown(method(ROLL, [change(sweep[0])], support=SUPPORT), status, words)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_short_record_is_too_few_rows(sweep: list[Recording], method: Method) -> None:
-    short = rows(sweep[0], np.arange(len(sweep[0])) < 200)
+def test_short_record_is_reported_as_too_few_samples(sweep: list[Recording], method: Method) -> None:
+    short = part_of(sweep[0], np.arange(len(sweep[0])) < 200)
     assert_unknown(
         method(ROLL, [short], support=SUPPORT, bandwidth=10.0), Status.TOO_FEW_SAMPLES, "independent samples"
     )
 
 
-def test_no_recording_is_no_result() -> None:
+def test_no_recordings_are_reported_as_too_few_samples() -> None:
     for method in METHODS:
         assert_unknown(method(ROLL, []), Status.TOO_FEW_SAMPLES, "")
 
 
-def test_a_value_that_cannot_be_is_not_given(sweep: list[Recording]) -> None:
-    # Gimbals of the wrong sign, angle and rate alike: no check of the channels can see it.
+def test_physically_impossible_values_are_not_reported(sweep: list[Recording]) -> None:
+    # Angle and rate of the gimbals both have the wrong sign: no check of the channels can detect it.
     signs = {name: -sweep[0][name] for name in ("precession", "precession_rate", "precession_rate_setpoint")}
     estimate = least_squares(ROLL, [with_channels(sweep[0], **signs)], support=SUPPORT)
     assert_unknown(estimate, Status.AT_BOUND, "check signs and units")
     assert estimate.bounds_hit == ("inertia", "gravity_stiffness")
 
 
-def test_an_amplitude_that_noise_takes_below_zero_is_zero(sweep: list[Recording]) -> None:
+def test_amplitude_that_noise_drives_below_zero_is_reported_as_zero(sweep: list[Recording]) -> None:
     found = [least_squares(ROLL.add("asymmetric_friction"), [each], support=SUPPORT) for each in sweep]
     torques = [
         each.parameters[f"asymmetric_friction.torque_{way}"] for each in found for way in ("forward", "backward")
@@ -336,13 +341,13 @@ def test_an_amplitude_that_noise_takes_below_zero_is_zero(sweep: list[Recording]
     assert any(each.bounds_hit for each in found)
 
 
-def test_a_scale_that_is_not_anchored_names_what_it_goes_with(sweep: list[Recording]) -> None:
+def test_unanchored_scale_is_unidentifiable_and_names_the_confounded_inertia(sweep: list[Recording]) -> None:
     estimate = least_squares(DRIVEN.add("input_gain"), sweep[:1], support=SUPPORT)
     assert_unknown(estimate, Status.UNIDENTIFIABLE, "input_gain.gain")
     assert "inertia" in estimate.parameters["input_gain.gain"].reason
 
 
-def test_two_of_the_same_are_not_told_apart(sweep: list[Recording]) -> None:
+def test_two_delays_of_the_same_input_are_unidentifiable_and_name_each_other(sweep: list[Recording]) -> None:
     estimate = least_squares(DRIVEN.add("input_delay"), sweep[:1], support=SUPPORT)
     assert estimate.status is Status.UNIDENTIFIABLE
     assert "input_delay.delay" in estimate.parameters["drive_offset"].reason
@@ -352,7 +357,7 @@ def test_two_of_the_same_are_not_told_apart(sweep: list[Recording]) -> None:
     assert np.isnan(estimate.correlation[2]).all()
 
 
-def test_what_the_balance_does_not_have_is_said(sweep: list[Recording]) -> None:
+def test_parameter_that_does_not_occur_in_the_balance_is_reported(sweep: list[Recording]) -> None:
     estimate = least_squares(ROLL.add("gyro_bias"), sweep[:1], support=SUPPORT)
     assert estimate.status is Status.UNIDENTIFIABLE
     assert "does not occur" in estimate.parameters["gyro_bias.bias"].reason
@@ -360,7 +365,7 @@ def test_what_the_balance_does_not_have_is_said(sweep: list[Recording]) -> None:
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, float("nan")])
-def test_a_bandwidth_that_makes_no_filter_is_refused(sweep: list[Recording], bandwidth: float) -> None:
+def test_invalid_bandwidth_is_refused(sweep: list[Recording], bandwidth: float) -> None:
     with pytest.raises(EstimationError, match="is invalid"):
         least_squares(ROLL, sweep[:1], support=SUPPORT, bandwidth=bandwidth)
 
@@ -388,7 +393,7 @@ def pendulum(**settings: float) -> Model:
     return model.add("viscous_friction").add("coulomb_friction")
 
 
-def test_a_pendulum_of_which_the_angle_alone_is_measured_is_found_again() -> None:
+def test_pendulum_parameters_are_recovered_without_a_measured_rate() -> None:
     spacing, substeps = 0.002, 4
     torque = np.repeat(1.2 * np.random.default_rng(2).standard_normal(100), 100)
     angle, rate, angles = 0.0, 0.0, []
@@ -424,7 +429,7 @@ def test_emps_within_two_percent_of_the_published_values(measured_data: Path) ->
     assert plain.status is Status.OK
     for name, value in published.items():
         assert plain.values[name] == pytest.approx(value, rel=0.02), name
-    # The reference as excitation: no noise in it, so nothing is attenuated.
+    # The reference is the excitation: it contains no noise, so it causes no attenuation.
     instrumental = instrumental_variables(model, [recording], excitation="position_reference")
     assert instrumental.values["inertia"] == pytest.approx(95.11, rel=0.02)
     assert instrumental_variables(model, [recording]).status is Status.MISSING_CHANNEL

@@ -1,4 +1,4 @@
-"""The drives' speed loops, of synthetic records with known truth and of the virtual vehicle; the apparent inertia."""
+"""The drives' speed loops, from synthetic records of known truth and from the virtual vehicle; the apparent inertia."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from vehicles.monocab.identification.own import GIMBALS
 
 CHANNELS = ("precession_rate_setpoint", "precession_rate", "drive_age", "roll_rate")
 FINE = 1e-4
-"""s, the grid that everything of the synthetic loop falls on."""
+"""s, the grid on which all times of the synthetic loop lie."""
 LAG, OFFSET, REACTION, AGE, PERIOD = 0.032, 0.0013, 0.05, 0.0029, 0.004
 TRUTH = PlantTruth()
 MOMENTUM = (TRUTH.angular_momentum, 15.0)
@@ -39,7 +39,7 @@ def recording_of(time: np.ndarray, *columns: np.ndarray) -> Recording:
 
 
 def matrices(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
-    """The loop in controllable form, x' = A x + b input; the first of x answers the setpoint."""
+    """The loop in controllable form, x' = A x + b input; the first state is the response to the setpoint."""
     if loop is Loop.FIRST_ORDER:
         return np.array([[-1.0 / LAG]]), np.array([1.0 / LAG])
     tau = LAG / 4.0
@@ -49,7 +49,7 @@ def matrices(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
 
 
 def synthetic(loop: Loop, seconds: float = 6.0) -> Recording:
-    """Three steps and a swinging vehicle, by matrix exponentials on the fine grid."""
+    """Three steps and an oscillating vehicle, computed by matrix exponentials on the fine grid."""
     steps = round(seconds / FINE)
     fine = FINE * np.arange(steps + 1)
     every = round(PERIOD / FINE)
@@ -65,7 +65,7 @@ def synthetic(loop: Loop, seconds: float = 6.0) -> Recording:
     rate = np.empty(steps + 1)
     to_setpoint, to_load = np.zeros(size), np.zeros(size)
     for step in range(steps + 1):
-        # The load's answer is that of (1 + tau s) / (...) to the roll acceleration: x1 + tau x2 of a copy of the loop.
+        # The load's response to the roll acceleration is (1 + tau s) / (...): x1 + tau x2 of a copy of the loop.
         load = to_load[0] + (LAG / 4.0 * to_load[1] if size == 3 else 0.0)
         rate[step] = to_setpoint[0] - REACTION * load
         to_setpoint = transition[:size] @ np.append(to_setpoint, held[step])
@@ -88,15 +88,15 @@ def clean() -> Recording:
 
 @pytest.fixture(scope="module")
 def step() -> Recording:
-    """The virtual vehicle's own step from rest."""
+    """A step from rest of the virtual vehicle."""
     return record("monocab", "step")
 
 
 @pytest.mark.parametrize("loop", Loop)
-def test_an_exact_record_gives_the_exact_values(loop: Loop) -> None:
+def test_noise_free_record_gives_the_exact_values(loop: Loop) -> None:
     estimate = drive_lag([synthetic(loop)], loop=loop)
     assert estimate.status is Status.OK
-    # Both sides are exact but for sampling between two points of the fine grid.
+    # Both sides are exact, except for sampling between two points of the fine grid.
     assert estimate.values == pytest.approx(
         {"speed_loop_lag": LAG, "setpoint_offset": OFFSET, "roll_reaction": REACTION}, rel=1e-3, abs=1e-6
     )
@@ -104,7 +104,7 @@ def test_an_exact_record_gives_the_exact_values(loop: Loop) -> None:
 
 
 @pytest.mark.parametrize("loop", Loop)
-def test_derivatives_are_those_of_finite_differences(clean: Recording, loop: Loop) -> None:
+def test_derivatives_match_finite_differences(clean: Recording, loop: Loop) -> None:
     windows = windows_of(clean, CHANNELS, 0.04)
     values = np.array((0.021, 0.0017, 0.03))
     _, slopes = predict(windows, MODES[loop], values)
@@ -114,15 +114,16 @@ def test_derivatives_are_those_of_finite_differences(clean: Recording, loop: Loo
         above, below = (predict(windows, MODES[loop], values + sign * step)[0] for sign in (1.0, -1.0))
         difference = (above - below) / (2.0 * size)
         scale = np.max(np.abs(slopes[:, place]))
-        # A first-order response has a corner where the setpoint jumps: a row that it passes has two slopes.
+        # A first-order response has a corner where the setpoint jumps: a sample that it passes has two slopes.
         smooth = np.abs(difference - slopes[:, place]) < 1e-4 * scale
         assert smooth.mean() > (0.999 if loop is Loop.SYMMETRIC_OPTIMUM else 0.98)
 
 
-def test_deviations_are_honest_for_residuals_that_are_alike(clean: Recording) -> None:
-    """40 records, noise that is alike for 20 ms. Squares of normalised errors average 1 +- 0.45 (chi squared, 95 %).
+def test_standard_deviations_are_valid_for_correlated_residuals(clean: Recording) -> None:
+    """40 records, noise correlated over 20 ms. Squares of normalised errors average 1 +- 0.45 (chi squared, 95 %).
 
-    Three quarters of a second show that noise only some 20 times over, so the deviations come out up to 25 % small.
+    Three quarters of a second contain only some 20 independent values of that noise, so the standard deviations are up
+    to 25 % too small.
     """
     errors = []
     for seed in range(40):
@@ -135,7 +136,7 @@ def test_deviations_are_honest_for_residuals_that_are_alike(clean: Recording) ->
     assert (variance < 1.45 * 1.25**2).all()
 
 
-def test_a_drive_at_its_torque_limit_does_not_bend_the_result(clean: Recording) -> None:
+def test_drive_at_its_torque_limit_does_not_bias_the_result(clean: Recording) -> None:
     time = clean.time
     stuck = (time > 2.83) & (time < 2.98)
     limited = with_rate(clean, lambda rate: np.where(stuck, 0.15, rate) + 2e-4 * np.sin(1e3 * time))
@@ -144,7 +145,7 @@ def test_a_drive_at_its_torque_limit_does_not_bend_the_result(clean: Recording) 
     assert values["roll_reaction"] == pytest.approx(REACTION, rel=0.02)
 
 
-def test_a_gap_is_bridged_by_nothing(clean: Recording) -> None:
+def test_gap_costs_samples_but_does_not_bias_the_lag(clean: Recording) -> None:
     kept = (clean.time < 2.1) | (clean.time > 2.3)
     cut = Recording(clean.channels, clean.timestamp_ns[kept], {n: v[kept] for n, v in clean.values.items()})
     estimate = drive_lag([cut])
@@ -152,8 +153,8 @@ def test_a_gap_is_bridged_by_nothing(clean: Recording) -> None:
     assert estimate.samples < drive_lag([clean]).samples
 
 
-def test_the_virtual_vehicle(step: Recording) -> None:
-    """4 tau = 40 ms, the rest is the drives' own sampling. The reaction is what the formula says."""
+def test_lag_offset_and_reaction_of_the_virtual_vehicle_are_estimated(step: Recording) -> None:
+    """The lag is 4 tau = 40 ms, the rest is the drives' own sampling. The reaction is that of the formula."""
     estimate = drive_lag([step])
     values = estimate.values
     lag = 4.0 * TRUTH.gimbal_time_constant
@@ -161,7 +162,7 @@ def test_the_virtual_vehicle(step: Recording) -> None:
     assert values["setpoint_offset"] == pytest.approx(1e-3, abs=4e-4)
     added = TRUTH.angular_momentum * values["roll_reaction"]
     assert added == pytest.approx(1795.2 - 1650.0, rel=0.05)
-    # A first-order lag is another shape: half of the lag goes into the offset.
+    # A first-order lag has another shape: half of the lag is attributed to the offset.
     first_order = drive_lag([step], body_rate="", loop=Loop.FIRST_ORDER).values
     assert first_order["speed_loop_lag"] < 0.6 * lag
     assert first_order["setpoint_offset"] > 0.5 * lag
@@ -183,19 +184,19 @@ def test_apparent_inertia_of_the_virtual_vehicle(step: Recording) -> None:
     assert measured.std < by_cad.std
 
 
-def test_the_deviation_of_the_apparent_inertia_is_propagated() -> None:
+def test_standard_deviation_of_the_apparent_inertia_is_propagated() -> None:
     lag = ParameterEstimate(0.04, 0.002, "s", Status.OK, 80.0)
     found = apparent_inertia_estimate(INERTIA, lag, (3300.0, 30.0), (60.0, 6.0))
     draws = np.random.default_rng(0).standard_normal((4, 200_000))
     tau, momentum = (0.04 + 0.002 * draws[0]) / 4.0, 3300.0 + 30.0 * draws[1]
     sampled = 1650.0 + 3.0 * draws[2] + 8.0 * tau**2 * momentum**2 / (60.0 + 6.0 * draws[3])
     assert found.value == pytest.approx(1795.2, abs=1e-9)
-    # To first order; 10 % of gimbal inertia make the second 1.5 %.
+    # Propagated to first order; with 10 % of gimbal inertia the second order contributes 1.5 %.
     assert found.std == pytest.approx(np.std(sampled), rel=0.03)
     assert found.coverage_percent == 80.0
 
 
-def test_what_is_not_known_makes_the_apparent_inertia_unknown() -> None:
+def test_apparent_inertia_is_unknown_if_one_of_its_inputs_is() -> None:
     unknown = ParameterEstimate(None, None, "s", Status.TOO_LITTLE_EXCITATION, 12.0, "the setpoint never moves")
     found = apparent_inertia_estimate(INERTIA, unknown, MOMENTUM, (60.0, 6.0))
     assert (found.value, found.std, found.status) == (None, None, Status.TOO_LITTLE_EXCITATION)
@@ -219,7 +220,7 @@ def assert_refused(estimate: Estimate, status: Status, words: str) -> None:
     assert all(p.value is None and p.std is None and p.reason for p in estimate.parameters.values())
 
 
-def test_a_setpoint_that_never_moves_tells_nothing(clean: Recording) -> None:
+def test_setpoint_that_never_moves_is_reported_as_too_little_excitation(clean: Recording) -> None:
     still = replace(clean, values={**clean.values, "precession_rate_setpoint": np.full(len(clean), 0.2)})
     assert_refused(drive_lag([still]), Status.TOO_LITTLE_EXCITATION, "never moves")
     unknown = replace(clean, values={**clean.values, "precession_rate_setpoint": np.full(len(clean), np.nan)})
@@ -227,26 +228,26 @@ def test_a_setpoint_that_never_moves_tells_nothing(clean: Recording) -> None:
     assert_refused(drive_lag([]), Status.TOO_LITTLE_EXCITATION, "never moves")
 
 
-def test_a_step_without_a_second_before_it_tells_nothing(clean: Recording) -> None:
+def test_step_without_a_second_before_it_is_reported_as_too_few_samples(clean: Recording) -> None:
     late = clean.time > 3.2
     cut = Recording(clean.channels, clean.timestamp_ns[late], {n: v[late] for n, v in clean.values.items()})
     assert_refused(drive_lag([cut]), Status.TOO_FEW_SAMPLES, "1 s before it")
 
 
-def test_a_rate_that_is_noise_alone_is_not_given_a_lag(clean: Recording) -> None:
+def test_rate_of_pure_noise_gives_no_lag_but_a_reason(clean: Recording) -> None:
     noise = np.random.default_rng(3).standard_normal(len(clean))
     found = drive_lag([with_rate(clean, lambda rate: noise)])
     assert found.parameters["speed_loop_lag"].value is None
     assert found.parameters["speed_loop_lag"].reason
 
 
-def test_a_roll_that_does_not_move_leaves_the_reaction_open(clean: Recording) -> None:
+def test_roll_reaction_is_unidentifiable_without_roll_motion(clean: Recording) -> None:
     quiet = replace(clean, values={**clean.values, "roll_rate": np.zeros(len(clean))})
     found = drive_lag([quiet])
     assert found.parameters["roll_reaction"].status is Status.UNIDENTIFIABLE
     assert drive_lag([quiet], body_rate="").parameters.keys() == {"speed_loop_lag", "setpoint_offset"}
 
 
-def test_a_missing_channel_is_named(clean: Recording) -> None:
+def test_missing_channel_error_names_the_channel(clean: Recording) -> None:
     with pytest.raises(RecordingError, match="wheel_rate"):
         drive_lag([clean], rate="wheel_rate")

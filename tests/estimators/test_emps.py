@@ -1,4 +1,4 @@
-"""The EMPS record, a real positioning axis, through the same recursive least squares."""
+"""The EMPS record of a real positioning axis, estimated by the recursive least squares of the vehicles."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def feed(position: np.ndarray, force: np.ndarray) -> AxisBalance:
     return estimator
 
 
-def test_an_axis_of_known_parameters_is_found_again() -> None:
+def test_known_parameters_of_a_simulated_axis_are_recovered() -> None:
     time = np.arange(0.0, 8.0, 0.001)
     velocity = 0.2 * np.sin(3.0 * time) * np.sin(0.7 * time)
     acceleration = np.gradient(velocity, time)
@@ -49,7 +49,7 @@ def test_an_axis_of_known_parameters_is_found_again() -> None:
         assert parameters[name].value == pytest.approx(truth, rel=0.01), name
 
 
-def test_an_axis_at_rest_gives_no_values_but_a_reason() -> None:
+def test_axis_at_rest_gives_no_values_but_a_reason() -> None:
     time = np.arange(0.0, 3.0, 0.001)
     result = feed(np.zeros_like(time), np.full_like(time, 2.0)).result()
     assert result.status is Status.TOO_LITTLE_EXCITATION
@@ -57,7 +57,7 @@ def test_an_axis_at_rest_gives_no_values_but_a_reason() -> None:
     assert "move the axis" in result.reason
 
 
-def test_a_short_record_is_too_few_samples() -> None:
+def test_short_record_is_reported_as_too_few_samples() -> None:
     result = feed(np.zeros(50), np.zeros(50)).result()
     assert result.status is Status.TOO_FEW_SAMPLES
     assert all(parameter.value is None for parameter in result.parameters.values())
