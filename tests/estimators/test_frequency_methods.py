@@ -42,7 +42,7 @@ METHODS = [frequency_output_error, frequency_equation_error]
 SUPPORT = float(np.radians(4.0))
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
 ROLL = get("monocab_roll").add("static_torque")
-SHARP = ROLL.change(deviations=dict.fromkeys(("angular_momentum", "trim_mass", "trim_height"), 0.0))
+EXACT_ANCHORS = ROLL.change(deviations=dict.fromkeys(("angular_momentum", "trim_mass", "trim_height"), 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def noisy_system(seed: int) -> np.ndarray:
     return np.stack((force, coordinate + 0.05 * random.standard_normal(len(force))), axis=1)
 
 
-def test_the_response_and_its_standard_deviation_are_right() -> None:
+def test_response_and_its_standard_deviations_are_correct() -> None:
     covered_magnitude, covered_phase = [], []
     pole = np.exp(-0.05)
     for seed in range(4):
@@ -84,14 +84,15 @@ def test_the_response_and_its_standard_deviation_are_right() -> None:
         assert np.abs(found.response / truth - 1.0)[at].max() < 0.25
         covered_magnitude.append((np.abs(np.abs(found.response) - np.abs(truth)) < 1.96 * found.magnitude_std)[at])
         covered_phase.append((np.abs(np.angle(found.response / truth)) < 1.96 * found.phase_std)[at])
-    # 4 x 17 frequencies, neighbours alike: about 35 independent intervals of 95 %; fewer than 85 % has 1 %.
+    # 4 x 17 frequencies with correlated neighbours: about 35 independent 95 % intervals. Fewer than 85 % of them have a
+    # probability of 1 %.
     assert np.mean(covered_magnitude) >= 0.85
     assert np.mean(covered_phase) >= 0.85
-    assert found.averages == pytest.approx(2 * 12_000 / 400, rel=0.1)  # what Hann windows get of a record
+    assert found.averages == pytest.approx(2 * 12_000 / 400, rel=0.1)  # independent Hann windows in the record
     assert np.all((found.coherence >= 0.0) & (found.coherence <= 1.0))
 
 
-def test_power_is_that_of_the_signal() -> None:
+def test_power_matches_that_of_the_signal() -> None:
     sine = 2.0 * np.sin(2.0 * np.pi * 3.0 * 0.01 * np.arange(4000))
     spectra = cross_spectra([np.stack((sine, sine), axis=1)], 0.01, 400, Detrend.NONE)
     found = response(spectra, 0, 1)
@@ -99,8 +100,8 @@ def test_power_is_that_of_the_signal() -> None:
     assert found.frequency[np.argmax(found.power)] == pytest.approx(3.0)
 
 
-def test_the_direct_form_is_biased_in_closed_loop_and_the_joint_form_is_not() -> None:
-    # y = 0.5 u(-1) + disturbance, u = r - 0.8 y: where the disturbance is as large as r, direct tends to -1 / 0.8.
+def test_direct_form_is_biased_in_closed_loop_and_joint_form_is_not() -> None:
+    # y = 0.5 u(-1) + disturbance, u = r - 0.8 y: if the disturbance is as large as r, direct tends to -1 / 0.8.
     random = np.random.default_rng(3)
     reference, disturbance = random.standard_normal((2, 40_000))
     table = np.zeros((40_000, 3))
@@ -121,30 +122,30 @@ def test_the_direct_form_is_biased_in_closed_loop_and_the_joint_form_is_not() ->
     assert np.mean(within) > 0.8
 
 
-def test_leakage_counts_where_coherence_does_not_see_it() -> None:
-    # A step of a slow system, noise-free: every window tells the same, and what it tells depends on its length.
+def test_standard_deviation_includes_leakage_that_coherence_does_not_show() -> None:
+    # A noise-free step of a slow system: every window gives the same response, which depends on the window's length.
     force = np.where(np.arange(4000) < 3000, 0.0, 1.0)
     table = np.stack((force, lfilter([0.0, 0.001], [1.0, -0.999], force)), axis=1)
     spectra = cross_spectra([table], 0.01, 1000, Detrend.NONE)
     plain = response(spectra, 0, 1)
-    told = response(replace(spectra, half=cross_spectra([table], 0.01, 500, Detrend.NONE)), 0, 1)
-    np.testing.assert_array_equal(plain.response, told.response)
+    with_leakage = response(replace(spectra, half=cross_spectra([table], 0.01, 500, Detrend.NONE)), 0, 1)
+    np.testing.assert_array_equal(plain.response, with_leakage.response)
     truth = 0.001 / (np.exp(2j * np.pi * plain.frequency * 0.01) - 0.999)
-    off = np.abs(plain.response - truth)[2:20]  # the constant before the step is in the two lowest
+    off = np.abs(plain.response - truth)[2:20]  # the constant before the step is in the two lowest bins
     assert np.max(off / plain.magnitude_std[2:20]) > 3.0
-    assert np.max(off / told.magnitude_std[2:20]) < 2.0
+    assert np.max(off / with_leakage.magnitude_std[2:20]) < 2.0
 
 
 @pytest.mark.parametrize("detrend", [Detrend.MEAN, Detrend.LINEAR])
-def test_what_is_taken_out_of_the_windows_leaves_no_trace(detrend: Detrend) -> None:
+def test_detrending_removes_a_constant_or_a_drift_completely(detrend: Detrend) -> None:
     table = noisy_system(2)
     shifted = table + 5.0 + (0.01 * np.arange(len(table))[:, None] if detrend is Detrend.LINEAR else 0.0)
     clean, found = (response(cross_spectra([each], 0.01, 400, detrend), 0, 1) for each in (table, shifted))
     np.testing.assert_allclose(found.response, clean.response, rtol=1e-6, atol=1e-9)
-    assert found.frequency[0] == pytest.approx(2 / 4.0)  # where it is missing now, nothing is told
+    assert found.frequency[0] == pytest.approx(2 / 4.0)  # no result in the bins from which power was removed
 
 
-def test_the_monocab_response_is_that_of_the_vehicle(sweep: Recording) -> None:
+def test_monocab_response_matches_that_of_the_vehicle(sweep: Recording) -> None:
     found = frequency_response(ROLL, [sweep], support=SUPPORT, excitation="excitation", detrend="mean")
     at = (found.frequency > 0.2) & (found.frequency < 2.0)
     truth = 1.0 / (1650.0 * (2j * np.pi * found.frequency) ** 2 - 14500.0)
@@ -170,7 +171,7 @@ def exact(denominator: Denominator, values: list[float], relative: float = 0.01)
 
 
 @pytest.mark.parametrize("solver", [amplitude_fit, equation_fit])
-def test_an_exact_response_is_fitted_exactly(solver: Callable[..., object]) -> None:
+def test_exact_response_is_fitted_exactly(solver: Callable[..., object]) -> None:
     fit = solver(ROLLING, exact(ROLLING, [1650.0, 14500.0]), PARAMETERS)
     assert fit.converged
     np.testing.assert_allclose(fit.values, (1650.0, 14500.0), rtol=1e-4)
@@ -185,7 +186,7 @@ def test_an_exact_response_is_fitted_exactly(solver: Callable[..., object]) -> N
         ((0.0, 0.0, 0.0), [(0.0, 0.0, 1.0), (1.0, 0.5, 0.0)], [0.3, 2.0]),
     ],
 )
-def test_other_denominators_are_fitted_by_their_equation_error(
+def test_other_denominators_are_fitted_by_equation_error(
     known: tuple[float, ...], terms: list[tuple[float, ...]], values: list[float]
 ) -> None:
     names = tuple("abc"[: len(values)])
@@ -196,7 +197,7 @@ def test_other_denominators_are_fitted_by_their_equation_error(
 
 
 @pytest.mark.parametrize("solver", [amplitude_fit, equation_fit])
-def test_standard_deviations_are_those_of_many_draws(solver: Callable[..., object]) -> None:
+def test_standard_deviations_match_the_scatter_of_many_draws(solver: Callable[..., object]) -> None:
     random = np.random.default_rng(6)
     clean = exact(ROLLING, [1650.0, 14500.0], relative=0.02)
     values, stds = [], []
@@ -206,7 +207,8 @@ def test_standard_deviations_are_those_of_many_draws(solver: Callable[..., objec
         values.append(fit.values)
         stds.append(np.sqrt(np.diag(fit.covariance)))
     scatter = np.std(values, axis=0)
-    # Errors here are independent; behind a Hann window neighbours' may add up, which is taken into account: up to 1.4.
+    # Errors are independent here. Those of neighbouring bins of a Hann window may add up, which the standard deviations
+    # account for: up to 1.4.
     assert np.all(np.mean(stds, axis=0) > 0.95 * scatter)
     assert np.all(np.mean(stds, axis=0) < 1.6 * scatter)
 
@@ -216,7 +218,7 @@ def test_standard_deviations_are_those_of_many_draws(solver: Callable[..., objec
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("settings", [{}, {"excitation": "excitation", "detrend": "mean"}])
-def test_a_sweep_gives_inertia_and_stiffness_within_three_percent(
+def test_sweep_gives_inertia_and_stiffness_within_three_percent(
     sweep: Recording, method: Method, settings: dict[str, str]
 ) -> None:
     estimate = method(ROLL, [sweep], support=SUPPORT, **settings)
@@ -229,18 +231,18 @@ def test_a_sweep_gives_inertia_and_stiffness_within_three_percent(
     assert estimate.seconds > 0.0
 
 
-def test_the_static_torque_is_neglected_and_said_to_be(sweep: Recording) -> None:
+def test_static_torque_is_neglected_and_the_reason_says_so(sweep: Recording) -> None:
     estimate = frequency_output_error(ROLL.add("coulomb_friction"), [sweep], support=SUPPORT)
-    assert estimate.status is Status.OK  # it was never asked of this method
+    assert estimate.status is Status.OK  # this method is not expected to estimate them
     reasons = {name: p.reason for name, p in estimate.parameters.items() if p.value is None}
     assert "no transfer function contains it" in reasons["static_torque.torque"]
     assert "not linear in the motion" in reasons["coulomb_friction.torque"]
     assert "delay" in reasons["drive_offset"]
 
 
-def test_with_every_bin_from_zero_the_static_torque_makes_the_paper_s_deviation(sweep: Recording) -> None:
-    # The constant gyro torque that holds 40 N m goes with no angle: |G| in the lowest bins is far too small, and an
-    # unweighted sum of squares looks at little else. The result is refused; what it would have been is far off.
+def test_static_torque_causes_the_papers_deviation_if_every_bin_is_used(sweep: Recording) -> None:
+    # The constant gyro torque that balances 40 N m corresponds to no angle, so |G| is far too small in the lowest bins,
+    # which dominate an unweighted sum of squares. The result is refused; its values would be far off.
     every = {"coherence": 0.0, "band": (0.0, 2.5)}
     refused = frequency_output_error(ROLL, [sweep], support=SUPPORT, **every)
     assert refused.status in (Status.UNIDENTIFIABLE, Status.TOO_LITTLE_EXCITATION)
@@ -251,16 +253,16 @@ def test_with_every_bin_from_zero_the_static_torque_makes_the_paper_s_deviation(
     fit = amplitude_fit(denominator_of(split(ROLL)), all_bins, PARAMETERS)
     assert fit.values[0] < 0.85 * TRUTH["inertia"]
     assert fit.values[1] > 1.15 * TRUTH["gravity_stiffness"]
-    # The equation error's weights know how unsure these bins are.
+    # The weights of the equation error account for the uncertainty of these bins.
     weighted = frequency_equation_error(ROLL, [sweep], support=SUPPORT, **every)
     assert abs(error(weighted, "inertia")) < 0.03
     assert abs(error(weighted, "gravity_stiffness")) < 0.05
 
 
-def test_the_anchor_passes_its_uncertainty_on(sweep: Recording) -> None:
+def test_uncertainty_of_the_anchor_is_propagated(sweep: Recording) -> None:
     for method in METHODS:
         exact_, doubtful = (
-            method(SHARP.change(deviations={"angular_momentum": std}), [sweep], support=SUPPORT, detrend="mean")
+            method(EXACT_ANCHORS.change(deviations={"angular_momentum": std}), [sweep], support=SUPPORT, detrend="mean")
             for std in (0.0, 66.0)
         )
         sharp, anchored = exact_.parameters["inertia"], doubtful.parameters["inertia"]
@@ -278,7 +280,7 @@ def servo_axis(*effects: str) -> Model:
     return model
 
 
-def test_a_servo_axis_has_no_stiffness_and_is_found_all_the_same() -> None:
+def test_servo_axis_without_stiffness_is_estimated() -> None:
     random = np.random.default_rng(8)
     spacing, steps = 0.005, 12_000
     pushed = np.repeat(20.0 * random.standard_normal(steps // 20), 20)
@@ -307,7 +309,7 @@ def test_a_servo_axis_has_no_stiffness_and_is_found_all_the_same() -> None:
         (replace(servo_axis(), joints=(replace(servo_axis().joints[0], load="0"),)), "no known force"),
     ],
 )
-def test_a_joint_without_a_transfer_function_is_refused(model: Model, words: str) -> None:
+def test_joint_without_a_transfer_function_is_refused(model: Model, words: str) -> None:
     model = replace(
         model, base_states=(model.base_states[0], replace(model.base_states[1], derivative="axis_force / inertia"))
     )
@@ -315,7 +317,7 @@ def test_a_joint_without_a_transfer_function_is_refused(model: Model, words: str
         frequency_output_error(model, [])
 
 
-# --- what cannot be told
+# --- no estimate, with a reason
 
 
 def assert_unknown(estimate: Estimate, status: Status, words: str) -> None:
@@ -325,10 +327,10 @@ def assert_unknown(estimate: Estimate, status: Status, words: str) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_standing_still_leaves_nothing_to_use(method: Method) -> None:
+def test_standing_still_is_reported_as_too_little_excitation(method: Method) -> None:
     stamps, table = small_vehicle.run(1, 8.0)
     recording = small_vehicle.recording(stamps, table, 0)
-    # Without an excitation the controller's answer to noise is coherent, and no vehicle.
+    # Without an excitation, the controller's response to noise is coherent, but does not show the vehicle.
     assert_unknown(method(ROLL, [recording], support=SUPPORT), Status.TOO_LITTLE_EXCITATION, "the force moves by")
     joint = method(ROLL, [recording], support=SUPPORT, excitation="excitation")
     assert_unknown(joint, Status.TOO_LITTLE_EXCITATION, "the coherence is 0.8 or more")
@@ -355,7 +357,7 @@ def test_standing_still_leaves_nothing_to_use(method: Method) -> None:
         ),
     ],
 )
-def test_data_that_cannot_be_used_give_no_value_but_a_reason(
+def test_unusable_data_give_a_reason_instead_of_a_value(
     sweep: Recording,
     change: Callable[[Recording], Recording],
     settings: dict[str, object],
@@ -366,26 +368,26 @@ def test_data_that_cannot_be_used_give_no_value_but_a_reason(
         assert_unknown(method(ROLL, [change(sweep)], support=SUPPORT, **settings), status, words)
 
 
-def test_no_recording_and_no_such_detrending() -> None:
+def test_no_recording_and_unknown_detrending_are_refused() -> None:
     assert_unknown(frequency_output_error(ROLL, []), Status.TOO_FEW_SAMPLES, "none is given")
     with pytest.raises(EstimationError, match="none, mean, linear"):
         frequency_response(ROLL, [], detrend="cubic")
 
 
-def test_a_response_of_the_wrong_sign_is_impossible_not_a_result(sweep: Recording) -> None:
+def test_response_of_the_wrong_sign_gives_no_values(sweep: Recording) -> None:
     signs = {name: -sweep[name] for name in ("precession", "precession_rate", "precession_rate_setpoint")}
     estimate = frequency_equation_error(ROLL, [with_channels(sweep, **signs)], support=SUPPORT)
     assert_unknown(estimate, Status.AT_BOUND, "check signs and units")
     assert estimate.bounds_hit == ("inertia", "gravity_stiffness")
 
 
-def test_one_frequency_does_not_tell_two_parameters() -> None:
+def test_two_frequencies_are_too_few_for_two_parameters() -> None:
     measured = exact(ROLLING, [1650.0, 14500.0])
     with pytest.raises(DataError, match="3 are needed"):
         usable(narrowed(measured, np.arange(len(FREQUENCY)) < 2), None, 2, 0.0, 0.8)
 
 
-def test_a_simplex_that_does_not_settle_gives_no_value(sweep: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_simplex_that_does_not_converge_gives_no_value(sweep: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("estimators.methods.frequency_output_error.STEPS", 20)
-    estimate = frequency_output_error(SHARP, [sweep], support=SUPPORT)
+    estimate = frequency_output_error(EXACT_ANCHORS, [sweep], support=SUPPORT)
     assert_unknown(estimate, Status.NOT_CONVERGED, "did not converge in 20 steps")

@@ -1,4 +1,4 @@
-"""The minimiser of all fits against scipy on the same problem, and its bounds."""
+"""The minimiser of all fits compared with scipy on the same problem, and its bounds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DATA = [start * np.exp(-0.7 * TIME) + 0.4 + 0.01 * RANDOM.standard_normal(len(TI
 
 
 def evaluate(common: np.ndarray, own: Sequence[np.ndarray]) -> list[Block] | None:
-    """Decays of one rate to one offset, each from a start of its own."""
+    """Exponential decays with a common rate and offset, each from a start of its own."""
     rate, offset = common
     if rate > 50.0:
         return None
@@ -42,7 +42,7 @@ def fit(lower: Sequence[float] = (-np.inf, -np.inf), upper: Sequence[float] = (n
     )
 
 
-def test_same_minimum_and_covariance_as_scipy_finds_with_all_unknowns_at_once() -> None:
+def test_minimum_and_covariance_match_scipy_with_all_unknowns_at_once() -> None:
     def residual(z: np.ndarray) -> np.ndarray:
         return np.concatenate([z[2 + k] * np.exp(-z[0] * TIME) + z[1] - DATA[k] for k in range(3)])
 
@@ -54,14 +54,14 @@ def test_same_minimum_and_covariance_as_scipy_finds_with_all_unknowns_at_once() 
     assert np.linalg.inv(found.information) == pytest.approx(covariance, rel=1e-5)
 
 
-def test_a_bound_in_the_way_is_kept_and_told() -> None:
+def test_active_bound_is_respected_and_reported() -> None:
     found = fit(lower=(0.9, -np.inf))
     assert found.converged
     assert found.common[0] == 0.9
     assert found.at_bound.tolist() == [True, False]
 
 
-def test_a_start_without_a_value_is_none_and_a_cliff_is_stepped_back_from() -> None:
+def test_undefined_start_gives_none_and_undefined_regions_are_avoided() -> None:
     assert (
         minimise(
             lambda common, own: None,
@@ -77,9 +77,10 @@ def test_a_start_without_a_value_is_none_and_a_cliff_is_stepped_back_from() -> N
 
 
 @pytest.mark.parametrize("bend", [-0.9, -2.0])
-def test_large_residuals_that_gauss_newton_goes_back_and_forth_over(bend: float) -> None:
-    """x + 1 and bend x^2 + x - 1 (Dennis and Schnabel, "Numerical methods", example 10.2.4) are least at 0, where
-    Gauss-Newton multiplies the distance by `bend`; what it leaves out of the curvature is learned in a few steps."""
+def test_large_residual_problem_on_which_gauss_newton_oscillates_converges(bend: float) -> None:
+    """x + 1 and bend x^2 + x - 1 (Dennis and Schnabel, "Numerical methods", example 10.2.4) have their least sum of
+    squares at 0, where Gauss-Newton multiplies the distance by `bend`. The curvature that it neglects is estimated in a
+    few steps."""
 
     def expand(common: np.ndarray, own: Sequence[np.ndarray]) -> Expansion:
         (x,) = common

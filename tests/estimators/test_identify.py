@@ -1,4 +1,4 @@
-"""Every method side by side: which recordings each takes, the document, failures, the table, and the picture."""
+"""All methods compared: which recordings each of them takes, the document, failures, the table, and the picture."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ VEHICLE = load("monocab")
 KNOWN, SUPPORT = VEHICLE.parameters, VEHICLE.support
 TRUTH = {**EXAMPLE["TRUTH"], "static_torque.torque": 120.0}
 STEP, SWEEP = Experiment("step", "rest"), Experiment("sweep", "roll_reference")
-ASKED = [name for name in METHODS if name != "output_error_simplex"]
-"""The simplex finds what the trust region finds (tests/estimators/test_fits.py), in ten times the time."""
+COMPARED = [name for name in METHODS if name != "output_error_simplex"]
+"""The simplex finds the same values as the trust region (tests/estimators/test_fits.py) in ten times the time."""
 QUICK = ("least_squares", "frequency_output_error", "recursive_least_squares")
 
 
@@ -52,7 +52,7 @@ def recordings() -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def document(recordings: list[Recording]) -> dict[str, Any]:
-    return EXAMPLE["compare"](recordings, ASKED)
+    return EXAMPLE["compare"](recordings, COMPARED)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def values(entry: Mapping[str, Any]) -> dict[str, float]:
     return {name: parameter["value"] for name, parameter in entry["parameters"].items()}
 
 
-def test_the_papers_comparison_comes_out(document: dict[str, Any]) -> None:
+def test_comparison_reproduces_the_findings_of_the_paper(document: dict[str, Any]) -> None:
     methods = document["methods"]
     for name in ("output_error", "prediction_error", "instrumental_variables"):
         assert methods[name]["status"] == "ok", methods[name]["reason"]
@@ -82,7 +82,7 @@ def test_the_papers_comparison_comes_out(document: dict[str, Any]) -> None:
             entry = methods[name]["parameters"][parameter]
             # All 9 are within 3.2 standard deviations with a probability of 98.8 %.
             assert abs(entry["value"] - true) < 3.2 * entry["std"], (name, parameter)
-    # Noise on the roll acceleration: measured, 9 % over seeds 1 to 4, scatter 0.4 %.
+    # Bias by noise on the roll acceleration: 9 % measured over seeds 1 to 4, scatter 0.4 %.
     biased = methods["least_squares"]["parameters"]["inertia"]
     assert 0.05 < 1.0 - biased["value"] / TRUTH["inertia"] < 0.13
     assert TRUTH["inertia"] - biased["value"] > 5.0 * biased["std"]
@@ -91,7 +91,7 @@ def test_the_papers_comparison_comes_out(document: dict[str, Any]) -> None:
     )
 
 
-def test_no_transfer_function_has_the_static_torque_so_the_prediction_misses_it(document: dict[str, Any]) -> None:
+def test_frequency_methods_neglect_the_static_torque_and_predict_worse(document: dict[str, Any]) -> None:
     for name in ("frequency_output_error", "frequency_equation_error"):
         entry = document["methods"][name]
         assert "static_torque.torque" not in {p for p, value in values(entry).items() if value is not None}
@@ -100,9 +100,9 @@ def test_no_transfer_function_has_the_static_torque_so_the_prediction_misses_it(
             assert entry["fit_percent"]["roll"] < document["methods"]["output_error"]["fit_percent"]["roll"] - 50.0
 
 
-def test_the_document_is_json_of_the_agreed_form(document: dict[str, Any]) -> None:
+def test_document_is_valid_json_of_the_specified_form(document: dict[str, Any]) -> None:
     json.dumps(document, allow_nan=False)
-    assert list(document["methods"]) == ASKED
+    assert list(document["methods"]) == COMPARED
     assert document["best"] == "prediction_error"
     assert "sound" in document["best_reason"]
     assert document["fit_horizon"] == 0.5
@@ -122,7 +122,7 @@ def test_the_document_is_json_of_the_agreed_form(document: dict[str, Any]) -> No
         }[METHODS[name].takes]  # fmt: skip
 
 
-def test_runs_and_their_mean_are_those_of_single_recordings(
+def test_runs_and_their_mean_match_fits_of_single_recordings(
     recordings: list[Recording], document: dict[str, Any]
 ) -> None:
     entry = document["methods"]["least_squares"]
@@ -138,18 +138,21 @@ def test_runs_and_their_mean_are_those_of_single_recordings(
     assert "sweep" in third["reason"]
 
 
-def test_drives_are_told_apart_with_the_apparent_inertia(document: dict[str, Any]) -> None:
+def test_drive_lag_entry_states_the_lag_and_the_apparent_inertia(document: dict[str, Any]) -> None:
     drives = document["methods"]["drive_lag"]
-    told, inertia = drives["parameters"], document["methods"][drives["inertia_from"]]["parameters"]["inertia"]["value"]
+    reported, inertia = (
+        drives["parameters"],
+        document["methods"][drives["inertia_from"]]["parameters"]["inertia"]["value"],
+    )
     assert drives["domain"] == "drives"
-    assert told["speed_loop_lag"]["value"] == pytest.approx(0.04, rel=0.03)
-    added = told["apparent_inertia"]["value"] - inertia
-    assert added == pytest.approx(3300.0 * told["roll_reaction"]["value"])
-    # 8 tau^2 L^2 / gimbal inertia of the plant, its drag left out
-    assert told["apparent_inertia_by_formula"]["value"] - inertia == pytest.approx(158.0, rel=0.05)
+    assert reported["speed_loop_lag"]["value"] == pytest.approx(0.04, rel=0.03)
+    added = reported["apparent_inertia"]["value"] - inertia
+    assert added == pytest.approx(3300.0 * reported["roll_reaction"]["value"])
+    # 8 tau^2 L^2 / gimbal inertia of the plant, with its drag neglected
+    assert reported["apparent_inertia_by_formula"]["value"] - inertia == pytest.approx(158.0, rel=0.05)
 
 
-def test_every_method_may_be_given_every_recording(recordings: list[Recording]) -> None:
+def test_option_every_gives_a_method_all_recordings(recordings: list[Recording]) -> None:
     entry = run(recordings, "least_squares", every=True)["methods"]["least_squares"]
     assert all(each["status"] == "ok" for each in entry["runs"])
 
@@ -166,7 +169,7 @@ def test_every_method_may_be_given_every_recording(recordings: list[Recording]) 
         (Takes.ALL, (STEP, SWEEP, Experiment("none")), (True, True, True)),
     ],
 )
-def test_a_method_takes_what_suits_it(
+def test_method_takes_the_recordings_that_suit_it(
     takes: Takes, experiments: tuple[Experiment, ...], taken: tuple[bool, ...]
 ) -> None:
     method = next(each for each in METHODS.values() if each.takes is takes)
@@ -174,7 +177,7 @@ def test_a_method_takes_what_suits_it(
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1]", "null", '{"excitation": null}'])
-def test_a_recording_that_does_not_say_what_it_is_of_is_of_something_unknown(
+def test_recording_without_a_valid_definition_is_of_an_unknown_experiment(
     recordings: list[Recording], text: str
 ) -> None:
     unknown = replace(recordings[0], metadata={"experiment_definition": text})
@@ -182,14 +185,14 @@ def test_a_recording_that_does_not_say_what_it_is_of_is_of_something_unknown(
     assert str(experiment_of(recordings[0])) == "a step from rest"
 
 
-def test_the_joint_fits_come_first_and_a_single_recording_is_fitted_once(recordings: list[Recording]) -> None:
+def test_joint_fits_come_first_and_a_single_recording_is_fitted_once(recordings: list[Recording]) -> None:
     tasks = plan(recordings, {"least_squares": ["", "", "no"], "frequency_output_error": ["no", "no", ""]})
     assert [(task.method.name, task.recordings) for task in tasks] == [
         ("least_squares", (0, 1)), ("frequency_output_error", (2,)), ("least_squares", (0,)), ("least_squares", (1,)),
     ]  # fmt: skip
 
 
-def test_no_recording_that_suits_is_said_and_gives_no_number(recordings: list[Recording]) -> None:
+def test_method_without_a_suitable_recording_states_so_and_gives_no_values(recordings: list[Recording]) -> None:
     entry = run(recordings[:2], "frequency_output_error")["methods"]["frequency_output_error"]
     assert entry["status"] == "not_suited"
     assert entry["parameters"] == entry["mean"] == {}
@@ -197,7 +200,7 @@ def test_no_recording_that_suits_is_said_and_gives_no_number(recordings: list[Re
     assert "sweep" in entry["reason"]
 
 
-def test_a_method_that_fails_does_not_stop_the_others(
+def test_method_that_fails_does_not_stop_the_others(
     recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def overflow(*_: object, **__: object) -> None:
@@ -211,18 +214,18 @@ def test_a_method_that_fails_does_not_stop_the_others(
     assert methods["recursive_least_squares"]["status"] == "ok"
 
 
-def test_a_missing_channel_is_the_status_of_each_method_that_needs_it(recordings: list[Recording]) -> None:
+def test_missing_channel_is_the_status_of_each_method_that_needs_it(recordings: list[Recording]) -> None:
     step = recordings[0]
     channels = ChannelTable(channel for channel in step.channels if channel.name != "precession_rate")
     without = replace(step, channels=channels, values={name: step.values[name] for name in channels.names})
     methods = run([without], *QUICK, "drive_lag", "recursive_prediction_error")["methods"]
-    told = {name: entry["status"] for name, entry in methods.items()}
-    assert told.pop("frequency_output_error") == "not_suited"
-    assert set(told.values()) == {"missing_channel"}
-    assert all("precession_rate" in methods[name]["reason"] for name in told)
+    reported = {name: entry["status"] for name, entry in methods.items()}
+    assert reported.pop("frequency_output_error") == "not_suited"
+    assert set(reported.values()) == {"missing_channel"}
+    assert all("precession_rate" in methods[name]["reason"] for name in reported)
 
 
-def test_an_early_end_keeps_what_is_done(recordings: list[Recording]) -> None:
+def test_interrupted_run_keeps_the_finished_results(recordings: list[Recording]) -> None:
     def interrupt(method: str, label: str, done: int, total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -238,13 +241,13 @@ def test_an_early_end_keeps_what_is_done(recordings: list[Recording]) -> None:
 
 
 def test_progress_counts_all_fits(recordings: list[Recording]) -> None:
-    told: list[tuple[str, str, int, int]] = []
-    run(recordings[:2], "least_squares", progress=lambda *each: told.append(each))
+    reported: list[tuple[str, str, int, int]] = []
+    run(recordings[:2], "least_squares", progress=lambda *each: reported.append(each))
     sources = [recording.source for recording in recordings[:2]]
-    assert told == [("least_squares", label, done, 3) for done, label in enumerate(["2 recordings", *sources])]
+    assert reported == [("least_squares", label, done, 3) for done, label in enumerate(["2 recordings", *sources])]
 
 
-def test_an_unknown_method_or_kind_is_refused_with_those_there_are(recordings: list[Recording]) -> None:
+def test_unknown_method_or_kind_error_lists_the_available_ones(recordings: list[Recording]) -> None:
     with pytest.raises(EstimationError, match="magic") as caught:
         run(recordings, "magic")
     assert all(name in caught.value.remedy for name in METHODS)
@@ -253,14 +256,14 @@ def test_an_unknown_method_or_kind_is_refused_with_those_there_are(recordings: l
     assert "monocab" in refused.value.remedy
 
 
-def test_a_model_of_another_kind_is_given_to_the_methods_that_can_have_any(recordings: list[Recording]) -> None:
+def test_other_models_are_given_only_to_methods_for_any_model(recordings: list[Recording]) -> None:
     model = with_values(nominal_model("monocab"), KNOWN.values, KNOWN.deviations).add("viscous_friction")
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    asked = identify(recordings[:1], {}, SUPPORT, model=model, progress=interrupt)["methods"]
-    assert not {METHODS[name].domain for name in asked} & {Domain.RECURSIVE, Domain.DRIVES}
+    methods = identify(recordings[:1], {}, SUPPORT, model=model, progress=interrupt)["methods"]
+    assert not {METHODS[name].domain for name in methods} & {Domain.RECURSIVE, Domain.DRIVES}
     document = identify(recordings[:1], {}, SUPPORT, ["least_squares"], model=model)
     assert document["fit_measured_alike"]
     # 1.5 over the pole of 3 rad/s.
@@ -270,7 +273,9 @@ def test_a_model_of_another_kind_is_given_to_the_methods_that_can_have_any(recor
     assert document["before"]["inertia"]["value"] == 1450.0
 
 
-def test_the_picture_has_a_panel_a_parameter_and_every_method(document: dict[str, Any], tmp_path: Path) -> None:
+def test_picture_has_one_panel_per_parameter_with_all_methods_but_drive_lag(
+    document: dict[str, Any], tmp_path: Path
+) -> None:
     figure = method_figure(document, truth=EXAMPLE["TRUTH"])
     panels = [axes for axes in figure.axes if axes.get_ylabel()]
     assert [axes.get_ylabel() for axes in panels] == ["inertia, kg m²", "gravity stiffness, kN m/rad"]
@@ -288,7 +293,7 @@ def test_the_picture_has_a_panel_a_parameter_and_every_method(document: dict[str
         assert (tmp_path / f"methods{suffix}").read_bytes().startswith(start)
 
 
-def test_what_is_far_off_does_not_squeeze_the_picture_but_is_pointed_at(recordings: list[Recording]) -> None:
+def test_outlier_does_not_widen_the_axis_and_is_labelled_with_its_value(recordings: list[Recording]) -> None:
     document = run(recordings[:2], "least_squares", "frequency_output_error")
     entry = document["methods"]["least_squares"]
     entry["mean"]["inertia"]["value"] = entry["runs"][0]["parameters"]["inertia"]["value"] = 9000.0
@@ -300,7 +305,9 @@ def test_what_is_far_off_does_not_squeeze_the_picture_but_is_pointed_at(recordin
     assert "not suited" in texts
 
 
-def test_no_picture_of_nothing_or_in_an_unknown_format(recordings: list[Recording], tmp_path: Path) -> None:
+def test_picture_without_content_or_in_an_unknown_format_is_refused(
+    recordings: list[Recording], tmp_path: Path
+) -> None:
     drives = run(recordings[:1], "drive_lag")
     with pytest.raises(EstimationError, match="nothing to draw"):
         method_figure(drives)
@@ -316,7 +323,7 @@ def command(*words: str, code: int = 0) -> str:
 
 
 @pytest.mark.parametrize("width", [80, 100])
-def test_the_table_fits_the_terminal(
+def test_table_fits_the_terminal(
     document: dict[str, Any], width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("service.cli.pages.identify.page", Console(width=width, highlight=False))
@@ -324,7 +331,7 @@ def test_the_table_fits_the_terminal(
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line.rstrip()) for line in lines) <= width
     rows = [line for line in lines if line.startswith("prediction_error ")]
-    # The joint estimate and the mean of the runs, each in as many tables as it takes.
+    # The joint estimate and the mean of the runs, each in as many tables as needed.
     assert len(rows) == {100: 2, 80: 4}[width]
     assert "±" in rows[0]
     assert any(line.startswith("CAD") and "1450 ±200" in line for line in lines)
@@ -334,7 +341,7 @@ def test_the_table_fits_the_terminal(
     assert not any("drive_offset" in line for line in lines)
 
 
-def test_the_command_gives_json_and_a_picture(files: list[Path], tmp_path: Path) -> None:
+def test_command_writes_json_and_a_picture(files: list[Path], tmp_path: Path) -> None:
     target = tmp_path / "methods.svg"
     words = ("-m", "least_squares", "--bandwidth", "20", "--picture", str(target), "--json")
     document = json.loads(command(str(files[0]), *words))
@@ -344,7 +351,7 @@ def test_the_command_gives_json_and_a_picture(files: list[Path], tmp_path: Path)
     assert target.exists()
 
 
-def test_a_model_file_is_taken_as_it_is(files: list[Path], tmp_path: Path) -> None:
+def test_model_from_file_or_library_is_used_as_it_is(files: list[Path], tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     model = with_values(nominal_model("monocab"), KNOWN.values, KNOWN.deviations)
     write(ModelFile(model.change(estimated=["inertia", "gravity_stiffness"])), path)
@@ -357,14 +364,14 @@ def test_a_model_file_is_taken_as_it_is(files: list[Path], tmp_path: Path) -> No
         CliRunner().invoke(app, ["identify", *words, "no_such_model"], catch_exceptions=False)
 
 
-def test_no_usable_method_is_a_failure_and_a_wrong_option_a_usage_error(files: list[Path]) -> None:
-    said = command(str(files[0]), "-m", "frequency_output_error", code=1)
-    assert "not suited" in said
+def test_no_usable_method_exits_with_1_and_an_invalid_option_with_2(files: list[Path]) -> None:
+    output = command(str(files[0]), "-m", "frequency_output_error", code=1)
+    assert "not suited" in output
     assert "NAME=VALUE" in CliRunner().invoke(app, ["identify", str(files[0]), "--truth", "inertia"]).stderr
     command(str(files[0]), "--truth", "inertia=heavy", code=2)
 
 
-def test_the_notebook_example_runs(files: list[Path]) -> None:
+def test_notebook_example_runs(files: list[Path]) -> None:
     script = str(EXAMPLES / "identify_in_a_notebook.py")
     done = subprocess.run([sys.executable, script, str(files[0])], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""From the virtual vehicle's own sensors, roll filter and controller to its parameters: how good is good enough."""
+"""From the virtual vehicle's own sensors, roll filter and controller to its parameters: the required accuracy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def recording_of(frames: list[Frame]) -> Recording:
 
 
 @pytest.mark.parametrize(("experiment", "within"), [("step", 0.03), ("sweep", 0.01)])
-def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle(experiment: str, within: float) -> None:
+def test_inertia_and_gravity_stiffness_of_the_virtual_vehicle_are_estimated(experiment: str, within: float) -> None:
     loop = ClosedLoop()
     vehicle = loop.vehicle
     recording = recording_of(recorded(loop, experiment))

@@ -1,4 +1,4 @@
-"""The likelihood of a record: its derivatives, those of the Kalman gain, and what a gain that moves does to a pass."""
+"""The likelihood of a record: its derivatives, those of the Kalman gain, and passes with a varying gain."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from telemetry.recording import Recording
 
 @pytest.fixture(scope="module")
 def task() -> Problem:
-    """Two stretches of an unstable vehicle, between them unknown readings."""
+    """Segments of an unstable vehicle, separated by unknown readings and by a gap."""
     recording = record("monocab", "multisine", seed=5, duration=15.0)
     rate = recording["roll_rate"].copy()
     rate[2000:2010] = np.nan
@@ -44,8 +44,8 @@ def _values(task: Problem) -> np.ndarray:
     return task.values(1.03 * task.start)
 
 
-def test_the_gain_and_its_slopes_fit_together(task: Problem, noise: NoiseModel) -> None:
-    """Differences of the gain itself, four points: their error is some 1e-8 of the largest."""
+def test_gain_derivatives_match_finite_differences(task: Problem, noise: NoiseModel) -> None:
+    """Four-point differences of the gain itself: their error is some 1e-8 of the largest."""
     values, logarithms = _values(task), 0.3 * np.cos(np.arange(noise.size))
     found = noise.steady_state(values, logarithms, task.free, task.scale)
     assert found is not None
@@ -71,11 +71,11 @@ def test_the_gain_and_its_slopes_fit_together(task: Problem, noise: NoiseModel) 
         )
 
 
-def test_at_the_edge_of_stability_there_is_no_gain(
+def test_steady_state_and_likelihood_are_none_at_the_edge_of_stability(
     task: Problem, noise: NoiseModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A filter that corrects nothing, of a state that stays: its error never fades, and its covariance has no slope.
-    No model is as exactly there as this; a fit on its way past it is to turn back, not to end."""
+    """A filter without correction of a constant state: its error never decays, and its covariance has no derivative.
+    No real model is exactly at this edge; a fit that comes past it must step back, not end."""
     steady = innovations._steady
 
     def edge(*system: np.ndarray) -> innovations._Steady | None:
@@ -90,8 +90,9 @@ def test_at_the_edge_of_stability_there_is_no_gain(
     assert likelihood(likelihood.centre, [*task.own_start, np.zeros(0)]) is None
 
 
-def test_a_gain_that_moves_along_is_the_sum_over_its_entries(task: Problem, noise: NoiseModel) -> None:
-    """Derivatives by the gain's entries, which test_kernel compares with differences, times those of the entries."""
+def test_sensitivity_with_a_varying_gain_is_the_sum_over_its_entries(task: Problem, noise: NoiseModel) -> None:
+    """Derivatives with respect to the gain's entries (compared with differences in test_kernel) times those of the
+    entries."""
     kernel, segment, values = task.kernel, task.segments[0], _values(task)
     found = noise.steady_state(values, np.zeros(noise.size), task.free, task.scale)
     assert found is not None
@@ -107,8 +108,9 @@ def test_a_gain_that_moves_along_is_the_sum_over_its_entries(task: Problem, nois
     assert np.max(np.abs(moving - expected)) < 1e-11 * np.max(np.abs(expected))
 
 
-def test_its_gradient_is_how_it_changes(task: Problem) -> None:
-    """Central differences, by parameters, noise and initial states: of 10,000 rows their error is some 1e-5."""
+def test_likelihood_gradient_matches_finite_differences(task: Problem) -> None:
+    """Central differences with respect to parameters, noise and initial states: for 10,000 samples their error is some
+    1e-5."""
     likelihood = Likelihood.of(task, np.array([parameter.std for parameter in task.parameters]))
     size = np.concatenate((task.scale, np.ones(likelihood.noise.size)))
     common = likelihood.centre + 0.02 * size
@@ -139,7 +141,7 @@ def test_its_gradient_is_how_it_changes(task: Problem) -> None:
         assert seen.normals[1].vector[len(size) + column] == pytest.approx(slope, rel=1e-3, abs=1e-2 / spread[column])
 
 
-def test_the_covariance_is_that_of_the_innovations(task: Problem) -> None:
+def test_covariance_is_that_of_the_innovations(task: Problem) -> None:
     likelihood = Likelihood.of(task, np.zeros(len(task.free)))
     seen = likelihood(likelihood.centre, [*task.own_start, np.zeros(0)])
     assert seen is not None
@@ -155,17 +157,17 @@ def test_the_covariance_is_that_of_the_innovations(task: Problem) -> None:
     assert added == pytest.approx(np.diag(np.diag(added)), abs=1e-12 * float(np.max(seen.covariance)))
 
 
-# --- outputs that count
+# --- counted outputs (encoders)
 
 
 def _cost(covariance: np.ndarray, squares: np.ndarray) -> float:
     return float(np.linalg.slogdet(covariance)[1] + np.trace(np.linalg.solve(covariance, squares)))
 
 
-def test_two_encoders_that_count_at_once_say_nothing_of_another_sensor() -> None:
-    """Wheels that turn alike: their readings differ by 1e-5 of a count, which goes with the gyro's noise by chance.
-    Were that dependence kept while the difference is held to be a quantiser's, the gyro would seem a thousand times
-    worse."""
+def test_two_encoders_that_count_simultaneously_do_not_affect_another_sensor() -> None:
+    """Both wheels turn identically: their readings differ by 1e-5 of a count, which is correlated with the gyro's noise
+    by chance. If that correlation were kept while the difference is given a quantiser's variance, the gyro would seem a
+    thousand times worse."""
     random = np.random.default_rng(1)
     gyro, wheel = random.standard_normal((2, 5000))
     errors = np.stack([1e-3 * gyro, wheel, wheel + 1e-5 * random.standard_normal(5000) + 1e-6 * gyro], axis=1)
@@ -176,8 +178,8 @@ def test_two_encoders_that_count_at_once_say_nothing_of_another_sensor() -> None
     assert difference @ found @ difference == pytest.approx(0.25)
 
 
-def test_a_covariance_that_is_held_is_the_likeliest_of_those_allowed() -> None:
-    """Those allowed are a convex set, so that a step towards any of them makes it less likely."""
+def test_constrained_covariance_is_the_likeliest_of_those_allowed() -> None:
+    """The allowed covariances are a convex set, so a step towards any of them reduces the likelihood."""
     random = np.random.default_rng(2)
     mixed = random.standard_normal((4, 4))
     squares, least = mixed @ np.diag([1e-4, 0.1, 1.0, 3.0]) @ mixed.T, np.array([0.0, 0.4, 0.4, 0.0])
