@@ -140,16 +140,13 @@ def test_runs_and_their_mean_match_fits_of_single_recordings(
 
 def test_drive_lag_entry_states_the_lag_and_the_apparent_inertia(document: dict[str, Any]) -> None:
     drives = document["methods"]["drive_lag"]
-    reported, inertia = (
-        drives["parameters"],
-        document["methods"][drives["inertia_from"]]["parameters"]["inertia"]["value"],
-    )
+    shown, inertia = drives["parameters"], document["methods"][drives["inertia_from"]]["parameters"]["inertia"]["value"]
     assert drives["domain"] == "drives"
-    assert reported["speed_loop_lag"]["value"] == pytest.approx(0.04, rel=0.03)
-    added = reported["apparent_inertia"]["value"] - inertia
-    assert added == pytest.approx(3300.0 * reported["roll_reaction"]["value"])
+    assert shown["speed_loop_lag"]["value"] == pytest.approx(0.04, rel=0.03)
+    added = shown["apparent_inertia"]["value"] - inertia
+    assert added == pytest.approx(3300.0 * shown["roll_reaction"]["value"])
     # 8 tau^2 L^2 / gimbal inertia of the plant, with its drag neglected
-    assert reported["apparent_inertia_by_formula"]["value"] - inertia == pytest.approx(158.0, rel=0.05)
+    assert shown["apparent_inertia_by_formula"]["value"] - inertia == pytest.approx(158.0, rel=0.05)
 
 
 def test_option_every_gives_a_method_all_recordings(recordings: list[Recording]) -> None:
@@ -219,10 +216,10 @@ def test_missing_channel_is_the_status_of_each_method_that_needs_it(recordings: 
     channels = ChannelTable(channel for channel in step.channels if channel.name != "precession_rate")
     without = replace(step, channels=channels, values={name: step.values[name] for name in channels.names})
     methods = run([without], *QUICK, "drive_lag", "recursive_prediction_error")["methods"]
-    reported = {name: entry["status"] for name, entry in methods.items()}
-    assert reported.pop("frequency_output_error") == "not_suited"
-    assert set(reported.values()) == {"missing_channel"}
-    assert all("precession_rate" in methods[name]["reason"] for name in reported)
+    shown = {name: entry["status"] for name, entry in methods.items()}
+    assert shown.pop("frequency_output_error") == "not_suited"
+    assert set(shown.values()) == {"missing_channel"}
+    assert all("precession_rate" in methods[name]["reason"] for name in shown)
 
 
 def test_interrupted_run_keeps_the_finished_results(recordings: list[Recording]) -> None:
@@ -241,10 +238,10 @@ def test_interrupted_run_keeps_the_finished_results(recordings: list[Recording])
 
 
 def test_progress_counts_all_fits(recordings: list[Recording]) -> None:
-    reported: list[tuple[str, str, int, int]] = []
-    run(recordings[:2], "least_squares", progress=lambda *each: reported.append(each))
+    shown: list[tuple[str, str, int, int]] = []
+    run(recordings[:2], "least_squares", progress=lambda *each: shown.append(each))
     sources = [recording.source for recording in recordings[:2]]
-    assert reported == [("least_squares", label, done, 3) for done, label in enumerate(["2 recordings", *sources])]
+    assert shown == [("least_squares", label, done, 3) for done, label in enumerate(["2 recordings", *sources])]
 
 
 def test_unknown_method_or_kind_error_lists_the_available_ones(recordings: list[Recording]) -> None:

@@ -1,4 +1,4 @@
-"""Which method to rely on: fit measured alike for any model, soundness as data, and the reason in words."""
+"""Choice of the method: a common measure of fit for any model, soundness as data, and the reason in words."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def chosen(*, closed_loop: bool = True, **methods: Mapping[str, Any]) -> Choice:
     return choose(methods, closed_loop=closed_loop)
 
 
-class TestTheRule:
-    def test_the_lowest_rank_of_those_that_predict_as_well_as_any(self) -> None:
+class TestRule:
+    def test_lowest_rank_among_the_best_predictions_is_chosen(self) -> None:
         found = chosen(output_error=entry(90.0), prediction_error=entry(80.0), instrumental_variables=entry(90.4))
         assert found.best == "output_error"
         assert "90.0 %" in found.reason
@@ -44,47 +44,45 @@ class TestTheRule:
 
     @pytest.mark.parametrize("measured", ["alike", OWN])
     @pytest.mark.parametrize("bad", ["output_error", "prediction_error"])
-    def test_what_predicts_worse_than_the_mean_is_not_chosen_beside_what_does_not(
-        self, bad: str, measured: str
-    ) -> None:
+    def test_method_that_predicts_worse_than_the_mean_is_not_chosen(self, bad: str, measured: str) -> None:
         good = {"output_error": "prediction_error", "prediction_error": "output_error"}[bad]
         found = choose({bad: entry(-744.0, fit_measured=measured), good: entry(76.0, fit_measured=measured)})
         assert found.best == good
         assert "76.0 %" in found.reason
         assert found.not_chosen[bad] == "it predicts worse than the mean of the measurements (-744.0 %)"
 
-    def test_a_biased_one_is_chosen_with_a_reservation_where_the_sound_one_misses_the_record(self) -> None:
+    def test_biased_method_is_chosen_with_a_reservation_if_the_sound_one_does_not_fit(self) -> None:
         found = chosen(prediction_error=entry(-744.0), least_squares=entry(76.0))
         assert found.best == "least_squares"
         assert "reservation" in found.reason
         assert "prediction_error (-744.0 %)" in found.reason
         assert "biased" in found.reason
 
-    def test_none_where_all_predict_worse_than_the_mean(self) -> None:
+    def test_no_method_is_chosen_if_all_predict_worse_than_the_mean(self) -> None:
         found = chosen(prediction_error=entry(-744.0), least_squares=entry(-3.0))
         assert found.best == ""
         assert "worse than the mean" in found.reason
         assert "units" in found.reason
 
-    def test_a_sound_method_comes_before_a_biased_one_that_fits_better(self) -> None:
+    def test_sound_method_precedes_a_biased_one_that_fits_better(self) -> None:
         found = chosen(least_squares=entry(95.0), output_error=entry(90.0))
         assert found.best == "output_error"
         assert "biased" in found.unsound["least_squares"]
         assert found.not_chosen["least_squares"].startswith("not sound here: ")
 
     @pytest.mark.parametrize("name", ["least_squares", "recursive_least_squares", "frequency_equation_error"])
-    def test_a_biased_one_alone_is_none_to_rely_on_and_the_remedy_is_named(self, name: str) -> None:
+    def test_biased_method_alone_is_not_chosen_and_the_remedy_is_named(self, name: str) -> None:
         found = chosen(**{name: entry(90.0)})
         assert found.best == ""
         assert "biased" in found.reason
         assert found.reason.endswith("run prediction_error")
 
-    def test_a_spectral_estimate_is_sound_in_open_loop_alone(self) -> None:
+    def test_spectral_estimate_is_sound_only_in_open_loop(self) -> None:
         assert chosen(frequency_output_error=entry(90.0)).best == ""
         assert chosen(frequency_output_error=entry(90.0), closed_loop=False).best == "frequency_output_error"
 
     @pytest.mark.parametrize("name", SIMULATED)
-    def test_a_simulation_is_sound_on_a_stable_model_or_in_windows_short_against_the_pole(self, name: str) -> None:
+    def test_simulation_is_sound_for_a_stable_model_or_in_short_windows(self, name: str) -> None:
         unstable = chosen(**{name: entry(90.0, pole=3.0, window=1.5)})
         assert unstable.best == ""
         assert "pole 3 1/s, windows of 1.5 s" in unstable.reason
@@ -92,9 +90,9 @@ class TestTheRule:
         assert chosen(**{name: entry(90.0, pole=3.0)}).best == ""
         assert chosen(**{name: entry(90.0, pole=3.0, window=0.9 * SHORT / 3.0)}).best == name
         assert chosen(**{name: entry(90.0, pole=-3.0, window=60.0)}).best == name
-        assert chosen(**{name: entry(90.0, pole=1e-9, window=60.0)}).best == name  # an integrator, in numbers
+        assert chosen(**{name: entry(90.0, pole=1e-9, window=60.0)}).best == name  # numerically an integrator
 
-    def test_fits_of_the_methods_own_are_not_compared(self) -> None:
+    def test_fits_measured_by_the_methods_themselves_are_not_compared(self) -> None:
         found = chosen(
             output_error=entry(95.0, fit_measured=OWN),
             prediction_error=entry(80.0, fit_measured=OWN),
@@ -103,7 +101,7 @@ class TestTheRule:
         assert found.best == "prediction_error"
         assert "not measured in the same way" in found.reason
 
-    def test_without_values_there_is_none(self) -> None:
+    def test_method_without_values_is_not_chosen(self) -> None:
         failed = entry(None, "failed") | {"reason": "it diverged"}
         found = chosen(prediction_error=failed, output_error=entry(90.0, pole=3.0, window=1.5))
         assert found.best == ""
@@ -112,7 +110,7 @@ class TestTheRule:
         assert chosen(output_error=entry(50.0, "unidentifiable", fit_measured=OWN)).best == ""
         assert chosen(drive_lag=entry(90.0)).best == ""
 
-    def test_the_data_of_the_methods_are_whole(self) -> None:
+    def test_method_table_has_unique_ranks_and_a_first_method_without_flaws(self) -> None:
         ranks = [method.rank for method in METHODS.values() if method.rank is not None]
         assert len(set(ranks)) == len(ranks) == len(METHODS) - 1
         assert not next(method for method in METHODS.values() if method.rank == 0).flaws
@@ -128,9 +126,9 @@ def document(unstable: Recording) -> dict[str, Any]:
     return identify([unstable], {}, None, model=unstable_plant.model())
 
 
-class TestAnUnstablePlant:
-    def test_output_error_is_off_where_prediction_error_is_right(self, document: dict[str, Any]) -> None:
-        """That it is not sound is no opinion: six records of each, scripted the same, had 11.5 and 0.5 % of bias."""
+class TestUnstablePlant:
+    def test_output_error_is_biased_while_prediction_error_is_not(self, document: dict[str, Any]) -> None:
+        """Measured evidence that it is not sound: over six such records the biases were 11.5 and 0.5 %."""
         found = {
             name: document["methods"][name]["parameters"]["inertia"] for name in ("output_error", "prediction_error")
         }
@@ -138,18 +136,18 @@ class TestAnUnstablePlant:
         right = found["prediction_error"]
         assert abs(right["value"] - unstable_plant.MASS) < 3.0 * right["std"]
 
-    def test_all_fits_are_measured_alike_and_prediction_error_is_chosen(self, document: dict[str, Any]) -> None:
+    def test_all_fits_have_a_common_measure_and_prediction_error_is_chosen(self, document: dict[str, Any]) -> None:
         json.dumps(document, allow_nan=False)
         assert document["best"] == "prediction_error"
         assert document["fit_measured_alike"]
-        # A horizon that goes with the pole, 5 rad/s.
+        # The horizon follows from the pole, 5 rad/s.
         assert document["fit_horizon"] == pytest.approx(HORIZON / 5.0, rel=0.2)
         fits = {name: each["fit_percent"].get("position") for name, each in document["methods"].items()}
         assert fits["least_squares"] < fits["prediction_error"] - 3.0
         for name in ("output_error", "prediction_error"):
             assert document["methods"][name]["pole"] == pytest.approx(5.0, rel=0.1)
 
-    def test_output_error_alone_is_none_to_rely_on(
+    def test_output_error_alone_is_not_recommended(
         self, unstable: Recording, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         alone = identify([unstable], {}, None, ["output_error"], model=unstable_plant.model())
@@ -168,7 +166,7 @@ class TestAnUnstablePlant:
         assert "No method can be recommended" in page
         assert "run prediction_error." in page
 
-    def test_values_with_which_the_model_diverges_are_measured_as_such(self, unstable: Recording) -> None:
+    def test_wrong_values_lower_the_fit_and_diverging_values_raise_an_error(self, unstable: Recording) -> None:
         predictor = CommonPredictor.of(unstable_plant.model(), [unstable], None)
         right = predictor.percent({"inertia": 2.0, "drive": 50.0}, 0.3)["position"]
         wrong = predictor.percent({"inertia": 20.0, "drive": 5.0}, 0.3)["position"]
@@ -180,8 +178,8 @@ class TestAnUnstablePlant:
         )
 
 
-class TestAStablePlant:
-    def test_output_error_alone_is_fine(self) -> None:
+class TestStablePlant:
+    def test_output_error_alone_is_chosen(self) -> None:
         document = identify([axis_plant.record()], {}, None, ["output_error"], model=axis_plant.model())
         assert document["best"] == "output_error"
         assert "only method" in document["best_reason"]
@@ -189,7 +187,7 @@ class TestAStablePlant:
         assert document["methods"]["output_error"]["window"] == pytest.approx(20.0, abs=0.1)
 
     @pytest.mark.parametrize(("seconds", "factor"), [(20.0, 1.0), (0.2, 100.0)])
-    def test_the_horizon_goes_with_the_models_time_scale(self, seconds: float, factor: float) -> None:
+    def test_horizon_is_proportional_to_the_time_scale_of_the_model(self, seconds: float, factor: float) -> None:
         """The same plant a hundred times as fast: the same fit at a hundredth of the horizon."""
         recording = axis_plant.record()
         stamps = (recording.timestamp_ns / factor).round().astype(np.int64)
@@ -202,7 +200,7 @@ class TestAStablePlant:
         assert horizon == pytest.approx(HORIZON / 5.0 / factor, rel=0.01)
         assert predictor.percent(values, horizon)["position"] > 99.0
 
-    def test_a_model_without_a_time_scale_is_measured_over_a_part_of_the_record(self) -> None:
+    def test_horizon_of_a_model_without_a_time_scale_is_a_share_of_the_record(self) -> None:
         predictor = CommonPredictor.of(axis_plant.model(), [axis_plant.record()], None)
         assert predictor.horizon([{"inertia": 2.0, "stiffness": 0.0}]) == pytest.approx(1.0, rel=0.01)
 

@@ -1,4 +1,4 @@
-"""The recursive prediction error on the virtual vehicle and on the small one, and its parts by themselves.
+"""Recursive prediction error on the virtual vehicle and on the small one, and tests of its parts.
 
 The truth is the mechanical inertia, since the measured precession rate is the input.
 """
@@ -39,11 +39,11 @@ Array = NDArray[np.float64]
 VEHICLE = load("monocab")
 CAD, SPREAD = VEHICLE.parameters.values, VEHICLE.parameters.deviations
 TRUTH = {"inertia": 1650.0, "gravity_stiffness": 14500.0}
-SOUGHT = [*TRUTH, "drive_offset", "static_torque.torque"]
+ESTIMATED = [*TRUTH, "drive_offset", "static_torque.torque"]
 
 
 def made(method: Method = Method.PREDICTION_ERROR, **changes: float) -> RecursivePredictionError:
-    """The estimator of the shipped vehicle, with other CAD values."""
+    """An estimator of the shipped vehicle, with `changes` of its CAD values."""
     return RecursivePredictionError(
         nominal_model("monocab"),
         parameters={**CAD, **changes},
@@ -62,7 +62,7 @@ def after(estimator: RecursivePredictionError, frames: Iterable[Frame]) -> Estim
 
 @cache
 def multisine() -> Recording:
-    """15 s of it, from rest to rest."""
+    """15 s of a multisine, from rest to rest."""
     return record("monocab", "multisine", seed=11, duration=15.0)
 
 
@@ -87,38 +87,38 @@ def assert_near(estimate: Estimate, share: float = 0.01) -> None:
 
 
 @pytest.mark.parametrize("method", Method)
-def test_it_finds_the_truth_and_says_how_well(method: Method) -> None:
+def test_true_parameters_are_found_with_valid_standard_deviations(method: Method) -> None:
     estimate = after(made(method), frames())
     assert (estimate.method, estimate.status, estimate.reason) == (method.value, Status.OK, "")
-    assert list(estimate.parameters) == SOUGHT
+    assert list(estimate.parameters) == ESTIMATED
     assert_near(estimate)
     for name, true in TRUTH.items():
         found = estimate.parameters[name]
         assert found.value is not None
         assert found.std is not None
         assert abs(found.value - true) < 1.96 * found.std, name
-    # The angular momentum is known to 15 of 3300 N m s, and nothing can be known better than what it scales with.
+    # The angular momentum is known to 15 of 3300 N m s, which limits the parameters that are proportional to it.
     assert estimate.parameters["inertia"].std == pytest.approx(1650.0 * 15.0 / 3300.0, rel=0.15)
     assert 15.0 < estimate.span < multisine().duration
 
 
-def test_it_ends_where_the_batch_fit_ends() -> None:
+def test_final_result_matches_the_batch_fit() -> None:
     model = with_values(nominal_model("monocab"), CAD, SPREAD)
     batch = prediction_error(model, [multisine()], support=VEHICLE.support)
     live = after(made(), frames())
-    for name in SOUGHT:
+    for name in ESTIMATED:
         there, here = batch.parameters[name], live.parameters[name]
         assert there.value is not None
         assert here.value is not None
         assert there.std is not None
-        # A quarter of a standard deviation: of the little that 0.1 s more or less at the ends of the record tell.
+        # A quarter of a standard deviation, for the effect of 0.1 s more or less at the ends of the record.
         assert abs(here.value - there.value) < 0.25 * there.std, name
         assert here.std == pytest.approx(there.std, rel=0.2), name
 
 
 @pytest.mark.parametrize(("inertia", "stiffness"), [(0.8, 1.2), (1.2, 0.8), (1.2, 1.2)])
-def test_a_bad_start_is_over_within_seconds(inertia: float, stiffness: float) -> None:
-    """CAD values 20 % off, the wrong way round: rise and settling last 4 s, so this is after 6 s of multisine."""
+def test_wrong_start_values_are_corrected_within_seconds(inertia: float, stiffness: float) -> None:
+    """CAD values changed by 20 %, in different directions. Rise and settling last 4 s: this is after 6 s of multisine."""
     estimator = made(inertia=1450.0 * inertia, gravity_stiffness=12600.0 * stiffness)
     for frame in frames():
         estimator.update(frame)
@@ -127,7 +127,7 @@ def test_a_bad_start_is_over_within_seconds(inertia: float, stiffness: float) ->
     assert_near(estimator.result())
 
 
-def test_on_the_way_no_value_is_far_from_the_truth() -> None:
+def test_no_intermediate_value_is_far_from_the_truth() -> None:
     estimator = made()
     shown = 0
     for place, frame in enumerate(frames()):
@@ -142,7 +142,7 @@ def test_on_the_way_no_value_is_far_from_the_truth() -> None:
     assert shown > 40
 
 
-def test_the_same_cycles_give_the_same_bits_after_a_reset() -> None:
+def test_same_cycles_after_a_reset_give_the_same_result_bit_for_bit() -> None:
     estimator = made()
     once = after(estimator, frames()[:5000])
     estimator.reset()
@@ -171,7 +171,7 @@ def _old_drives(frames: Iterable[Frame]) -> list[Frame]:
 
 @pytest.mark.parametrize("damage", [_unknown, _gaps, _late, _old_drives])
 @pytest.mark.parametrize("method", Method)
-def test_unknown_missing_doubled_and_stale_cycles(
+def test_unknown_missing_doubled_and_stale_cycles_do_not_bias_the_estimates(
     method: Method, damage: Callable[[Iterable[Frame]], list[Frame]]
 ) -> None:
     estimate = after(made(method), damage(frames()))
@@ -179,7 +179,7 @@ def test_unknown_missing_doubled_and_stale_cycles(
     assert_near(estimate)
 
 
-def test_a_reading_that_cannot_be_is_left_out_and_said() -> None:
+def test_impossible_reading_is_left_out_and_reported() -> None:
     """A gyro that shows 4 rad/s once in four seconds, on a vehicle that turns at 0.05."""
     estimate = after(made(), (changed(f, roll_rate=4.0) if i % 1000 == 500 else f for i, f in enumerate(frames())))
     assert_near(estimate)
@@ -188,15 +188,15 @@ def test_a_reading_that_cannot_be_is_left_out_and_said() -> None:
 
 
 @pytest.mark.parametrize("channel", ["roll_rate", "precession_rate"])
-def test_a_reversed_sign_gives_no_value_and_no_nan(channel: str) -> None:
+def test_reversed_sign_gives_no_value_and_no_nan(channel: str) -> None:
     place = MONOCAB.index_of(channel)
     estimate = after(made(), (changed(f, **{channel: -f.values[place]}) for f in frames()))
     assert not set(estimate.values) & set(TRUTH)
     assert all(p.reason and math.isfinite(p.coverage_percent) for p in estimate.parameters.values() if p.value is None)
 
 
-def test_two_recordings_of_the_same_hour_are_both_used() -> None:
-    """The second one's clock starts before the first one's end."""
+def test_two_recordings_with_overlapping_times_are_both_used() -> None:
+    """The clock of the second recording starts before the end of the first."""
     estimator = made()
     once = after(estimator, frames())
     twice = after(estimator, frames())
@@ -204,7 +204,7 @@ def test_two_recordings_of_the_same_hour_are_both_used() -> None:
     assert_near(twice)
 
 
-# On the small vehicle, whose roll filter, noise and sampling are others
+# On the small vehicle, with another roll filter, noise and sampling
 
 
 def small(estimator: RecursivePredictionError, duration: float, **settings: object) -> Estimate:
@@ -212,7 +212,7 @@ def small(estimator: RecursivePredictionError, duration: float, **settings: obje
     return after(estimator, small_vehicle.frames(stamps, table, 0))
 
 
-def test_its_standard_deviations_are_right() -> None:
+def test_standard_deviations_match_the_actual_errors() -> None:
     """Of 2 x 12 errors 1.2 are expected beyond 1.96 standard deviations, more than 4 with a probability of 0.6 %."""
     stamps, table = small_vehicle.run(12, 10.0, reference=lambda t: small_vehicle.sweep(t, 10.0))
     known = {**SPREAD, "angular_momentum": 0.0, "trim_mass": 0.0, "trim_height": 0.0}
@@ -228,11 +228,11 @@ def test_its_standard_deviations_are_right() -> None:
             assert std is not None
             errors.append((value - true) / std)
     assert np.count_nonzero(np.abs(errors) > 1.96) <= 4
-    # Nor are they too large: of 24 standard normal numbers the root mean square is over 0.6 but for twice in 1000.
+    # Nor are they too large: the root mean square of 24 standard normal numbers is below 0.6 twice in 1000 cases.
     assert np.sqrt(np.mean(np.square(errors))) > 0.6
 
 
-def test_without_excitation_there_is_no_value_but_a_reason() -> None:
+def test_without_excitation_there_is_a_reason_instead_of_a_value() -> None:
     estimate = small(made(), 3.0)
     assert estimate.span > 2.0
     for name in TRUTH:
@@ -243,8 +243,8 @@ def test_without_excitation_there_is_no_value_but_a_reason() -> None:
         assert 0.0 < found.coverage_percent < 100.0
 
 
-def test_a_vehicle_that_just_stands_does_not_lead_it_astray() -> None:
-    """The feedback loop turns noise into motion, from which parameters follow, with a poor standard deviation."""
+def test_vehicle_that_only_balances_gives_no_wrong_values() -> None:
+    """The feedback loop turns noise into motion, from which parameters follow with a large standard deviation."""
     stamps, table = small_vehicle.run(2, 15.0)
     for seed in range(2):
         estimate = after(made(), small_vehicle.frames(stamps, table, seed))
@@ -255,21 +255,21 @@ def test_a_vehicle_that_just_stands_does_not_lead_it_astray() -> None:
                 assert found.std > 0.02 * true
 
 
-def test_on_the_support_it_waits() -> None:
+def test_vehicle_on_its_support_is_reported_as_too_few_samples() -> None:
     estimate = small(made(), 1.0, from_support=True)
     assert estimate.status is Status.TOO_FEW_SAMPLES
     assert "hardly left its supports" in estimate.reason
     assert "no control cycle" in made().result().reason
 
 
-def test_from_the_support_and_at_100_hz_with_jitter() -> None:
+def test_true_parameters_are_found_from_the_support_and_at_100_hz_with_jitter() -> None:
     assert_near(small(made(), 8.0, from_support=True), 0.03)
     sweep = small(made(), 16.0, spacing=0.01, jitter=0.0005, reference=lambda t: small_vehicle.sweep(t, 15.0))
     assert_near(sweep)
 
 
-def test_what_is_forgotten_is_known_less() -> None:
-    """10 s of sweep, then 20 s of rest, with a memory of 2 s: what noise alone moves tells far less."""
+def test_forgetting_increases_the_standard_deviations() -> None:
+    """10 s of sweep, then 20 s of rest, with a memory of 2 s: motion by noise alone is far less informative."""
     stamps, table = small_vehicle.run(1, 30.0, reference=lambda t: small_vehicle.sweep(t, 10.0))
     estimator = RecursivePredictionError(
         nominal_model("monocab"),
@@ -290,10 +290,10 @@ def test_what_is_forgotten_is_known_less() -> None:
         assert later.std is None or later.std > 5.0 * before.std
 
 
-# What it cannot be made of
+# Models and settings that are refused
 
 
-def test_what_cannot_be_estimated_is_refused() -> None:
+def test_missing_channel_no_parameter_and_invalid_memory_are_refused() -> None:
     with pytest.raises(DataError, match="drive_age") as caught:
         RecursivePredictionError(
             nominal_model("monocab"), channels=ChannelTable(c for c in MONOCAB if c.name != "drive_age")
@@ -305,7 +305,7 @@ def test_what_cannot_be_estimated_is_refused() -> None:
         RecursivePredictionError("monocab_roll", channels=MONOCAB, memory=0.0)
 
 
-# Its parts
+# Parts of the estimator
 
 
 def _chunks(model: Model, recording: Recording, rows: int = 25) -> list[Chunk]:
@@ -315,7 +315,7 @@ def _chunks(model: Model, recording: Recording, rows: int = 25) -> list[Chunk]:
 
 @pytest.mark.parametrize("name", ["monocab_roll", "monocab_reduced"])
 @pytest.mark.parametrize("joined", [1, 7])
-def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -> None:
+def test_chunks_equal_the_segments_of_a_batch_fit(name: str, joined: int) -> None:
     model = library.get(name)
     (whole,) = segments(model, [multisine()], support=VEHICLE.support)
     chunks = list(join(_chunks(model, multisine()), joined))
@@ -327,11 +327,11 @@ def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -
         there = slice(rows, rows + count)
         np.testing.assert_allclose(chunk.segment.time[here], whole.time[there], atol=1e-9)
         np.testing.assert_allclose(chunk.segment.measured[here], whole.measured[there], atol=1e-12)
-        # A batch fit leaves at zero what no equation of its model needs; effects may, which live data are kept for.
+        # A batch fit leaves inputs at zero that no equation of its model needs; live data keep them for effects.
         used = [place for place, each in enumerate(model.inputs) if each.name not in ("precession", "gyro_bias_std")]
         np.testing.assert_allclose(chunk.segment.knots[here][:, used], whole.row_knots[there][:, used], atol=1e-9)
         lines = [place for place in used if model.inputs[place].hold is Hold.CUBIC]
-        # The inputs before and after the rows are there, too, as far as any delay reaches, on the support as well.
+        # Inputs before and after these samples are included, too, as far as any delay reaches, also on the support.
         reach = slice(max(0, here.start - 10), here.stop + 10)
         back = here.start - reach.start
         first = whole.earlier + rows - back
@@ -344,8 +344,8 @@ def test_chunks_are_the_segments_that_a_batch_fit_gets(name: str, joined: int) -
     assert 0 <= len(whole) - rows < 60
 
 
-def test_what_no_device_tells_has_its_usual_value() -> None:
-    """As in a batch fit of a recording without the channel; all else that is not known ends the stretch."""
+def test_input_that_no_device_reports_has_its_usual_value() -> None:
+    """As in a batch fit of a recording without the channel; any other unknown value ends the segment."""
     model = library.get("monocab_reduced")
     (place,) = [place for place, each in enumerate(model.inputs) if each.usual is not None]
     for lost, kept in ((model.inputs[place].name, True), ("precession", False)):
@@ -371,73 +371,73 @@ def _regression(own: int, held: int, **settings: bool) -> tuple[RecursiveGaussNe
     return made, learn
 
 
-def test_a_linear_problem_is_solved_exactly_with_its_prior_and_what_is_held() -> None:
+def test_linear_problem_is_solved_exactly_with_prior_and_held_parameters() -> None:
     random = np.random.default_rng(5)
     columns, residual = random.standard_normal((40, 4)), 0.1 * random.standard_normal(40)
     regression, learn = _regression(own=0, held=1)
     for part in np.split(np.arange(40), 4):
         learn(residual[part], columns[part])
-    sought = columns[:, :3]
-    information = sought.T @ sought + np.diag([1.0, 4.0, 9.0])
-    np.testing.assert_allclose(regression.z, np.linalg.solve(information, sought.T @ residual), rtol=1e-9)
+    unknowns = columns[:, :3]
+    information = unknowns.T @ unknowns + np.diag([1.0, 4.0, 9.0])
+    np.testing.assert_allclose(regression.z, np.linalg.solve(information, unknowns.T @ residual), rtol=1e-9)
     inverse = np.linalg.inv(information)
-    moved = inverse @ sought.T @ columns[:, 3:]
+    moved = inverse @ unknowns.T @ columns[:, 3:]
     found = regression.uncertainty()
     np.testing.assert_allclose(found.total, (inverse + moved @ moved.T)[:2, :2], rtol=1e-9)
-    alone = np.linalg.inv(sought.T @ sought + np.diag([0.0, 0.0, 9.0]))
+    alone = np.linalg.inv(unknowns.T @ unknowns + np.diag([0.0, 0.0, 9.0]))
     np.testing.assert_allclose(found.alone, alone[:2, :2], rtol=1e-9)
 
 
-def test_each_stretch_has_unknowns_of_its_own() -> None:
-    """Two stretches with a start each: as one problem with five unknowns, the starts' priors of variance 1 included."""
+def test_each_segment_has_unknowns_of_its_own() -> None:
+    """Two segments with a start each equal one problem with five unknowns, with priors of variance 1 for the starts."""
     random = np.random.default_rng(6)
     columns, residual = random.standard_normal((40, 4)), 0.1 * random.standard_normal(40)
     regression, learn = _regression(own=1, held=0)
     joint = np.zeros((40, 5))
     joint[:, :3] = columns[:, :3]
-    for stretch in range(2):
+    for segment in range(2):
         regression.begin(np.ones(1))
         for half in range(2):
-            part = slice(20 * stretch + 10 * half, 20 * stretch + 10 * half + 10)
+            part = slice(20 * segment + 10 * half, 20 * segment + 10 * half + 10)
             learn(residual[part], columns[part])
-            joint[part, 3 + stretch] = columns[part, 3]
+            joint[part, 3 + segment] = columns[part, 3]
     information = joint.T @ joint + np.diag([1.0, 4.0, 9.0, 1.0, 1.0])
     np.testing.assert_allclose(regression.z, np.linalg.solve(information, joint.T @ residual)[:3], rtol=1e-9)
     np.testing.assert_allclose(regression.uncertainty().total, np.linalg.inv(information)[:2, :2], rtol=1e-9)
 
 
-def test_residuals_that_are_alike_within_a_chunk_tell_less() -> None:
-    """Chunks of ten rows that all have the same residual are ten times fewer data than they seem."""
+def test_residuals_correlated_within_a_chunk_increase_the_variance() -> None:
+    """Chunks of ten samples with the same residual contain ten times less data than they seem to."""
     random = np.random.default_rng(7)
-    apart, learn_apart = _regression(own=0, held=0)
-    alike, learn_alike = _regression(own=0, held=0, clustered=True)
+    independent, learn_independent = _regression(own=0, held=0)
+    clustered_chunks, learn_clustered = _regression(own=0, held=0, clustered=True)
     for _ in range(400):
         columns = np.repeat(random.standard_normal((1, 3)), 10, axis=0)
         residual = np.repeat(random.standard_normal(1), 10)
-        learn_apart(residual, columns)
-        learn_alike(residual, columns)
-    ratio = np.diag(alike.uncertainty().alone) / np.diag(apart.uncertainty().alone)
-    # A variance from 400 chunks is good to 7 %.
+        learn_independent(residual, columns)
+        learn_clustered(residual, columns)
+    ratio = np.diag(clustered_chunks.uncertainty().alone) / np.diag(independent.uncertainty().alone)
+    # A variance from 400 chunks is accurate to 7 %.
     np.testing.assert_allclose(ratio, 10.0, rtol=0.3)
 
 
-def test_it_goes_no_farther_than_it_may() -> None:
+def test_move_is_limited_by_reach_and_bounds() -> None:
     regression = RecursiveGaussNewton(np.ones(2), np.array([-9.0, -0.1]), np.array([9.0, 9.0]), estimated=2)
     regression.add(np.array([100.0, -100.0]), 10.0 * np.eye(2), 1.0)
-    wanted = 1000.0 / 101.0
+    solution = 1000.0 / 101.0
     assert regression.move(np.zeros(2), np.array([0.5, 20.0]))
-    # Its reach, and as large a share of the way to the bound.
+    # The first moves by its reach, the second by the same share of its way to the bound.
     np.testing.assert_allclose(regression.z, [0.5, -0.1 * 0.5 / 9.0])
     assert not regression.move(np.zeros(2), np.full(2, 20.0))
     np.testing.assert_allclose(regression.z, [9.0, -0.1])
-    assert regression.move(np.array([9.0, 0.0]), np.array([wanted, 0.05]))
+    assert regression.move(np.array([9.0, 0.0]), np.array([solution, 0.05]))
     np.testing.assert_allclose(regression.z[1], -0.05)
 
 
 def _quadratic(
     information: Array, solution: Array, lower: Array, upper: Array, nuisance: tuple[int, ...] = ()
 ) -> RecursiveGaussNewton:
-    """Equations of which `solution` is the unbounded one, with hardly any prior."""
+    """Equations whose unbounded solution is `solution`, with a negligible prior."""
     size = len(solution)
     made = RecursiveGaussNewton(np.full(size, 1e-12), lower, upper, estimated=size, nuisance=nuisance)
     columns = np.linalg.cholesky(information).T
@@ -446,8 +446,8 @@ def _quadratic(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_is_held_at_a_bound_is_not_made_up_for_by_the_others(seed: int) -> None:
-    """The best point of a box, as bounded least squares find it; unknowns that hardly differ are the hard case."""
+def test_solution_at_bounds_matches_bounded_least_squares(seed: int) -> None:
+    """The best point of a box, as found by bounded least squares; nearly collinear unknowns are the hard case."""
     random = np.random.default_rng(seed)
     columns = random.standard_normal((12, 6)) @ np.diag([1.0, 1.0, 3.0, 0.1, 1.0, 1.0])
     columns[:, 1] = columns[:, 0] + 0.05 * columns[:, 1]
@@ -458,8 +458,8 @@ def test_what_is_held_at_a_bound_is_not_made_up_for_by_the_others(seed: int) -> 
     np.testing.assert_allclose(made.z, best.x, atol=1e-6)
 
 
-def test_a_nuisance_that_hardly_matters_holds_nobody_up() -> None:
-    """It moves as far as its own reach; the estimated parameter moves all the way."""
+def test_nuisance_parameter_of_little_effect_does_not_limit_the_others() -> None:
+    """The nuisance parameter moves as far as its own reach; the estimated parameter moves all the way."""
     wide = np.full(2, 99.0)
     made = _quadratic(np.diag([100.0, 1e-4]), np.array([0.3, 9.0]), -wide, wide, nuisance=(1,))
     assert not made.move(np.zeros(2), np.full(2, 0.5)), "a two-hundredth of its deviation"
@@ -477,7 +477,7 @@ def _bank(**changes: Mapping[str, float]) -> EstimatorBank:
     return online_estimators("monocab", given["parameters"], given["deviations"], VEHICLE.support)
 
 
-def test_joining_late_it_gives_the_same_bits() -> None:
+def test_estimator_that_joins_late_gives_the_same_result_bit_for_bit() -> None:
     early, late = _bank(), _bank()
     early.join()
     for place in range(0, 5000, 8):
@@ -494,7 +494,7 @@ def test_joining_late_it_gives_the_same_bits() -> None:
     assert late.results()["recursive_prediction_error"]["samples"] > 1000
 
 
-def test_one_that_cannot_be_made_leaves_the_others_alone() -> None:
+def test_estimator_that_cannot_be_created_does_not_affect_the_others() -> None:
     def broken() -> RecursivePredictionError:
         raise ImportError("no compiler")
 
@@ -508,7 +508,7 @@ def test_one_that_cannot_be_made_leaves_the_others_alone() -> None:
     assert results["recursive_output_error"]["samples"] > 500
 
 
-def test_one_that_fails_on_the_way_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_estimator_that_fails_while_running_does_not_affect_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     bank = _bank()
     bank.join()
 
