@@ -84,8 +84,8 @@ def test_response_and_its_standard_deviations_are_correct() -> None:
         assert np.abs(found.response / truth - 1.0)[at].max() < 0.25
         covered_magnitude.append((np.abs(np.abs(found.response) - np.abs(truth)) < 1.96 * found.magnitude_std)[at])
         covered_phase.append((np.abs(np.angle(found.response / truth)) < 1.96 * found.phase_std)[at])
-    # 4 x 17 frequencies with correlated neighbours: about 35 independent intervals of 95 %. The probability of fewer than
-    # 85 % is 1 %.
+    # 4 x 17 frequencies with correlated neighbours: about 35 independent intervals of 95 %. Fewer than 85 % of them
+    # contain the truth with a probability of 1 %.
     assert np.mean(covered_magnitude) >= 0.85
     assert np.mean(covered_phase) >= 0.85
     assert found.averages == pytest.approx(2 * 12_000 / 400, rel=0.1)  # independent Hann windows in the record

@@ -118,7 +118,7 @@ def test_final_result_matches_the_batch_fit() -> None:
 
 @pytest.mark.parametrize(("inertia", "stiffness"), [(0.8, 1.2), (1.2, 0.8), (1.2, 1.2)])
 def test_wrong_start_values_are_corrected_within_seconds(inertia: float, stiffness: float) -> None:
-    """CAD values changed by 20 %, in different directions. Rise and settling last 4 s: this is after 6 s of multisine."""
+    """CAD values changed by 20 %, in different directions. After rise and settling (4 s) this is 6 s of multisine."""
     estimator = made(inertia=1450.0 * inertia, gravity_stiffness=12600.0 * stiffness)
     for frame in frames():
         estimator.update(frame)

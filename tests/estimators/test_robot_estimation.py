@@ -1,4 +1,4 @@
-"""The paper's estimation of the balancing robot, on recordings of the virtual one, whose truth is known."""
+"""The paper's estimation of the balancing robot, on recordings of the virtual robot, whose parameters are known."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MODEL = get("twsbr")
 PLANT = TwsbrTruth()
 TRUTH = PLANT.table_1
 SHORT = 8.0
-"""s of excitation where it is not about accuracy."""
+"""s of excitation if accuracy does not matter."""
 
 
 @cache
@@ -52,25 +52,26 @@ def complete() -> BoundedFit:
     return bounded_fit(MODEL, [run("square")])
 
 
-# --- what a record near upright tells
+# --- what a record near upright determines
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_combinations_that_are_told_are_as_far_from_the_truth_as_they_say(seed: int) -> None:
-    """Six of them: beyond three deviations one of eighteen would be in 5 % of all such tests."""
+def test_identifiable_combinations_are_within_three_standard_deviations_of_the_truth(seed: int) -> None:
+    """Six of them: one of eighteen would be beyond three standard deviations in 5 % of all such tests."""
     fitted = reduced(seed)
     assert fitted.minimum.converged
     for name, (value, std) in combinations(fitted, IDENTIFIABLE_NEAR_UPRIGHT).items():
         true = number(IDENTIFIABLE_NEAR_UPRIGHT[name], {**MODEL.values, **TRUTH}, name)
         assert abs(value - true) < 3.0 * std, name
-        # Told: to a tenth, though what is held is not known better than to a third (body_mass).
+        # Determined to a tenth, although held parameters are known only to a third (body_mass).
         assert std < 0.1 * abs(true), name
 
 
 @pytest.mark.parametrize("seed", [907, 918])
-def test_a_fit_of_what_is_told_in_combinations_alone_settles_where_it_does_from_the_true_numbers(seed: int) -> None:
-    """Of 60 fits, the one that ended 58 nats from the others' minimum, and one that took 122 steps, when a refused step
-    made the next ones shun the valley. A nat is well below what moves a parameter by two deviations."""
+def test_fit_of_identifiable_combinations_reaches_the_minimum_found_from_the_truth(seed: int) -> None:
+    """Of 60 fits, the one that ended 58 nats from the others' minimum, and one that took 122 steps, because a rejected
+    step turned the next ones out of the valley. One nat is well below the cost of moving a parameter by two standard
+    deviations."""
     task = problem(MODEL, [run("square", seed).between(8.0)])
     fitted = fit(task)
     from_truth = fit(task, begin=Begin(TRUTH, fitted.end.noise))
@@ -79,7 +80,7 @@ def test_a_fit_of_what_is_told_in_combinations_alone_settles_where_it_does_from_
     assert fitted.minimum.cost < from_truth.minimum.cost + 1.0
 
 
-def test_what_a_combination_does_not_cancel_is_in_its_deviation() -> None:
+def test_combinations_include_the_uncertainty_of_held_parameters() -> None:
     found = combinations(reduced(1), {"alone": "com_height", "held": "body_mass", "moment": "body_mass * com_height"})
     assert found["held"][1] == pytest.approx(MODEL.parameter("body_mass").std)
     estimate = prediction_error(MODEL, [run("square")])
@@ -90,8 +91,8 @@ def test_what_a_combination_does_not_cancel_is_in_its_deviation() -> None:
 
 
 @pytest.mark.parametrize("experiment", ["sine", "doublet", "sine_stream"])
-def test_other_experiments_are_predicted_as_well_as_with_the_true_numbers(experiment: str) -> None:
-    """Wanted: 95 % of what the noise allows, which is what the true numbers reach."""
+def test_other_experiments_are_predicted_as_well_as_with_the_true_values(experiment: str) -> None:
+    """Required: 95 % of what the noise allows, which is what the true values reach."""
     true = fit(problem(MODEL.change(TRUTH), [run("square")], estimate=["voltage_offset"]))
     best = predicted_percent(on_others(true, [run(experiment)]), 0.1)
     ours = predicted_percent(on_others(reduced(1), [run(experiment)]), 0.1)
@@ -101,7 +102,7 @@ def test_other_experiments_are_predicted_as_well_as_with_the_true_numbers(experi
     assert start["tilt_rate"] < ours["tilt_rate"]
 
 
-def test_windows_begin_where_the_filter_is(complete: BoundedFit) -> None:
+def test_simulation_windows_begin_at_the_filtered_state(complete: BoundedFit) -> None:
     there = on_others(complete.fit, [run("sine")])
     simulated, measured = in_windows(there, 0.1)[0], there.problem.segments[0].measured
     assert simulated.shape == measured.shape
@@ -110,7 +111,7 @@ def test_windows_begin_where_the_filter_is(complete: BoundedFit) -> None:
     assert np.sqrt(np.mean((simulated - measured)[known, 2] ** 2)) < 0.05 * np.std(measured[:, 2])
 
 
-def test_the_command_estimates_the_robot(tmp_path: Path) -> None:
+def test_command_estimates_the_robot(tmp_path: Path) -> None:
     path = tmp_path / "square.arrow"
     save(run("square"), path)
     done = CliRunner().invoke(app, ["identify", str(path), "--vehicle", "twsbr", "--json"], catch_exceptions=False)
@@ -123,14 +124,14 @@ def test_the_command_estimates_the_robot(tmp_path: Path) -> None:
     assert all(each["std"] > 0.0 for each in entry["parameters"].values())
 
 
-# --- all numbers of the paper
+# --- all parameters of the paper
 
 
-def test_the_complete_fit_ends_at_a_minimum_within_the_bounds(complete: BoundedFit) -> None:
+def test_complete_fit_ends_at_a_minimum_within_the_bounds(complete: BoundedFit) -> None:
     assert complete.fit.minimum.converged
     lower, upper = complete.fit.problem.bounds
     assert np.all((complete.values >= lower) & (complete.values <= upper))
-    # Half a deviation of one parameter alone is an eighth of the log likelihood.
+    # Half a standard deviation of one parameter alone changes the log-likelihood by 1/8.
     assert complete.kkt_residual < 0.5
     assert len(complete.parameters) == 14
     assert complete.path.shape == (len(complete.costs), 14)
@@ -138,36 +139,36 @@ def test_the_complete_fit_ends_at_a_minimum_within_the_bounds(complete: BoundedF
     assert complete.path[0] == pytest.approx(complete.start, rel=1e-12)  # through logarithms and back
 
 
-def test_the_complete_fit_tells_what_it_does_not_know(complete: BoundedFit) -> None:
-    """Near upright six combinations and the voltages' offset; getting up from the bumper shows hardly more."""
+def test_complete_fit_reports_the_parameters_without_influence(complete: BoundedFit) -> None:
+    """Near upright, six combinations and the voltages' offset are determined; getting up adds at most one more."""
     assert 7 <= complete.determined <= 8
     silent = {"wheel_distance", "yaw_inertia", "armature_inductance"}
-    quiet = {name for name, rise in zip(complete.parameters, complete.sensitivity, strict=True) if rise < 1e-9}
-    assert quiet == silent
+    insensitive = {name for name, rise in zip(complete.parameters, complete.sensitivity, strict=True) if rise < 1e-9}
+    assert insensitive == silent
     moved = dict(zip(complete.parameters, complete.values - complete.start, strict=True))
     assert all(abs(moved[name]) < 1e-6 for name in silent)
 
 
-def test_a_profile_tells_the_silent_from_the_told(complete: BoundedFit) -> None:
+def test_profile_distinguishes_identifiable_from_unidentifiable_parameters(complete: BoundedFit) -> None:
     silent = profile(complete, "wheel_distance", points=1)
     assert np.all(silent.rises < RISE)
     assert silent.interval == (None, None)
-    told = profile(complete, "voltage_offset", points=1)
-    assert told.identifiable
+    identified = profile(complete, "voltage_offset", points=1)
+    assert identified.identifiable
     with pytest.raises(EstimationError, match="was not estimated"):
         profile(complete, "gear_ratio")
 
 
-def test_the_example_draws_the_papers_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_example_draws_the_figures_of_the_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = {name: run(name, 1, SHORT) for name in EXAMPLE["EXPERIMENTS"]}
     found = EXAMPLE["estimate"](recordings, ["wheel_distance"])
     EXAMPLE["print_tables"](found)
     EXAMPLE["draw"](found, tmp_path)
     names = {"convergence", "sensitivity", "profiles", "9_square", "10_sine", "11_doublet", "12_sine_stream"}
     assert {path.stem for path in tmp_path.iterdir()} == names
-    said = capsys.readouterr().out
-    assert "damping by the motors" in said
-    assert "bound to bound" in said
+    output = capsys.readouterr().out
+    assert "damping by the motors" in output
+    assert "bound to bound" in output
 
 
 # --- bad input
@@ -181,12 +182,12 @@ def test_the_example_draws_the_papers_figures(tmp_path: Path, capsys: pytest.Cap
         ((float("nan"), 0.03, 0.04), "must be numbers"),
     ],
 )
-def test_a_table_that_cannot_be_is_refused(row: tuple[float, float, float], words: str) -> None:
+def test_invalid_table_is_refused(row: tuple[float, float, float], words: str) -> None:
     with pytest.raises(EstimationError, match=words):
         with_table(MODEL, {"wheel_radius": row})
 
 
-def test_a_table_is_taken_and_a_wrong_model_refused() -> None:
+def test_valid_table_is_applied_and_an_inconsistent_model_is_refused() -> None:
     model = with_table(MODEL, {"wheel_radius": (0.033, 0.032, 0.034)})
     radius = model.parameter("wheel_radius")
     assert (radius.value, radius.lower, radius.upper) == (0.033, 0.032, 0.034)
@@ -209,15 +210,15 @@ def fallen(recording: Recording, after: float) -> Recording:
     return replace(recording, values={**recording.values, "tilt": tilt, "tilt_rate": rate})
 
 
-def test_what_lies_on_the_floor_is_left_out() -> None:
+def test_samples_after_a_fall_are_left_out() -> None:
     recording = fallen(run("square"), 20.0)
     (used,) = segments(MODEL, [recording])
     assert np.max(np.abs(used.measured[:, 0])) < np.radians(12.0)
     assert used.time[-1] < 21.0
 
 
-def test_no_reading_is_made_of_a_known_and_an_unknown_sample() -> None:
-    """The wheels' angles are older than the row: between the last known one and the next there is no reading."""
+def test_no_reading_is_interpolated_between_a_known_and_an_unknown_sample() -> None:
+    """The wheels' angles are older than the sample: between the last known angle and the next there is no reading."""
     recording = run("square")
     known = recording.time <= 0.6 * recording.time[-1]
     hidden = {each.name: np.where(known, recording[each.name], np.nan) for each in MODEL.outputs}
@@ -230,10 +231,10 @@ def test_no_reading_is_made_of_a_known_and_an_unknown_sample() -> None:
 
 
 @pytest.mark.parametrize("begin", [8.0, 8.005, 8.01, 8.015])
-def test_what_the_motors_had_before_the_first_row_is_no_error_of_the_model(begin: float) -> None:
-    """The voltage acts a millisecond late, so that of the row before acts on the first one: 3 standard deviations
-    on each of the first three rows of the tilt rate, where it was not known. Of 12 innovations with unit variance the
-    mean square is beyond 2.74 one time in a thousand.
+def test_voltage_before_the_first_sample_is_taken_into_account(begin: float) -> None:
+    """The voltage acts a millisecond late, so that of the previous sample acts on the first one. If it is not known,
+    each of the first three samples of the tilt rate is off by 3 standard deviations. The mean square of 12 innovations
+    with unit variance exceeds 2.74 one time in a thousand.
     """
     recording = run("square").between(begin)
     found = fit(problem(MODEL, [recording]))
@@ -243,7 +244,7 @@ def test_what_the_motors_had_before_the_first_row_is_no_error_of_the_model(begin
     assert np.mean(errors[:12] ** 2) < 2.74 * np.mean(errors**2)
 
 
-def test_a_stretch_after_a_gap_knows_what_the_motors_had() -> None:
+def test_segment_after_a_gap_includes_the_earlier_voltages() -> None:
     recording = run("square")
     free = (recording.time > 10.0) & (recording.time < 14.0)
     hidden = {each.name: np.where(free, recording[each.name], np.nan) for each in MODEL.outputs}
@@ -253,26 +254,26 @@ def test_a_stretch_after_a_gap_knows_what_the_motors_had() -> None:
     assert np.array_equal(used.inputs[:, 0], recording["left_voltage"][np.isin(recording.time, used.knots[:, 0])])
 
 
-def test_the_recorded_voltage_is_what_the_bridge_makes_of_it() -> None:
+def test_recorded_voltage_is_quantised_in_pwm_steps() -> None:
     steps = run("square")["left_voltage"] / PLANT.supply_voltage * PLANT.pwm_steps
     assert np.ptp(steps) > 100.0
     assert np.max(np.abs(steps - np.round(steps))) < 1e-3
 
 
-def test_a_robot_that_only_lies_is_refused() -> None:
+def test_recording_of_a_robot_that_only_lies_is_refused() -> None:
     recording = run("square")
     lying = {**recording.values, "tilt": np.full(len(recording.time), np.radians(12.4))}
     with pytest.raises(DataError, match="free of its supports"):
         segments(MODEL, [replace(recording, values=lying)])
 
 
-def test_an_encoder_that_turns_back_is_not_clipped() -> None:
+def test_encoder_that_reverses_is_not_clipped() -> None:
     angle = run("square")["left_wheel_angle"]
     known = angle[np.isfinite(angle)]
     assert clipped_share(known) == 0.0
 
 
-def test_steps_are_no_clipping_and_clipped_steps_are() -> None:
+def test_quantisation_is_not_clipping_but_a_clipped_quantised_signal_is() -> None:
     time = np.arange(0.0, 20.0, 0.005)
     swing = np.round(np.sin(2.0 * np.pi * 0.5 * time) / 0.009) * 0.009
     assert clipped_share(swing) == 0.0

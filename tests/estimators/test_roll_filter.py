@@ -1,4 +1,4 @@
-"""The roll filter on motions whose truth is known in closed form: turns about a body-fixed axis with a lever arm."""
+"""The roll filter on motions with known truth in closed form: rotations about a body-fixed axis with a lever arm."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ MONOCAB = RollFilterConfig(
     position=(0.0, 0.0, 0.9),
 )
 ACCELERATION_NOISE = 0.02
-"""m/s^2 a sample."""
+"""m/s^2 per sample."""
 ANGULAR_RATE_NOISE = 3.5e-5 * math.sqrt(125.0)
-"""rad/s a sample: gyro I of the LPMS-IG1, 3.5e-5 rad/s/sqrt(Hz) over half of 250 Hz."""
+"""rad/s per sample: gyro I of the LPMS-IG1, 3.5e-5 rad/s/sqrt(Hz) over half of 250 Hz."""
 
 Angle = Callable[[float], tuple[float, float, float]]
 """Angle, its rate and its acceleration at a time."""
@@ -32,7 +32,7 @@ Angle = Callable[[float], tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Motion:
-    """A turn by `angle` about the body-fixed `axis`, beginning with the body at `start` (roll, pitch)."""
+    """A rotation by `angle` about the body-fixed `axis`, beginning with the body at `start` (roll, pitch)."""
 
     angle: Angle
     axis: Vector3 = (1.0, 0.0, 0.0)
@@ -71,7 +71,7 @@ class Motion:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """As numpy's, which is ten times slower on three numbers."""
+    """The cross product; numpy's is ten times slower for three numbers."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
@@ -131,26 +131,26 @@ def worst_inclination_deg(motion: Motion, states: list[RollState], after: float)
 
 
 @pytest.mark.parametrize(("frequency", "rate"), [(0.1, 250.0), (0.5, 250.0), (3.0, 250.0), (3.0, 100.0), (1.0, 500.0)])
-def test_sweep_of_one_degree_is_followed_to_a_hundredth(frequency: float, rate: float) -> None:
+def test_sine_of_one_degree_is_followed_to_a_hundredth_of_a_degree(frequency: float, rate: float) -> None:
     # 0.02 m/s^2 of accelerometer noise through the 1 s low-pass is 0.005 deg at 250 Hz; the bias adds to it early on.
     motion = Motion(sine(math.radians(1.0), frequency), rate=rate)
     error = roll_error_deg(motion, run(motion.samples(18.0), replace(MONOCAB, rate=rate)), after=10.0)
     assert np.sqrt(np.mean(error**2)) < 0.01
 
 
-def test_lever_arm_leaves_no_trace_without_noise() -> None:
-    # At 3 Hz the lever arm feels 5.6 m/s^2, gravity's share in the reading is 0.17: timing must be exact.
+def test_lever_arm_causes_no_error_without_noise() -> None:
+    # At 3 Hz the lever arm causes 5.6 m/s^2 and gravity only 0.17 m/s^2 of the reading: timing must be exact.
     motion = Motion(sine(math.radians(1.0), 3.0))
     assert np.abs(roll_error_deg(motion, run(motion.samples(10.0, seed=None)), after=0.0)).max() < 2e-3
 
 
-def test_wrong_lever_arm_shows() -> None:
+def test_wrong_lever_arm_causes_an_error() -> None:
     motion = Motion(sine(math.radians(1.0), 1.0), position=(0.0, 0.0, 0.9))
     states = run(motion.samples(10.0, seed=None), replace(MONOCAB, position=(0.0, 0.0, 0.0)))
     assert np.abs(roll_error_deg(motion, states, after=3.0)).max() > 0.1
 
 
-def test_receive_jitter_of_a_fifth_of_a_period_does_little() -> None:
+def test_receive_jitter_of_a_fifth_of_a_period_has_little_effect() -> None:
     motion = Motion(sine(math.radians(1.0), 3.0))
     error = roll_error_deg(motion, run(motion.samples(18.0, jitter=0.2 / motion.rate)), after=10.0)
     assert np.sqrt(np.mean(error**2)) < 0.015
@@ -159,7 +159,7 @@ def test_receive_jitter_of_a_fifth_of_a_period_does_little() -> None:
 @pytest.mark.parametrize(
     ("roll_deg", "pitch_deg"), [(80.0, 0.0), (-80.0, 10.0), (30.0, 80.0), (-40.0, -80.0), (170.0, 0.0), (-135.0, 45.0)]
 )
-def test_any_attitude_at_rest(roll_deg: float, pitch_deg: float) -> None:
+def test_any_attitude_at_rest_is_estimated(roll_deg: float, pitch_deg: float) -> None:
     motion = Motion(still, start=(math.radians(roll_deg), math.radians(pitch_deg)))
     state = run(motion.samples(5.0))[-1]
     # At 80 deg of pitch roll is six times as sensitive as the up vector.
@@ -169,8 +169,8 @@ def test_any_attitude_at_rest(roll_deg: float, pitch_deg: float) -> None:
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.6, 0.64, 0.48)])
-def test_tumbling_through_every_angle(axis: Vector3) -> None:
-    # A turn forth and back at up to 6 rad/s, through 90 deg and upside down; the yaw bias shows only in the motion.
+def test_tumbling_through_every_angle_is_followed(axis: Vector3) -> None:
+    # A rotation back and forth at up to 6 rad/s, through 90 deg and upside down; only motion shows the yaw bias.
     motion = Motion(sine(math.radians(360.0), 0.15), axis=axis, bias=(0.005, -0.004, 0.003))
     assert worst_inclination_deg(motion, run(motion.samples(16.0)), after=8.0) < 0.3
 
@@ -201,8 +201,8 @@ def test_vibration_does_not_tilt_the_estimate() -> None:
     assert states[-1].roll_std > 2.0 * calm[-1].roll_std
 
 
-def test_std_covers_the_error() -> None:
-    # The gyro density stands for scale errors and vibration too: on clean data the std must not be too small.
+def test_standard_deviation_covers_the_error() -> None:
+    # The gyro density covers scale errors and vibration too: on clean data the std must not be too small.
     motion = Motion(sine(math.radians(1.0), 0.7), bias=(0.004, 0.0, 0.0))
     states = run(motion.samples(20.0, seed=11))
     inside = [
@@ -212,13 +212,13 @@ def test_std_covers_the_error() -> None:
     assert math.degrees(states[-1].roll_std) < 0.2
 
 
-def test_roll_is_marked_as_unknown_where_it_is_undefined() -> None:
+def test_roll_is_marked_as_unknown_at_90_degrees_of_pitch() -> None:
     state = run(Motion(still, start=(0.0, math.radians(90.0))).samples(2.0, seed=None))[-1]
     assert state.roll_std > 1.0
     assert math.degrees(state.pitch) == pytest.approx(90.0, abs=0.1)
 
 
-def test_gap_of_half_a_second_in_a_sweep_is_bridged() -> None:
+def test_gap_of_half_a_second_in_a_sine_is_bridged() -> None:
     motion = Motion(sine(math.radians(1.0), 1.0))
     kept = [sample for number, sample in enumerate(motion.samples(20.0)) if not 2500 <= number < 2625]
     states = run(iter(kept))
@@ -229,7 +229,7 @@ def test_gap_of_half_a_second_in_a_sweep_is_bridged() -> None:
     assert states[2500].roll_std > 2.0 * states[2499].roll_std
 
 
-def test_a_long_silence_starts_the_attitude_anew_and_keeps_the_bias() -> None:
+def test_long_gap_restarts_the_attitude_and_keeps_the_bias() -> None:
     bias = math.radians(0.5)
     before = list(Motion(still, bias=(bias, 0.0, 0.0)).samples(12.0))
     turned = Motion(still, start=(math.radians(60.0), 0.0), bias=(bias, 0.0, 0.0))
@@ -239,7 +239,7 @@ def test_a_long_silence_starts_the_attitude_anew_and_keeps_the_bias() -> None:
     assert math.degrees(states[-1].bias[0]) == pytest.approx(0.5, abs=0.02)
 
 
-def test_a_time_that_stands_still_or_runs_back_moves_nothing() -> None:
+def test_time_stamp_that_does_not_increase_leaves_the_roll_unchanged() -> None:
     motion = Motion(still, start=(0.1, 0.0))
     samples = list(motion.samples(4.0))
     roll_filter = RollFilter(MONOCAB)
@@ -259,7 +259,7 @@ def test_start_in_free_fall_waits_for_gravity() -> None:
     assert states[-1].roll == pytest.approx(0.3, abs=2e-3)
 
 
-def test_replay_after_reset_is_the_same_bit_for_bit() -> None:
+def test_replay_after_reset_is_identical_bit_for_bit() -> None:
     samples = list(Motion(sine(0.02, 1.0)).samples(4.0))
     roll_filter = RollFilter(MONOCAB)
     first = [roll_filter.update(sample) for sample in samples]
@@ -273,7 +273,7 @@ RATE = st.tuples(*[st.floats(-7.0, 7.0)] * 3)
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.integers(-5_000_000, 1_500_000_000), READING, RATE), min_size=1, max_size=40))
-def test_whatever_comes_the_estimate_stays_finite(readings: list[tuple[int, Vector3, Vector3]]) -> None:
+def test_estimate_stays_finite_for_any_readings(readings: list[tuple[int, Vector3, Vector3]]) -> None:
     roll_filter, time_ns = RollFilter(MONOCAB), 0
     for interval_ns, acceleration, angular_rate in readings:
         time_ns += interval_ns
@@ -282,7 +282,7 @@ def test_whatever_comes_the_estimate_stays_finite(readings: list[tuple[int, Vect
         assert 0.0 <= state.roll_std <= math.pi
 
 
-def test_a_pitching_vehicle_is_read_like_a_rolling_one() -> None:
+def test_pitching_and_rolling_motions_give_the_same_estimates() -> None:
     """The same motion about y: the same estimates, rates and standard deviations, to the last digits."""
     rolls = Motion(sine(0.05, 0.7), position=(0.0, 0.0, 0.06))
     pitches = replace(rolls, axis=(0.0, 1.0, 0.0))

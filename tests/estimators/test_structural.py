@@ -1,4 +1,4 @@
-"""Which parameters outputs can tell at all: toys whose answer is known by hand, and the balancing robot."""
+"""Structural identifiability: a toy model whose result is known by hand, and the balancing robot."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from models.segment import Segment
 from vehicles.twsbr.model import IDENTIFIABLE_AT_LARGE_TILT, IDENTIFIABLE_IN_TURNS, IDENTIFIABLE_NEAR_UPRIGHT
 
 TWSBR = get("twsbr")
-ALIKE = (("left_voltage", "right_voltage"), ("left_wheel_rate", "right_wheel_rate"))
-STRAIGHT = generic_motions(TWSBR, same=ALIKE)
-NEAR_UPRIGHT = generic_motions(TWSBR, same=ALIKE, size=SMALL)
+BOTH_SIDES = (("left_voltage", "right_voltage"), ("left_wheel_rate", "right_wheel_rate"))
+STRAIGHT = generic_motions(TWSBR, same=BOTH_SIDES)
+NEAR_UPRIGHT = generic_motions(TWSBR, same=BOTH_SIDES, size=SMALL)
 
 TOY = Model(
     name="structural-toy",
@@ -41,14 +41,14 @@ TOY = Model(
 )
 
 
-def test_products_sums_and_what_has_no_influence_are_told_apart() -> None:
+def test_products_sums_and_parameters_without_influence_are_distinguished() -> None:
     found = structure(TOY)
     # gain drive / mass, (left + right) / mass, damping / mass
     assert (found.rank, found.generic_rank) == (3, 3)
-    # Sensitivities are exact to rounding; what is left of a direction that does not show is 1e-13.
+    # Sensitivities are exact to rounding; the remainder of an unidentifiable direction is 1e-13.
     assert found.gap > 1e6
     ties = {tie.parameter: tie for tie in found.ties}
-    # Known best, in per cent of what moves along: mass 0.5, right 4, drive 20; colour alone.
+    # The most precise prior of each tie, in percent: mass 0.5, right 4, drive 20; colour is alone.
     assert set(ties) == set(found.hold) == {"mass", "right", "drive", "colour"}
     assert ties["colour"].changes == {"colour": 1.0}
     assert str(ties["colour"]) == "colour has no influence on any output"
@@ -61,7 +61,7 @@ def test_products_sums_and_what_has_no_influence_are_told_apart() -> None:
     assert "right +1 %, left -1.67 %" in str(ties["right"])
 
 
-def test_the_proposal_makes_everything_else_known() -> None:
+def test_other_parameters_are_identifiable_with_the_proposed_ones_held() -> None:
     found = structure(TOY)
     model = reduced(TOY, found)
     free = tuple(parameter.name for parameter in model.parameters if parameter.estimated)
@@ -72,7 +72,7 @@ def test_the_proposal_makes_everything_else_known() -> None:
     assert again.gap == np.inf
 
 
-def test_a_combination_is_told_where_no_free_direction_moves_it() -> None:
+def test_combination_is_identifiable_if_no_null_direction_changes_it() -> None:
     found = structure(TOY)
     assert found.identifies("(left + right) / mass")
     assert found.identifies("sqrt(gain * drive / mass)")
@@ -84,13 +84,13 @@ def test_a_combination_is_told_where_no_free_direction_moves_it() -> None:
         structure(TOY, parameters=["mass", "left"]).identifies("gain")
 
 
-def test_a_scale_that_is_measured_otherwise_breaks_the_tie() -> None:
+def test_force_measurement_makes_the_mass_identifiable() -> None:
     weighed = replace(TOY, outputs=(*TOY.outputs, Output("force", "N", "(left + right) * x", noise=1.0)))
     assert structure(weighed).rank == 4
     assert structure(weighed).identifies("mass")
 
 
-def test_an_experiment_that_excites_nothing_tells_less_than_the_model_could() -> None:
+def test_experiment_without_excitation_identifies_fewer_combinations() -> None:
     time = 0.01 * np.arange(100)
     still = Segment(time, time[:, None].copy(), np.zeros((100, 1)), np.full((100, 1), np.nan))
     found = structure(TOY, [Motion(still, np.array([0.3, 0.0]))])
@@ -99,8 +99,8 @@ def test_an_experiment_that_excites_nothing_tells_less_than_the_model_could() ->
     assert found.identifies("(left + right) / mass")
 
 
-def test_values_at_which_less_shows_than_nearby_are_noticed() -> None:
-    """The shape of friction that is not there."""
+def test_values_with_a_lower_rank_than_nearby_ones_are_detected() -> None:
+    """The shape of a friction whose amplitude is zero."""
     model = get("axis").add("stribeck_friction")
     shapes = ["stribeck_friction.torque", "stribeck_friction.sliding"]
     found = structure(model, parameters=shapes)
@@ -108,7 +108,7 @@ def test_values_at_which_less_shows_than_nearby_are_noticed() -> None:
     assert found.hold == ("stribeck_friction.sliding",)
 
 
-def test_nothing_to_look_at_is_said() -> None:
+def test_empty_or_unknown_parameter_list_is_refused() -> None:
     with pytest.raises(EstimationError, match="there are none to examine"):
         structure(TOY, parameters=[])
     with pytest.raises(ModelError, match="model structural-toy has no such parameter"):
@@ -118,7 +118,7 @@ def test_nothing_to_look_at_is_said() -> None:
 # --- the balancing robot
 
 
-def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers() -> None:
+def test_near_upright_six_combinations_of_thirteen_parameters_are_identifiable() -> None:
     found = structure(TWSBR, NEAR_UPRIGHT)
     numbers = set(found.parameters) - {"voltage_offset"}
     assert len(numbers) == 13
@@ -135,7 +135,7 @@ def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers()
     assert not any(map(found.identifies, others))
     alone = {tie.parameter for tie in found.ties if len(tie.changes) == 1}
     assert alone == {"wheel_distance", "yaw_inertia", "armature_inductance"}
-    # Torques are known as multiples of volts only: all masses and the conductance go together.
+    # Torques are known only as multiples of volts: all masses scale with the conductance.
     (scale,) = (tie for tie in found.ties if tie.product and len(tie.changes) > 1)
     masses = {"wheel_mass", "body_mass", "tilt_inertia", "rotor_inertia", "motor_friction", "wheel_friction"}
     assert scale.changes == pytest.approx(dict.fromkeys(masses, 1.0) | {"armature_resistance": -1.0}, rel=1e-6)
@@ -149,7 +149,7 @@ def test_near_upright_the_robot_tells_six_combinations_of_its_thirteen_numbers()
     ],
     ids=["large tilt", "turns"],
 )
-def test_larger_motion_tells_more(motions: tuple[Motion, ...], told: dict[str, str]) -> None:
+def test_larger_motion_identifies_more_combinations(motions: tuple[Motion, ...], told: dict[str, str]) -> None:
     found = structure(TWSBR, motions)
     assert found.rank == found.generic_rank == 1 + len(told)
     assert found.gap > 1e6
@@ -157,15 +157,15 @@ def test_larger_motion_tells_more(motions: tuple[Motion, ...], told: dict[str, s
     assert not found.identifies("body_mass")
 
 
-def test_the_shipped_model_estimates_what_is_proposed() -> None:
+def test_shipped_model_estimates_the_proposed_parameters() -> None:
     found = structure(TWSBR, NEAR_UPRIGHT)
     estimated = {parameter.name for parameter in TWSBR.parameters if parameter.estimated}
     assert estimated == set(found.free)
     assert structure(TWSBR, NEAR_UPRIGHT, sorted(estimated)).rank == len(estimated)
 
 
-def test_on_a_scale_and_with_an_ohmmeter_other_numbers_are_held() -> None:
-    """What is known best is the user's to say: here better than the radius of a wheel."""
+def test_parameters_with_more_precise_priors_are_held_instead() -> None:
+    """The user states what is known best: here the body mass and the resistance, not the radius of a wheel."""
     weighed = TWSBR.change(deviations={"body_mass": 1e-3, "armature_resistance": 0.02})
     found = structure(weighed, NEAR_UPRIGHT)
     assert {"body_mass", "armature_resistance"} < set(found.hold)

@@ -1,4 +1,4 @@
-"""The balancing robot's live estimator on recordings of the virtual one, whose truth is known."""
+"""The balancing robot's live estimator on recordings of the virtual robot, whose parameters are known."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from vehicles.twsbr.model import COUNT, IDENTIFIABLE_NEAR_UPRIGHT
 VEHICLE = load("twsbr")
 GIVEN = {"parameters": VEHICLE.parameters.values, "deviations": VEHICLE.parameters.deviations}
 MODEL = nominal_model("twsbr")
-SOUGHT = [each.name for each in MODEL.parameters if each.estimated]
+ESTIMATED = [each.name for each in MODEL.parameters if each.estimated]
 TRUTH = {**TwsbrTruth().table_1, "voltage_offset": 1e-3}  # s, in the drive: it acts on a command in its next cycle
 LATENCY = 1.5
-"""s of free motion after which values are told."""
+"""s of free motion after which values are given."""
 SEEDS = [1, 2, 3, 4]
 
 
@@ -39,18 +39,18 @@ def run(name: str = "square", seed: int = 1) -> Recording:
     return record("twsbr", name, seed=seed)
 
 
-def made() -> RecursivePredictionError:
+def new_estimator() -> RecursivePredictionError:
     return RecursivePredictionError(MODEL, **GIVEN, support=VEHICLE.support, channels=TWSBR)
 
 
 @cache
-def course(seed: int, name: str = "square") -> list[Estimate]:
-    """What it says every second, the end included."""
-    return looks(run(name, seed))
+def results_of_run(seed: int, name: str = "square") -> list[Estimate]:
+    """The results after every second and at the end."""
+    return results_during(run(name, seed))
 
 
-def looks(recording: Recording) -> list[Estimate]:
-    estimator, frames = made(), list(recording.frames(TWSBR))
+def results_during(recording: Recording) -> list[Estimate]:
+    estimator, frames = new_estimator(), list(recording.frames(TWSBR))
     found = []
     for place, frame in enumerate(frames, 1):
         estimator.update(frame)
@@ -59,8 +59,8 @@ def looks(recording: Recording) -> list[Estimate]:
     return found
 
 
-def deviations_off(estimate: Estimate) -> dict[str, float]:
-    """Standard deviations that each value that is told is off the truth."""
+def normalised_errors(estimate: Estimate) -> dict[str, float]:
+    """The distance of each reported value from the truth, in standard deviations."""
     return {
         name: abs(each.value - TRUTH[name]) / each.std
         for name, each in estimate.parameters.items()
@@ -72,33 +72,33 @@ def bank() -> EstimatorBank:
     return online_estimators("twsbr", GIVEN["parameters"], GIVEN["deviations"], VEHICLE.support)
 
 
-# --- what it says, and when
+# --- results over time
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_after_a_square_wave_all_that_is_sought_is_told_and_true(seed: int) -> None:
-    last = course(seed)[-1]
+def test_square_wave_gives_true_values_of_all_estimated_parameters(seed: int) -> None:
+    last = results_of_run(seed)[-1]
     assert (last.status, last.reason) == (Status.OK, "")
-    off = deviations_off(last)
-    assert list(off) == SOUGHT
-    assert max(off.values()) < 4.0
+    errors = normalised_errors(last)
+    assert list(errors) == ESTIMATED
+    assert max(errors.values()) < 4.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_on_the_way_it_is_never_surer_than_it_can_be(seed: int) -> None:
-    told = [(each.span, deviations_off(each)) for each in course(seed)]
-    assert all(not off for span, off in told if span < 0.4)
-    later = [bool(off) for span, off in told if span > LATENCY]
+def test_intermediate_values_are_within_four_standard_deviations_of_the_truth(seed: int) -> None:
+    reported = [(each.span, normalised_errors(each)) for each in results_of_run(seed)]
+    assert all(not errors for span, errors in reported if span < 0.4)
+    later = [bool(errors) for span, errors in reported if span > LATENCY]
     assert sum(later) >= 0.9 * len(later)
-    assert max(value for _, off in told for value in off.values()) < 4.0
+    assert max(value for _, errors in reported for value in errors.values()) < 4.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_its_deviations_are_those_of_the_fit_of_the_whole_recording(seed: int) -> None:
-    """What is told in products only stays as open as it is, although the equations come in one after the other."""
-    live, wide = course(seed)[-1], 0.25 * TRUTH["armature_resistance"]
+def test_standard_deviations_match_those_of_the_batch_fit(seed: int) -> None:
+    """Factors of identifiable products stay uncertain, although the equations arrive one after the other."""
+    live, wide = results_of_run(seed)[-1], 0.25 * TRUTH["armature_resistance"]
     batch = prediction_error(MODEL.change(GIVEN["parameters"], deviations=GIVEN["deviations"]), [run("square", seed)])
-    for name in SOUGHT:
+    for name in ESTIMATED:
         here, there = live.parameters[name].std, batch.parameters[name].std
         assert here is not None, name
         assert there is not None, name
@@ -108,74 +108,76 @@ def test_its_deviations_are_those_of_the_fit_of_the_whole_recording(seed: int) -
 
 @pytest.mark.parametrize("name", ["inertia of travel", "inertia of tilt", "inertia that both share"])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_products_are_true_where_their_factors_are_open(seed: int, name: str) -> None:
-    """To 5 %; with the vehicle file's numbers they are off by 15, 16 and 19 %."""
+def test_products_are_accurate_although_their_factors_are_uncertain(seed: int, name: str) -> None:
+    """To 5 %; with the values of the vehicle file the errors are 15, 16 and 19 %."""
     found = number(
-        IDENTIFIABLE_NEAR_UPRIGHT[name], {**MODEL.values, **GIVEN["parameters"], **course(seed)[-1].values}, name
+        IDENTIFIABLE_NEAR_UPRIGHT[name],
+        {**MODEL.values, **GIVEN["parameters"], **results_of_run(seed)[-1].values},
+        name,
     )
     assert found == pytest.approx(number(IDENTIFIABLE_NEAR_UPRIGHT[name], {**MODEL.values, **TRUTH}, name), rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["sine", "doublet", "sine_stream"])
-def test_other_experiments_tell_it_too(name: str) -> None:
-    looked = course(1, name)
-    assert looked[-1].status is Status.OK
-    assert max(value for each in looked for value in deviations_off(each).values()) < 4.0
+def test_other_experiments_give_true_values_too(name: str) -> None:
+    results = results_of_run(1, name)
+    assert results[-1].status is Status.OK
+    assert max(value for each in results for value in normalised_errors(each).values()) < 4.0
 
 
-def test_wheels_that_do_not_read_alike_are_told_as_well() -> None:
-    """The virtual robot's read alike to the last bit. Here one encoder has half a count of noise more."""
+def test_different_readings_of_the_two_wheels_give_true_values_too() -> None:
+    """The virtual robot's encoders have bit-identical readings. Here one has up to half a count of additional noise."""
     whole = run()
     noise = COUNT * np.random.default_rng(3).uniform(-0.5, 0.5, len(whole))
     values = {**whole.values, "right_wheel_angle": whole["right_wheel_angle"] + noise}
-    last = looks(replace(whole, values=values))[-1]
+    last = results_during(replace(whole, values=values))[-1]
     assert last.status is Status.OK
-    assert max(deviations_off(last).values()) < 4.0
+    assert max(normalised_errors(last).values()) < 4.0
 
 
-# --- what it cannot say
+# --- no result, with a reason
 
 
-def test_a_robot_that_only_stands_gives_no_number_that_is_wrong() -> None:
-    looked = course(1, "hold")
-    assert any(each.status is not Status.OK for each in looked)
-    for each in looked:
-        assert all(value < 4.0 for value in deviations_off(each).values())
+def test_robot_that_only_stands_gives_no_wrong_values() -> None:
+    results = results_of_run(1, "hold")
+    assert any(each.status is not Status.OK for each in results)
+    for each in results:
+        assert all(value < 4.0 for value in normalised_errors(each).values())
         assert all(each.reason or value.identifiable for value in each.parameters.values())
 
 
-def test_a_robot_that_lies_on_its_bumper_tells_nothing_and_says_so() -> None:
+def test_robot_that_lies_on_its_bumper_gives_a_reason_instead_of_values() -> None:
     whole = run()
     lying = replace(whole, values={**whole.values, "tilt": np.full(len(whole), np.radians(12.4))})
-    last = looks(lying)[-1]
+    last = results_during(lying)[-1]
     assert last.status is Status.TOO_FEW_SAMPLES
     assert "hardly left its supports" in last.reason
     assert all(each.value is None and each.std is None for each in last.parameters.values())
 
 
-def test_an_encoder_that_is_silent_for_a_second_is_a_gap() -> None:
+def test_encoder_without_readings_for_a_second_is_treated_as_a_gap() -> None:
     whole = run()
     silent = (whole.time > 15.0) & (whole.time < 16.0)
     values = {**whole.values, "left_wheel_angle": np.where(silent, np.nan, whole["left_wheel_angle"])}
-    last = looks(replace(whole, values=values))[-1]
+    last = results_during(replace(whole, values=values))[-1]
     assert last.status is Status.OK
-    assert last.samples < course(1)[-1].samples - 200
-    assert max(deviations_off(last).values()) < 4.0
+    assert last.samples < results_of_run(1)[-1].samples - 200
+    assert max(normalised_errors(last).values()) < 4.0
 
 
-def test_a_blow_is_left_out_and_told() -> None:
+def test_impact_is_left_out_and_reported() -> None:
     whole = run()
-    blow = np.where(np.abs(whole.time - 15.0) < 0.02, 3.0, 0.0)
-    last = looks(replace(whole, values={**whole.values, "tilt_rate": whole["tilt_rate"] + blow}))[-1]
+    impact = np.where(np.abs(whole.time - 15.0) < 0.02, 3.0, 0.0)
+    last = results_during(replace(whole, values={**whole.values, "tilt_rate": whole["tilt_rate"] + impact}))[-1]
     assert last.status is Status.OK
     assert "lost the vehicle 1 times" in last.reason
-    assert max(deviations_off(last).values()) < 4.0
+    assert max(normalised_errors(last).values()) < 4.0
 
 
 # --- live, replayed, identified
 
 
-def test_live_and_replayed_it_gives_the_same_bits() -> None:
+def test_live_and_replayed_results_are_identical_bit_for_bit() -> None:
     live, frames = bank(), list(run().frames(TWSBR))
     for place in range(0, len(frames), 10):
         live.update(frames[place : place + 10])
@@ -186,21 +188,21 @@ def test_live_and_replayed_it_gives_the_same_bits() -> None:
     results = live.results()
     assert results == replay(run(), VEHICLE)
     assert results[RECURSION]["status"] == "ok"
-    assert results[RECURSION] == made_of(frames).to_json()
+    assert results[RECURSION] == final_result(frames).to_json()
 
 
-def made_of(frames: list[Frame]) -> Estimate:
-    estimator = made()
+def final_result(frames: list[Frame]) -> Estimate:
+    estimator = new_estimator()
     for frame in frames:
         estimator.update(frame)
     return estimator.result()
 
 
-def test_identified_by_the_same_method_it_gives_the_same_numbers() -> None:
+def test_identify_with_the_same_method_gives_the_same_values() -> None:
     document = identify(
         [run()], GIVEN["parameters"], VEHICLE.support, [RECURSION], deviations=GIVEN["deviations"], model=MODEL
     )
     entry = document["methods"][RECURSION]
-    for name, each in course(1)[-1].parameters.items():
-        told = entry["parameters"][name]
-        assert (told["value"], told["std"]) == pytest.approx((each.value, each.std), rel=1e-6), name
+    for name, each in results_of_run(1)[-1].parameters.items():
+        reported = entry["parameters"][name]
+        assert (reported["value"], reported["std"]) == pytest.approx((each.value, each.std), rel=1e-6), name
