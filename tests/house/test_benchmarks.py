@@ -1,4 +1,4 @@
-"""Benchmarks rot where nothing runs them: each is read, and those that compute alone run once in a short form."""
+"""Benchmarks that nothing runs stop working: each is imported, and the self-contained ones run in a short form."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ SHORT = {
     "passes.py": ("--vehicle", "monocab", "--seconds", "12"),
     "monte_carlo.py": ("--runs", "2", "--duration", "15", "--method", "least_squares", "--processes", "1"),
 }
-"""Of those that need no broker, browser, second vehicle or hour."""
+"""Options of those that need no broker, browser, second vehicle or hour of computation."""
 
 
 @pytest.mark.parametrize("program", [each for each in PROGRAMS if each != "echo.py"])
-def test_each_can_be_read(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With all that it imports, its main part left out. echo.py is a program of turnaround.py, and has nothing else."""
+def test_each_benchmark_can_be_imported(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With all of its imports, without its main part. echo.py, a program of turnaround.py, has no other part."""
     monkeypatch.syspath_prepend(str(FOLDER))
     assert runpy.run_path(str(FOLDER / program))["__doc__"]
 
 
 @pytest.mark.patient
 @pytest.mark.parametrize("program", SHORT)
-def test_each_that_computes_alone_runs(program: str) -> None:
+def test_each_self_contained_benchmark_runs(program: str) -> None:
     command = [sys.executable, str(FOLDER / program), *SHORT[program]]
     done = subprocess.run(command, capture_output=True, text=True, cwd=FOLDER.parent)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -37,7 +37,7 @@ def test_each_that_computes_alone_runs(program: str) -> None:
 
 
 @pytest.mark.patient
-def test_a_table_of_decisions_is_decided_again(tmp_path: Path) -> None:
+def test_recorded_decisions_are_replayed_without_a_difference(tmp_path: Path) -> None:
     program, table = str(FOLDER / "decisions.py"), tmp_path / "table.jsonl.xz"
     for arguments in (
         ("record", str(table), "--only", "swing encoder", "--processes", "1"),

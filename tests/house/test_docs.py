@@ -1,4 +1,4 @@
-"""The manual against the program: what the program has is in the reference, and every link leads somewhere."""
+"""The manual compared with the program: the reference covers the whole program, and every link has a target."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def _sections(model: type[BaseModel]) -> Iterator[tuple[str, str]]:
 
 
 def _pages(*names: str) -> str:
-    """The text of these pages: what all vehicles have in common, and the page of one."""
+    """The text of these pages: the one for all vehicles, and that of one vehicle."""
     return "\n".join((DOCS / name).read_text() for name in names)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_every_link_leads_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     targets = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text())]
     missing = [name for name in targets if name and "://" not in name and not (page.parent / name).exists()]
     assert not missing
@@ -52,7 +52,7 @@ def test_every_key_of_a_vehicle_file_is_explained(kind: str) -> None:
 
 
 def _commands() -> Iterator[tuple[str, list[str]]]:
-    """(command, its option names), groups unfolded."""
+    """(command, its option names), with groups expanded."""
     group = typer.main.get_command(app)
 
     def walk(command: object, path: str) -> Iterator[tuple[str, list[str]]]:

@@ -1,4 +1,4 @@
-"""The set-up that two commands promise: what is missing is named, and what is required is never left out."""
+"""The promised set-up by two commands: missing packages are named, and required tests are never skipped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ APT_NEEDS = REPOSITORY / "tests" / "setup" / "apt-needs"
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Path:
-    """A folder of the only commands that apt-needs finds: those it cannot do without."""
+    """A folder with the only commands that apt-needs finds: those that it requires itself."""
     commands = tmp_path / "bin"
     commands.mkdir()
     for name in ("bash", "env"):
@@ -31,32 +31,32 @@ def _command(folder: Path, name: str, script: str) -> None:
 
 
 def _apt_needs(machine: Path, *needs: str) -> subprocess.CompletedProcess[str]:
-    # PATH ends in /usr/sbin and /sbin by the script's own doing; what a test asks for is in neither.
+    # The script itself appends /usr/sbin and /sbin to PATH; the commands that a test requires are in neither.
     return subprocess.run(
         [machine / "bash", APT_NEEDS, *needs], env={"PATH": str(machine)}, capture_output=True, text=True, timeout=20
     )
 
 
-def test_nothing_is_asked_for_when_nothing_is_missing(machine: Path) -> None:
+def test_no_message_if_nothing_is_missing(machine: Path) -> None:
     _command(machine, "upright-tool", "true")
     done = _apt_needs(machine, "upright-tool:some-package", f"{machine}/env:coreutils")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_without_apt_the_one_command_is_named(machine: Path) -> None:
+def test_install_command_is_printed_if_apt_is_not_available(machine: Path) -> None:
     done = _apt_needs(machine, "upright-one:package-one", "upright-two:package-two", "bash:bash")
     assert done.returncode == 1
     assert "apt-get install package-one package-two\n" in done.stderr
 
 
-def test_only_the_missing_is_installed_and_the_list_fetched_when_needed(machine: Path, tmp_path: Path) -> None:
+def test_only_missing_packages_are_installed_and_the_list_is_updated_if_needed(machine: Path, tmp_path: Path) -> None:
     calls = tmp_path / "calls"
     _command(
         machine,
         "apt-get",
         f'echo "$*" >>{calls}; [[ $1 == update ]] || [[ -e {tmp_path}/once ]]; s=$?\n: >{tmp_path}/once; exit $s',
     )
-    _command(machine, "sudo", '[[ $1 != -n ]] || shift\nexec "$@"')  # for those who are not root
+    _command(machine, "sudo", '[[ $1 != -n ]] || shift\nexec "$@"')  # for users other than root
     done = _apt_needs(machine, "bash:bash", "upright-one:package-one")
     assert done.returncode == 0
     install = "install -y --no-install-recommends package-one"
@@ -80,9 +80,7 @@ def test_vcan():
 @pytest.mark.parametrize(
     ("required", "outcomes"), [("1", {"passed": 1, "failed": 1, "error": 1}), ("", {"passed": 1, "skipped": 2})]
 )
-def test_a_skip_is_a_failure_where_everything_is_required(
-    tmp_path: Path, required: str, outcomes: dict[str, int]
-) -> None:
+def test_skipped_test_fails_if_everything_is_required(tmp_path: Path, required: str, outcomes: dict[str, int]) -> None:
     for name in ("conftest.py", "standstill.py"):
         shutil.copy(REPOSITORY / "tests" / name, tmp_path)
     (tmp_path / "test_skips.py").write_text(TWO_SKIPS)

@@ -1,4 +1,4 @@
-"""No code outside of a vehicle's own folders knows it by name: a further one is further folders, and nothing else."""
+"""No code outside of a vehicle's own folders names it: a further vehicle takes further folders, and nothing else."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ PACKAGES = ("telemetry", "models", "drivers", "estimators", "diagnosis", "vehicl
 ABOUT_ONE = "service/hidden_effects"
 """The benchmark of hidden effects is about the MONOCAB."""
 DEFAULTS = ("service/cli", "service/virtual/run.py")
-"""Where a command, or a script, says nothing of a vehicle, it is a MONOCAB."""
+"""If a command or a script does not name a vehicle, it is a MONOCAB."""
 
 
 def _words(path: Path) -> Iterator[tuple[int, str]]:
-    """The strings and the modules that the code of a file names, with their lines; its comments and docstrings may name
-    what they explain by."""
+    """The strings and the modules in the code of a file, with their lines; its comments and docstrings may name a
+    vehicle as an example."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    said = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
+    docstrings = {id(each.value) for each in ast.walk(tree) if isinstance(each, ast.Expr)}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in said:
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
             yield node.lineno, node.value
         elif isinstance(node, ast.ImportFrom):
             yield node.lineno, f"{node.module}."
@@ -45,16 +45,16 @@ def _named(kind: str, elsewhere: tuple[str, ...]) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", [each for each in registry.names() if each != "monocab"])
-def test_a_vehicle_is_named_in_its_folders_alone(kind: str) -> None:
+def test_vehicle_is_named_only_in_its_own_folders(kind: str) -> None:
     assert not _named(kind, ())
 
 
-def test_the_monocab_is_named_elsewhere_as_a_default_alone() -> None:
+def test_monocab_is_named_elsewhere_only_as_a_default_or_in_its_benchmark() -> None:
     assert not _named("monocab", (ABOUT_ONE, *DEFAULTS))
 
 
 @pytest.mark.parametrize("kind", registry.names())
-def test_each_vehicle_has_the_same_modules_and_its_page(kind: str) -> None:
+def test_each_vehicle_has_the_same_modules_and_a_page(kind: str) -> None:
     for module in ("channels", "file", "kind", "model", "predicted", "recorded_loop", "vehicle", "views"):
         assert (REPOSITORY / "vehicles" / kind / f"{module}.py").is_file(), module
     for module in ("truth", "hidden", "plant", "kind"):

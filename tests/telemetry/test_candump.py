@@ -1,4 +1,4 @@
-"""Raw logs: every frame comes back, lines that are none are named, a crash costs the last line at most."""
+"""Raw logs: every frame is restored, invalid lines are named, and a crash costs at most the last line."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ errors = st.builds(CanFrame, stamps, st.integers(0, 0x1FFFFFFF), payloads, error
 
 
 @given(st.one_of(standard, extended, remote, errors))
-def test_every_frame_comes_back(frame: CanFrame) -> None:
+def test_every_frame_survives_formatting_and_parsing(frame: CanFrame) -> None:
     assert parse_line(format_frame(frame, "can0"), {}) == frame
 
 
-def test_lines_are_those_of_candump() -> None:
+def test_lines_have_the_format_of_candump() -> None:
     frame = CanFrame(1_730_301_035_277_560_123, 0x18A, bytes.fromhex("0011FF"))
     assert format_frame(frame, "can0") == "(1730301035.277560123) can0 18A#0011FF"
     assert parse_line("(1730301035.277560) vcan0 18A#0011FF", {}).timestamp_ns == 1_730_301_035_277_560_000
@@ -35,7 +35,7 @@ def test_lines_are_those_of_candump() -> None:
     assert format_frame(error, "can1") == "(0000000000.000000001) can1 20000004#0000000000000000"
 
 
-def test_buses_are_numbered_as_they_appear(tmp_path: Path) -> None:
+def test_buses_are_numbered_in_order_of_appearance(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     log.write_text(format_frames([CanFrame(1, 1, b""), CanFrame(2, 2, b"", bus=1), CanFrame(3, 3, b"")], ("a", "b")))
     reader = CandumpReader(log)
@@ -46,7 +46,7 @@ def test_buses_are_numbered_as_they_appear(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "tail", ["(0000000002.0000", "(0000000002.000000000) can0 18A#00112", "(0000000002.000000000) can0 18A#0011"]
 )
-def test_a_last_line_without_an_end_is_left_out_and_said(tmp_path: Path, tail: str) -> None:
+def test_last_line_without_an_end_is_left_out_and_reported(tmp_path: Path, tail: str) -> None:
     log = tmp_path / "run.log"
     log.write_text("(0000000001.000000000) can0 18A#0011\n" + tail)
     reader = CandumpReader(log)
@@ -68,7 +68,7 @@ def test_a_last_line_without_an_end_is_left_out_and_said(tmp_path: Path, tail: s
         ("(1.000000000) can0 18A#001122334455667788", "9 bytes"),
     ],
 )
-def test_a_wrong_line_is_named(tmp_path: Path, line: str, words: str) -> None:
+def test_invalid_line_error_names_the_file_and_the_line(tmp_path: Path, line: str, words: str) -> None:
     log = tmp_path / "run.log"
     log.write_text(f"(0.000000000) can0 18A#00\n\n{line}\n(2.000000000) can0 18A#00\n")
     with pytest.raises(RecordingError, match=words) as caught:
@@ -77,6 +77,6 @@ def test_a_wrong_line_is_named(tmp_path: Path, line: str, words: str) -> None:
     assert caught.value.remedy
 
 
-def test_a_log_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="No such file"):
         list(CandumpReader(tmp_path / "absent.log"))

@@ -1,4 +1,4 @@
-"""Time stamps that jitter: the channels tell whether the samples were taken by a clock, or as they are stamped."""
+"""Time stamps that jitter: the channels show whether the samples were taken by a clock or at the stamped times."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def motion(time: Array) -> Array:
 
 
 def record(stamps: Array, *, taken: Array, seed: int = 1) -> Recording:
-    """An angle that was sampled at the instants `taken`, s, and its rows were given `stamps`, s."""
+    """An angle that was sampled at the times `taken`, s, and stamped with `stamps`, s."""
     noise = NOISE * np.random.default_rng(seed).standard_normal(len(taken))
     return Recording(
         channels=ChannelTable((Channel("angle", "rad", "of a pendulum"),)),
@@ -45,17 +45,21 @@ def jittering(clock: Array) -> Array:
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.02])
-def test_stamps_of_samples_that_a_clock_took_are_set_to_it(clock: Array, jittering: Array, missing: float) -> None:
+def test_stamps_of_samples_taken_by_a_clock_are_set_to_that_clock(
+    clock: Array, jittering: Array, missing: float
+) -> None:
     kept = np.random.default_rng(3).uniform(size=ROWS) >= missing
     found = with_regular_times(record(jittering[kept], taken=clock[kept]))
     off = found.time - clock[kept]
-    # What is slower than the window is left: the clock's own beginning, and the mean jitter of a window.
+    # Errors slower than the window remain: the clock's own beginning, and the mean jitter of a window.
     assert np.std(off - np.mean(off)) < 0.2 * JITTER
     assert "0.49 ms RMS" in found.truncated or "0.5 ms RMS" in found.truncated
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.02])
-def test_stamps_of_samples_that_were_taken_then_stay(clock: Array, jittering: Array, missing: float) -> None:
+def test_stamps_of_samples_taken_at_the_stamped_times_are_unchanged(
+    clock: Array, jittering: Array, missing: float
+) -> None:
     kept = np.random.default_rng(3).uniform(size=ROWS) >= missing
     whole = record(jittering[kept], taken=jittering[kept])
     found = jitter(whole)
@@ -64,26 +68,26 @@ def test_stamps_of_samples_that_were_taken_then_stay(clock: Array, jittering: Ar
     assert with_regular_times(whole) is whole
 
 
-def test_of_samples_that_half_follow_their_stamps_half_is_set(clock: Array, jittering: Array) -> None:
+def test_share_is_one_half_if_samples_half_follow_their_stamps(clock: Array, jittering: Array) -> None:
     found = jitter(record(jittering, taken=0.5 * (clock + jittering)))
     assert found is not None
     assert found.share == pytest.approx(0.5, abs=4.0 * found.share_error + 0.01)
 
 
-def test_a_clock_that_drifts_is_no_jitter(clock: Array) -> None:
+def test_drifting_clock_is_not_jitter(clock: Array) -> None:
     drifting = clock * (1.0 + 1e-4) + 1e-3 * np.sin(2.0 * np.pi * clock / 10.0)
     assert jitter(record(drifting, taken=drifting)) is None
 
 
-def test_noise_alone_says_nothing(clock: Array, jittering: Array) -> None:
+def test_noise_alone_leaves_the_stamps_unchanged(clock: Array, jittering: Array) -> None:
     whole = record(jittering, taken=clock)
     still = replace(whole, values={"angle": np.random.default_rng(4).standard_normal(ROWS)})
     assert with_regular_times(still) is still
 
 
 @pytest.mark.parametrize("by_clock", [True, False])
-def test_what_is_held_decides_nothing(clock: Array, jittering: Array, by_clock: bool) -> None:
-    """A command that steps once, one that is a square wave, and one that rests, beside what is measured."""
+def test_held_commands_do_not_affect_the_estimate(clock: Array, jittering: Array, by_clock: bool) -> None:
+    """A command that steps once, a square wave, and a constant one, in addition to the measured channel."""
     whole = record(jittering, taken=clock if by_clock else jittering)
     held = {"once": (clock > 9.0) * 1.0, "square": np.sign(np.sin(clock)), "rests": np.zeros(ROWS)}
     channels = ChannelTable((*whole.channels, *(Channel(name, "V", "held") for name in held)))
@@ -93,8 +97,8 @@ def test_what_is_held_decides_nothing(clock: Array, jittering: Array, by_clock: 
     assert beside.share == pytest.approx(alone.share, abs=alone.share_error)
 
 
-def test_a_table_with_jittering_stamps_is_loaded_by_its_clock(tmp_path: Path) -> None:
-    """But for those who run it again: what the vehicle did with its stamps is done again bit for bit."""
+def test_table_with_jittering_stamps_is_loaded_with_regular_times(tmp_path: Path) -> None:
+    """Except `as_stamped`, for a replay, which repeats bit for bit what the vehicle computed with its stamps."""
     path = OthersVehicle(sensors=SENSORS["jitter"], seed=5).write(tmp_path / "logged.csv", 10.0)
     found, stamped = load_recording(path, "monocab"), load_recording(path, "monocab", as_stamped=True)
     assert np.std(np.diff(found.time)) < 0.1 * 5e-4

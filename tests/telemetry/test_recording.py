@@ -1,4 +1,4 @@
-"""Recordings in files: no bit is lost, a cut-off file gives what it holds, a wrong one says what is wrong."""
+"""Recordings in files: no bit is lost, a truncated file is read as far as possible, an invalid one gives an error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TWO = ChannelTable(MONOCAB[:2])
 
 
 def make(rows: int = 40, channels: ChannelTable = MONOCAB) -> Recording:
-    """Noise at 250 Hz with jitter of single ns, and a value here and there that was not known."""
+    """Noise at 250 Hz with a jitter below 100 ns, and one unknown value."""
     random = np.random.default_rng(7)
     values = {name: 0.1 * random.standard_normal(rows) for name in channels.names}
     values["roll_rate"][3] = np.nan
@@ -53,7 +53,7 @@ def test_csv_keeps_every_value_and_nanosecond_since_the_start(tmp_path: Path) ->
     np.testing.assert_array_equal(original.timestamp_ns - original.timestamp_ns[0], read.timestamp_ns)
 
 
-def test_frames_are_the_rows_in_the_order_asked_for() -> None:
+def test_frames_contain_the_samples_in_the_requested_channel_order() -> None:
     recording = make()
     swapped = ChannelTable((MONOCAB[1], MONOCAB[0]))
     frames = list(recording.frames(swapped))
@@ -64,7 +64,7 @@ def test_frames_are_the_rows_in_the_order_asked_for() -> None:
 
 
 def stream(path: Path, batches: int) -> tuple[Recording, list[int]]:
-    """A stream of batches of ten rows, as the recorder writes it, and the file's size after each."""
+    """A stream of batches of ten samples, as the recorder writes it, and the file's size after each."""
     recording = make(10 * batches, TWO)
     table = np.stack([recording.values[name] for name in TWO.names], axis=1)
     writer = ArrowStreamWriter(path, TWO, {"vehicle": "monocab"})
@@ -76,7 +76,7 @@ def stream(path: Path, batches: int) -> tuple[Recording, list[int]]:
     return recording, sizes
 
 
-def test_a_stream_that_was_never_closed_is_read_to_its_last_batch(tmp_path: Path) -> None:
+def test_unclosed_stream_is_read_to_its_last_batch(tmp_path: Path) -> None:
     original, sizes = stream(tmp_path / "run.arrow", 3)
     (tmp_path / "run.arrow").write_bytes((tmp_path / "run.arrow").read_bytes()[: sizes[-1]])
     read = load(tmp_path / "run.arrow")
@@ -84,7 +84,7 @@ def test_a_stream_that_was_never_closed_is_read_to_its_last_batch(tmp_path: Path
     assert "not closed" in read.truncated
 
 
-def test_a_stream_cut_anywhere_gives_the_whole_batches_before_the_cut(tmp_path: Path) -> None:
+def test_truncated_stream_gives_the_complete_batches_before_the_cut(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.arrow", tmp_path / "cut.arrow"
     original, sizes = stream(path, 3)
     content = path.read_bytes()
@@ -101,14 +101,14 @@ def test_a_stream_cut_anywhere_gives_the_whole_batches_before_the_cut(tmp_path: 
         assert read.truncated
 
 
-def test_what_became_known_at_the_end_is_read_with_the_rest(tmp_path: Path) -> None:
+def test_metadata_written_on_close_are_read_with_the_rest(tmp_path: Path) -> None:
     stream(tmp_path / "run.arrow", 1)
     read = load(tmp_path / "run.arrow")
     assert read.metadata == {"vehicle": "monocab", "end_reason": "done"}
     assert read.truncated == ""
 
 
-def test_a_stream_never_overwrites(tmp_path: Path) -> None:
+def test_stream_never_overwrites_a_file(tmp_path: Path) -> None:
     stream(tmp_path / "run.arrow", 1)
     with pytest.raises(FileExistsError):
         ArrowStreamWriter(tmp_path / "run.arrow", TWO, {})
@@ -121,7 +121,7 @@ def csv(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_csv_of_other_origin(tmp_path: Path) -> None:
+def test_csv_of_other_origin_is_read(tmp_path: Path) -> None:
     read = load(csv(tmp_path, "\ufeffroll, time ,my sensor\n0.01,0.5,7\n\n0.02,0.504,\n"))
     assert read.timestamp_ns.tolist() == [500_000_000, 504_000_000]
     assert read["roll"].tolist() == [0.01, 0.02]
@@ -129,7 +129,7 @@ def test_csv_of_other_origin(tmp_path: Path) -> None:
     assert (read["my sensor"][0], np.isnan(read["my sensor"][1])) == (7.0, True)
 
 
-def test_csv_with_a_last_line_that_was_cut_off(tmp_path: Path) -> None:
+def test_truncated_last_line_of_a_csv_is_left_out_and_reported(tmp_path: Path) -> None:
     read = load(csv(tmp_path, "time,roll\n0.0,0.01\n0.004,0.02\n0.0"))
     assert len(read) == 2
     assert "line 4" in read.truncated
@@ -150,7 +150,7 @@ def test_csv_with_a_last_line_that_was_cut_off(tmp_path: Path) -> None:
         ("time,roll\n", "", "no rows"),
     ],
 )
-def test_a_wrong_csv_names_the_place_and_the_remedy(tmp_path: Path, text: str, key: str, words: str) -> None:
+def test_invalid_csv_error_names_the_place_and_a_remedy(tmp_path: Path, text: str, key: str, words: str) -> None:
     path = csv(tmp_path, text)
     with pytest.raises(RecordingError, match=words) as caught:
         load(path)
@@ -158,7 +158,7 @@ def test_a_wrong_csv_names_the_place_and_the_remedy(tmp_path: Path, text: str, k
     assert caught.value.remedy
 
 
-def test_files_that_are_no_recordings(tmp_path: Path) -> None:
+def test_files_that_are_not_recordings_are_refused(tmp_path: Path) -> None:
     for name, words in [
         ("absent.arrow", "No such file"),
         ("absent.csv", "No such file"),
@@ -176,7 +176,7 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
         assert caught.value.remedy
 
 
-def test_a_parquet_file_that_was_cut_off(tmp_path: Path) -> None:
+def test_truncated_parquet_file_is_refused(tmp_path: Path) -> None:
     save(make(), tmp_path / "run.parquet")
     content = (tmp_path / "run.parquet").read_bytes()
     (tmp_path / "run.parquet").write_bytes(content[: len(content) // 2])
@@ -184,7 +184,7 @@ def test_a_parquet_file_that_was_cut_off(tmp_path: Path) -> None:
         load(tmp_path / "run.parquet")
 
 
-def test_parquet_of_other_origin(tmp_path: Path) -> None:
+def test_parquet_of_other_origin_is_read_and_invalid_columns_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.parquet"
     pa.parquet.write_table(pa.table({"time": [0.0, 0.004], "roll": pa.array([0.1, None], pa.float32())}), path)
     read = load(path)
@@ -199,7 +199,7 @@ def test_parquet_of_other_origin(tmp_path: Path) -> None:
         load(path)
 
 
-def test_a_missing_channel_is_named_with_what_there_is() -> None:
+def test_missing_channel_error_names_the_key_and_the_closest_channel() -> None:
     recording = make()
     with pytest.raises(RecordingError, match="'precession_rate'") as caught:
         recording["precession_rat"]
@@ -211,12 +211,12 @@ def test_a_missing_channel_is_named_with_what_there_is() -> None:
         list(make(channels=TWO).frames(MONOCAB))
 
 
-def test_columns_of_different_length() -> None:
+def test_columns_of_different_length_are_refused() -> None:
     with pytest.raises(RecordingError, match="3 values for 2 instants"):
         Recording(ChannelTable(MONOCAB[:1]), np.array([1, 2]), {"roll": np.zeros(3)})
 
 
-def test_a_part_of_a_recording_keeps_its_rows_and_refuses_what_there_is_not() -> None:
+def test_part_of_a_recording_keeps_its_samples_and_an_empty_part_is_refused() -> None:
     recording = make(40)
     span = float(recording.time[-1] - recording.time[0])
     part = recording.between(0.25 * span, 0.5 * span)
