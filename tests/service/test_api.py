@@ -1,4 +1,4 @@
-"""The control socket: answers arrive line by line, and everything that can go wrong is said."""
+"""The control socket: answers arrive line by line, and every failure is reported."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ async def ask(path: Path, request: Message) -> list[Message]:
     return await asyncio.to_thread(lambda: list(call([path], request)))
 
 
-async def test_an_answer_ends_with_its_result(path: Path) -> None:
+async def test_answer_ends_with_its_result(path: Path) -> None:
     messages = await ask(path, {"verb": "status"})
     assert [message["type"] for message in messages] == ["progress"] * 3 + ["result"]
     assert messages[-1] == {"type": "result", "exit_code": 0, "code": "", "text": "status"}
 
 
-async def test_only_owner_and_group_may_use_it(path: Path) -> None:
+async def test_only_owner_and_group_may_use_the_socket(path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o660
     assert stat.S_IMODE(path.parent.stat().st_mode) & 0o007 == 0
 
 
 @pytest.mark.parametrize("line", [b"not json\n", b"[]\n", b'{"verb": 3}\n'])
-async def test_what_is_not_a_request_is_refused(path: Path, line: bytes) -> None:
+async def test_malformed_request_is_refused(path: Path, line: bytes) -> None:
     reader, writer = await asyncio.open_unix_connection(str(path))
     writer.write(line)
     assert b'"exit_code": 2' in await reader.readline()
     writer.close()
 
 
-async def test_a_client_that_sends_nonsense_for_ever_does_not_disturb_others(path: Path) -> None:
+async def test_client_that_sends_endless_garbage_does_not_disturb_others(path: Path) -> None:
     _, writer = await asyncio.open_unix_connection(str(path))
     writer.write(b"x" * 1_000_000)
     await asyncio.sleep(0.05)
@@ -60,7 +60,7 @@ async def test_a_client_that_sends_nonsense_for_ever_does_not_disturb_others(pat
     writer.close()
 
 
-async def test_a_daemon_that_ends_in_between_is_told(path: Path) -> None:
+async def test_daemon_that_ends_before_it_answers_is_reported(path: Path) -> None:
     with pytest.raises(ApiError, match="ended before it answered"):
         await ask(path, {"verb": "vanish"})
 
@@ -71,7 +71,7 @@ async def test_two_daemons_do_not_share_a_socket(path: Path) -> None:
     assert (await ask(path, {"verb": "status"}))[-1]["exit_code"] == 0
 
 
-async def test_a_socket_left_by_a_killed_daemon_is_taken_over(tmp_path: Path) -> None:
+async def test_socket_left_by_a_killed_daemon_is_taken_over(tmp_path: Path) -> None:
     left = tmp_path / "x.sock"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(left))
@@ -82,11 +82,11 @@ async def test_a_socket_left_by_a_killed_daemon_is_taken_over(tmp_path: Path) ->
     assert not left.exists()
 
 
-async def test_no_daemon_names_where_it_looked(tmp_path: Path) -> None:
+async def test_missing_daemon_error_names_the_socket_and_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(ApiError, match=r"no daemon answers.*nothing\.sock.*upright serve"):
         await ask(tmp_path / "nothing.sock", {"verb": "status"})
 
 
-async def test_a_place_that_cannot_be_written_is_named() -> None:
+async def test_unwritable_socket_path_is_named_in_the_error() -> None:
     with pytest.raises(ApiError, match=r"cannot listen at /proc/upright/x\.sock.*--socket"):
         await ApiServer(Path("/proc/upright/x.sock"), answer).start()

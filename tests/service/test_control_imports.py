@@ -1,4 +1,4 @@
-"""What the control process must not have in memory: asked of a running one."""
+"""Modules that the control process must not import, checked on a running daemon."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ FORBIDDEN = {"sympy", "numba", "llvmlite", "pyarrow", "pandas", "matplotlib"}
 """docs/explanation/architecture.md: nothing that compiles, plots or keeps tables."""
 
 
-def test_a_running_daemon_has_imported_nothing_that_it_must_not(tmp_path: Path) -> None:
+def test_running_daemon_imports_no_forbidden_module(tmp_path: Path) -> None:
     socket, log = tmp_path / "s.sock", tmp_path / "imports"
     command = [sys.executable, "-X", "importtime", "-c", SERVE, "serve", "monocab", "--bus", "virtual:nobody"]
-    with log.open("wb") as told:
-        daemon = subprocess.Popen([*command, "--data", str(tmp_path), "--socket", str(socket)], stderr=told)
+    with log.open("wb") as stream:
+        daemon = subprocess.Popen([*command, "--data", str(tmp_path), "--socket", str(socket)], stderr=stream)
         try:
             for _ in range(300):
                 if socket.exists():
                     break
                 time.sleep(0.1)
             assert socket.exists(), log.read_text()[-500:]
-            time.sleep(1.0)  # the observer is started, and the drives are looked for, which are not there
+            time.sleep(1.0)  # the observer starts, and the daemon searches for the drives, which are not on this bus
             assert daemon.poll() is None
         finally:
             daemon.send_signal(signal.SIGTERM)

@@ -51,14 +51,14 @@ def test_every_experiment_goes_from_rest_to_rest(name: str) -> None:
 
 
 @pytest.mark.parametrize("rate", [100, 500])
-def test_the_other_imu_rates_balance_too(rate: int) -> None:
+def test_vehicle_also_balances_at_the_other_imu_rates(rate: int) -> None:
     closed = ClosedLoop(at_rate(rate))
     closed.run("doublet")
     assert closed.loop.reason == ""
     assert_rests_disarmed(closed)
 
 
-def test_a_second_experiment_follows_the_first() -> None:
+def test_second_experiment_runs_after_the_first() -> None:
     closed = ClosedLoop()
     closed.run("step")
     closed.advance(1.0)
@@ -67,7 +67,7 @@ def test_a_second_experiment_follows_the_first() -> None:
     assert len(closed.witness.recordings) == len(closed.witness.ended) == 2
 
 
-def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
+def test_measured_samples_are_rebuilt_bit_for_bit_from_raw_frames() -> None:
     closed = ClosedLoop()
     closed.run("doublet")
     (_, start_ns), (_, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
@@ -83,7 +83,7 @@ def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
     ]
 
 
-def test_an_operator_ends_it_in_order() -> None:
+def test_operator_request_ends_the_experiment_in_order() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
@@ -95,7 +95,7 @@ def test_an_operator_ends_it_in_order() -> None:
 
 
 @pytest.mark.parametrize("after", [0.5, 4.02, 4.6, 4.9])
-def test_it_ends_in_order_from_every_phase_on_the_way_up(after: float) -> None:
+def test_experiment_ends_in_order_from_every_phase_on_the_way_up(after: float) -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(0.2 + after)
@@ -105,7 +105,7 @@ def test_it_ends_in_order_from_every_phase_on_the_way_up(after: float) -> None:
     assert_rests_disarmed(closed)
 
 
-def test_an_immediate_stop_brakes_the_drives_and_is_latched() -> None:
+def test_immediate_stop_brakes_the_drives_and_is_latched() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
@@ -123,7 +123,7 @@ def test_an_immediate_stop_brakes_the_drives_and_is_latched() -> None:
     assert len(closed.witness.ended) == 1
 
 
-def test_a_drive_fault_needs_a_person_and_then_a_reset_enables_nothing() -> None:
+def test_drive_fault_persists_until_a_reset_which_enables_no_drive() -> None:
     closed = ClosedLoop(faults=["drive_fault:trim@12"])
     closed.loop.start_experiment("hold")
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 40.0)
@@ -140,14 +140,14 @@ def test_a_drive_fault_needs_a_person_and_then_a_reset_enables_nothing() -> None
     assert closed.loop.interlocks() == []
 
 
-def test_nothing_starts_while_the_drives_are_being_set_up() -> None:
+def test_no_experiment_starts_while_the_drives_are_being_set_up() -> None:
     closed = ClosedLoop()
     closed.loop.needs_set_up = True
     assert closed.loop.mode is Mode.DISARMED
     assert closed.loop.interlocks() == ["The drives are being set up."]
 
 
-def test_a_drive_that_only_missed_its_master_is_taken_back() -> None:
+def test_only_communication_faults_are_acknowledged_automatically() -> None:
     closed = ClosedLoop()
     closed.loop.set_up_done({"trim": 0x8130, "gimbal_left": 0x2310})
     assert {drive.config.name for drive in closed.loop._to_acknowledge} == {"trim"}
@@ -163,7 +163,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "code"), FAULTS)
-def test_a_fault_ends_in_a_stop_with_its_reason(fault: str, code: str) -> None:
+def test_fault_stops_the_run_and_gives_its_reason(fault: str, code: str) -> None:
     closed = ClosedLoop(faults=[fault])
     closed.loop.start_experiment("hold")
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 40.0)
@@ -177,7 +177,7 @@ def test_a_fault_ends_in_a_stop_with_its_reason(fault: str, code: str) -> None:
     assert closed.witness.ended, "the recording goes on for a moment, then ends"
 
 
-def test_nobody_listening_means_a_quick_stop_by_the_drives_themselves() -> None:
+def test_fault_is_latched_if_no_frames_reach_the_drives() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
@@ -186,7 +186,7 @@ def test_nobody_listening_means_a_quick_stop_by_the_drives_themselves() -> None:
     assert closed.loop.mode is Mode.FAULT
 
 
-def test_late_cycles_are_not_answered_and_stop_the_run_when_they_pile_up() -> None:
+def test_only_the_last_of_several_late_cycles_is_answered() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
@@ -198,7 +198,7 @@ def test_late_cycles_are_not_answered_and_stop_the_run_when_they_pile_up() -> No
     assert len(setpoints) == 1
 
 
-def test_the_observer_going_away_ends_it_in_order() -> None:
+def test_loss_of_the_observer_ends_the_experiment_in_order() -> None:
     closed = ClosedLoop()
     closed.loop.start_experiment("hold")
     closed.advance(10.0)
@@ -209,7 +209,7 @@ def test_the_observer_going_away_ends_it_in_order() -> None:
     assert_rests_disarmed(closed)
 
 
-def test_a_bus_that_goes_down_is_a_fault_while_running_and_a_reason_while_not() -> None:
+def test_bus_down_is_a_fault_while_running_and_an_interlock_otherwise() -> None:
     closed = ClosedLoop()
     closed.lose_bus()
     assert closed.loop.mode is Mode.STARTING
@@ -222,7 +222,7 @@ def test_a_bus_that_goes_down_is_a_fault_while_running_and_a_reason_while_not() 
     assert closed.loop.code == "bus_down"
 
 
-def test_a_vehicle_that_is_not_on_its_support_is_refused() -> None:
+def test_vehicle_that_is_not_on_its_support_is_refused() -> None:
     closed = ClosedLoop()
     closed.vehicle = closed.loop.vehicle = closed.vehicle.model_copy(
         update={"limits": closed.vehicle.limits.model_copy(update={"support_deg": 2.0})}
@@ -231,7 +231,7 @@ def test_a_vehicle_that_is_not_on_its_support_is_refused() -> None:
     assert "imu.axes" in closed.loop.interlocks()[0]
 
 
-def test_a_static_torque_within_reach_is_balanced_and_one_beyond_is_ended() -> None:
+def test_static_torque_within_the_limits_is_balanced() -> None:
     closed = ClosedLoop(hide=["static_torque"])
     closed.run("hold")
     assert closed.loop.reason == ""

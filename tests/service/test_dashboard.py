@@ -1,8 +1,8 @@
 """The dashboard in a real browser: a real broker, the daemon with a virtual vehicle, and Debian's Chromium.
 
-One story in several tests, in order, since starting all this takes a while: an experiment is started on the page and
-looked at in each view, its numbers are compared with the recording, the missing effect is added, the stop is pressed,
-the page is closed. Screenshots go to the folder UPRIGHT_ARTIFACTS, or .pytest_cache/dashboard.
+The tests form one sequence, in this order, since starting all this takes a while: an experiment is started on the page
+and inspected in each view, its numbers are compared with the recording, the missing effect is added, the stop is
+pressed, the page is closed. Screenshots go to the folder UPRIGHT_ARTIFACTS, or .pytest_cache/dashboard.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ HOSTILE = "<img src=x onerror=window.hacked=1>"
 HIDDEN = "viscous_friction"
 METHODS = ("prediction_error", "instrumental_variables")
 PATIENCE = 60_000
-"""ms, on a machine that is busy with other tests."""
+"""Timeout on a machine that is busy with other tests, ms."""
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def browser() -> Iterator[Browser]:
     executable = shutil.which("chromium")
     if executable is None:
         pytest.skip("no chromium here: apt-get install chromium")
-    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []  # as root it has none
+    sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []  # there is no sandbox as root
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=sandbox)
         yield browser
@@ -71,37 +71,37 @@ def browser() -> Iterator[Browser]:
 
 
 class Watched:
-    """A page, and what went wrong on it: console errors, exceptions, requests that leave this machine."""
+    """A page and its errors: console errors, exceptions, requests that leave this machine."""
 
     def __init__(self, context: BrowserContext, address: str, link: str | None = "live", **config: object) -> None:
-        """`link` is what the page says of it in the end; `config` is told it in place of what its server says."""
-        self.wrong: list[str] = []
+        """`link` is the connection state that the page reaches; `config` replaces entries of the server's answer."""
+        self.errors: list[str] = []
         self.page: Page = context.new_page()
         self.page.set_default_timeout(PATIENCE)
-        self.page.on("console", lambda said: self.wrong.append(said.text) if said.type == "error" else None)
-        self.page.on("pageerror", lambda error: self.wrong.append(str(error)))
-        self.page.on("request", lambda request: self._is_local(request.url))
-        self.page.on("websocket", lambda socket: self._is_local(socket.url))
+        self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self._check_local(request.url))
+        self.page.on("websocket", lambda socket: self._check_local(socket.url))
         if config:
-            self.page.route("**/api/config", lambda route: self._tell(route, config))
+            self.page.route("**/api/config", lambda route: self._change_config(route, config))
         self.page.goto(address)
         if link is not None:
             expect(self.page.locator("#link")).to_have_text(link, timeout=PATIENCE)
 
-    def _tell(self, route: Route, config: dict[str, object]) -> None:
+    def _change_config(self, route: Route, config: dict[str, object]) -> None:
         answer = route.fetch()
         route.fulfill(response=answer, json={**answer.json(), **config})
 
-    def _is_local(self, url: str) -> None:
+    def _check_local(self, url: str) -> None:
         if urlsplit(url).hostname not in ("localhost", "127.0.0.1"):
-            self.wrong.append(f"request to {url}")
+            self.errors.append(f"request to {url}")
 
     def picture(self, path: Path) -> None:
-        """All of the page, in a window as high as it is: what is not on the screen is not drawn."""
+        """Take a picture of the whole page, in a window of its full height: charts off the screen are not drawn."""
         size = self.page.viewport_size
         assert size is not None
         height, drawn = size["height"], 0
-        while height != drawn:  # charts that come into sight may make it higher
+        while height != drawn:  # charts that become visible may make it higher
             drawn, height = height, self.page.evaluate("document.documentElement.scrollHeight")
             self.page.set_viewport_size({"width": size["width"], "height": height})
             self.page.wait_for_timeout(400)
@@ -119,7 +119,7 @@ def watched(browser: Browser, parts: Topology) -> Iterator[Watched]:
     watched = Watched(context, parts.page)
     yield watched
     context.close()
-    assert watched.wrong == []
+    assert watched.errors == []
 
 
 def start(watched: Watched, name: str) -> None:
@@ -133,7 +133,7 @@ READ = "id => { const o = document.getElementById(id); return [Number(o.dataset.
 
 @pytest.fixture(scope="module")
 def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Recording, list[tuple[float, float]]]:
-    """A multisine started on the page; what was read off the page meanwhile, and the recording of it."""
+    """A multisine started on the page: its recording, and the values read off the page meanwhile."""
     page = watched.page
     start(watched, "multisine")
     parts.until("phase", "excite")
@@ -154,21 +154,21 @@ def experiment(watched: Watched, parts: Topology, screenshots: Path) -> tuple[Re
     return load_recording(parts.recordings / name), read
 
 
-def test_what_the_page_shows_is_what_was_recorded(
+def test_page_shows_the_recorded_values(
     experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
 ) -> None:
     recording, read = experiment
     stamps = recording.timestamp_ns * 1e-9
     for moment, value in read:
         place = int(np.argmin(np.abs(stamps - moment)))
-        # A batch has a common step: its rows are within a fraction of a cycle of where they are recorded.
+        # The samples of a batch have one common step: they are within a fraction of a cycle of the recorded times.
         assert abs(stamps[place] - moment) < 0.5e-3
         assert value == pytest.approx(recording["roll"][place], rel=1e-6)
     assert np.ptp([value for _, value in read]) > math.radians(0.05)  # it moved
-    assert watched.wrong == []
+    assert watched.errors == []
 
 
-def test_the_estimates_on_the_page_are_the_recordings(
+def test_estimates_on_the_page_equal_those_of_the_recording(
     experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
 ) -> None:
     recording, _ = experiment
@@ -179,21 +179,21 @@ def test_the_estimates_on_the_page_are_the_recordings(
         assert shown == pytest.approx(found["recursive_prediction_error"]["parameters"][name]["value"], rel=1e-9)
 
 
-def test_the_model_is_drawn_over_the_measurement(
+def test_live_view_shows_model_prediction_cycle_rate_and_bus_load(
     experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
 ) -> None:
     watched.show("live")
-    # A chart is drawn when it has come into sight, which takes a frame or two.
+    # A chart is drawn once it is visible, which takes a frame or two.
     expect(watched.page.locator("#view-live .chart").first).to_contain_text("model, 0.5 s ahead")
     assert watched.page.inner_text("#figure-rate").endswith("of 250 Hz")
     assert float(watched.page.inner_text("#figure-load").split()[0]) > 10.0
 
 
 @pytest.mark.parametrize("look", ["light", "dark"])
-def test_on_paper_every_chart_is_drawn(
+def test_every_chart_is_drawn_when_printing(
     look: Literal["light", "dark"], experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
 ) -> None:
-    """Printed in earnest; what is below the fold has no canvas before and after."""
+    """Printed to a real PDF; charts below the fold have no canvas before and after."""
     page = watched.page
     watched.show("live")
     page.set_viewport_size({"width": 1280, "height": 400})
@@ -208,14 +208,14 @@ def test_on_paper_every_chart_is_drawn(
     printed = page.evaluate("window.printed")
     assert len(printed) == page.locator("#view-live .chart").count() > before
     for title, coloured, darkest in printed:
-        # The model may still be being compiled, once on a machine: then nothing was predicted.
+        # On first use on a machine the model may still be compiling: then there are no predictions.
         assert coloured > 100 or title.startswith("Innovation"), f"{title} has no curve"
-        # The text of the axes is dark, also of a page that is not: paper is white.
+        # The text of the axes is dark even if the page is in dark mode, since paper is white.
         assert darkest < 60, title
     expect(last).to_have_count(0)
     page.emulate_media(color_scheme="light")
     page.set_viewport_size({"width": 1280, "height": 900})
-    assert watched.wrong == []
+    assert watched.errors == []
 
 
 PRINTED = """() => matchMedia("print").addEventListener("change", ({ matches }) => {
@@ -232,40 +232,42 @@ PRINTED = """() => matchMedia("print").addEventListener("change", ({ matches }) 
     return [chart.querySelector("figcaption").innerText, coloured, darkest];
   });
 }, { once: true })"""
-"""Of each chart on paper: how many pixels have a curve's colour, and the darkest grey."""
+"""For each printed chart: its title, the number of pixels in a curve's colour, and the darkest grey."""
 
 
-def test_add_makes_the_error_fall(experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched) -> None:
+def test_adding_the_missing_effect_at_least_halves_the_error(
+    experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched
+) -> None:
     page = watched.page
     watched.show("gap")
     page.locator(f"[data-add={HIDDEN}]").first.click()
     after = page.locator("[data-after=roll_rate]")
     expect(after).to_be_visible(timeout=120_000)
     before = float(page.get_attribute("[data-before=roll_rate]", "data-value") or "nan")
-    # Of an effect that stands out by far at least half of the error goes; the noise floor is what stays.
+    # For such a large effect at least half of the error is removed; the noise floor remains.
     assert float(after.get_attribute("data-value") or "nan") < 0.5 * before
     expect(page.locator("#gap-model")).to_contain_text(HIDDEN)
 
 
-def test_where_the_model_fails_is_drawn(
+def test_missing_torque_is_plotted_against_the_roll_rate(
     experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched, screenshots: Path
 ) -> None:
     page = watched.page
     watched.show("gap")
     page.click("#gap-compare")
     expect(page.locator("#gap-where h3").first).to_be_visible(timeout=120_000)
-    # The model without the friction lacks a torque that goes by the roll rate.
+    # The model without the friction lacks a torque that depends on the roll rate.
     expect(page.locator("#gap-where figure").filter(has_text="by roll_rate").first).to_be_visible()
     watched.picture(screenshots / "gap-filled-light.png")
 
 
-class Tell(Protocol):
+class Publish(Protocol):
     def __call__(self, topic: str, payload: bytes | str) -> None: ...
 
 
 @contextmanager
-def in_the_vehicles_name(parts: Topology) -> Iterator[Tell]:
-    """Publishes, on a topic of the vehicle, what the vehicle itself did not say."""
+def publishing_as_the_vehicle(parts: Topology) -> Iterator[Publish]:
+    """A function that publishes, on a topic of the vehicle, messages that the vehicle itself did not send."""
     vehicle = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     vehicle.username_pw_set("upright", parts.password("upright"))
     vehicle.connect("127.0.0.1", parts.mqtt)
@@ -278,10 +280,10 @@ def in_the_vehicles_name(parts: Topology) -> Iterator[Tell]:
 def batches(parts: Topology, count: int) -> list[bytes]:
     """The next `count` batches of telemetry."""
     login = {"username": "dashboard", "password": parts.password("dashboard")}
-    heard = subscribe.simple(
+    received = subscribe.simple(
         "upright/monocab/telemetry", hostname="127.0.0.1", port=parts.mqtt, auth=login, msg_count=count
     )
-    return [message.payload for message in (heard if count > 1 else [heard])]
+    return [message.payload for message in (received if count > 1 else [received])]
 
 
 def ignored(page: Page) -> int:
@@ -294,29 +296,29 @@ TIMES = """() => {
   window.clock = new MutationObserver(() => window.times.push(Number(shown.dataset.time)));
   window.clock.observe(shown, { attributeFilter: ["data-time"] });
 }"""
-"""Keeps each time that the page shows from now on."""
+"""Collects every time stamp that the page shows from now on."""
 
 
-def test_what_was_overtaken_is_counted_and_not_shown(watched: Watched, parts: Topology) -> None:
+def test_out_of_order_telemetry_is_counted_and_not_shown(watched: Watched, parts: Topology) -> None:
     page = watched.page
     watched.show("live")
     before = ignored(page)
     page.evaluate(TIMES)
-    overtaken = 0
-    with in_the_vehicles_name(parts) as tell:
+    reordered = 0
+    with publishing_as_the_vehicle(parts) as publish:
         for _ in range(5):
             later = batches(parts, 3)
             for batch in (later[1], later[0]):  # in the wrong order, after a later one
-                tell("telemetry", batch)
-                overtaken += 1
-    expect(page.locator("#ignored")).to_have_attribute("data-count", str(before + overtaken))
+                publish("telemetry", batch)
+                reordered += 1
+    expect(page.locator("#ignored")).to_have_attribute("data-count", str(before + reordered))
     times = page.evaluate("window.clock.disconnect(), window.times")
     assert len(times) > 5
     assert np.all(np.diff(times) >= 0.0)
     expect(page.locator("#link")).to_have_text("live")
 
 
-def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: Topology) -> None:
+def test_malformed_and_hostile_messages_are_counted_and_run_no_script(watched: Watched, parts: Topology) -> None:
     page = watched.page
     watched.show("live")
     before = ignored(page)
@@ -333,10 +335,10 @@ def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: 
         ("event", b"\xff\xfe"),
         ("telemetry", json.dumps({"t0": 1.0, "dt": 0.004, "roll": [0.0] * 50_000})),
     ]
-    with in_the_vehicles_name(parts) as tell:
+    with publishing_as_the_vehicle(parts) as publish:
         for topic, payload in bad:
-            tell(topic, payload)
-        tell("event", json.dumps({"severity": "info", "code": "x", "text": HOSTILE}))
+            publish(topic, payload)
+        publish("event", json.dumps({"severity": "info", "code": "x", "text": HOSTILE}))
     expect(page.locator("#events")).to_contain_text(HOSTILE, timeout=PATIENCE)
     expect(page.locator("#ignored")).to_have_attribute("data-count", str(before + len(bad)))
     hostile = parts.recordings / f"{HOSTILE}.arrow"
@@ -351,20 +353,20 @@ def test_hostile_messages_are_counted_and_nothing_runs(watched: Watched, parts: 
     expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
 
 
-def test_html_in_a_vehicle_name_is_text(browser: Browser, parts: Topology) -> None:
-    """A vehicle file refuses such a name; whoever else tells it one, the page shows what it is told."""
+def test_html_in_a_vehicle_name_is_shown_as_text(browser: Browser, parts: Topology) -> None:
+    """A vehicle file refuses such a name. If the server reports one anyway, the page shows it as text."""
     context = browser.new_context()
     named = Watched(context, parts.page, vehicle=HOSTILE)
     expect(named.page.locator("#vehicle")).to_have_text(HOSTILE)
     assert HOSTILE in named.page.title()
     assert named.page.evaluate("window.hacked") is None
-    assert named.wrong == []
+    assert named.errors == []
     context.close()
 
 
 @pytest.fixture(scope="module")
 def asked(experiment: tuple[Recording, list[tuple[float, float]]], watched: Watched) -> None:
-    """What takes long is asked for, and goes on while other tests run."""
+    """Starts the slow diagnosis and identification, which continue while other tests run."""
     page = watched.page
     watched.show("gap")
     page.click("#gap-diagnose")
@@ -377,7 +379,7 @@ def asked(experiment: tuple[Recording, list[tuple[float, float]]], watched: Watc
 
 
 @pytest.mark.usefixtures("asked")
-def test_every_control_is_reached_by_tab_and_shows_it(watched: Watched) -> None:
+def test_every_control_is_reached_by_tab_with_a_visible_focus(watched: Watched) -> None:
     page = watched.page
     for view in VIEWS:
         watched.show(view)
@@ -387,7 +389,7 @@ def test_every_control_is_reached_by_tab_and_shows_it(watched: Watched) -> None:
         for _ in range(4 * count + 20):
             page.keyboard.press("Tab")
             place, there, outline = page.evaluate(FOCUSED)
-            if there != count:  # a recording came or went: another control has each place now
+            if there != count:  # a recording appeared or disappeared: the controls have new numbers
                 reached, count = set(), there
             if place >= 0:
                 assert outline >= 2.0, f"{view}: {place} has no visible focus"
@@ -395,7 +397,7 @@ def test_every_control_is_reached_by_tab_and_shows_it(watched: Watched) -> None:
             if len(reached) == count:
                 break
         assert reached == set(range(count)), f"{view}: {count} controls"
-    # The tabs are one stop, and arrows go from one to the next.
+    # The tabs are a single tab stop; the arrow keys move between them.
     page.focus("#tab-live")
     for view in (*VIEWS[1:], VIEWS[0]):
         page.keyboard.press("ArrowRight")
@@ -409,10 +411,10 @@ FOCUSED = """() => {
   const focused = document.activeElement, style = getComputedStyle(focused);
   return [all.indexOf(focused), all.length, style.outlineStyle === "none" ? 0 : parseFloat(style.outlineWidth)];
 }"""
-"""Which of how many controls has the focus (-1: none), and how wide its outline is, px."""
+"""Index of the control with the focus (-1: none), number of controls, and width of the outline, px."""
 
 
-def test_stop_stops_the_drives_from_the_keyboard(watched: Watched, parts: Topology) -> None:
+def test_escape_ends_the_experiment_and_disables_the_drives(watched: Watched, parts: Topology) -> None:
     start(watched, "hold")
     while {drive["state"] for drive in parts.status()["drives"]} != {"Operation enabled"}:
         watched.page.wait_for_timeout(100)
@@ -422,13 +424,13 @@ def test_stop_stops_the_drives_from_the_keyboard(watched: Watched, parts: Topolo
     assert status["reason"] == "an operator requested the end"
     assert {drive["state"] for drive in status["drives"]} == {"Switch on disabled"}
     expect(watched.page.locator("#mode")).to_have_text("disarmed")
-    # In its order, but not accepted.
+    # The experiment ended in order, but is not accepted.
     expect(watched.page.locator("#outcome")).to_have_attribute("data-ok", "early")
     expect(watched.page.locator("#outcome")).to_contain_text("ended early: an operator requested the end")
-    assert watched.wrong == []
+    assert watched.errors == []
 
 
-def test_a_fault_is_shown_and_reset(watched: Watched, parts: Topology) -> None:
+def test_fault_is_shown_and_reset(watched: Watched, parts: Topology) -> None:
     page = watched.page
     parts.until("interlocks", [])
     start(watched, "hold")
@@ -446,7 +448,7 @@ def test_a_fault_is_shown_and_reset(watched: Watched, parts: Topology) -> None:
 
 @pytest.fixture(scope="module")
 def report(watched: Watched) -> str:
-    """The recording of which a report is asked for; it is written while other tests run."""
+    """The recording for which a report is requested; the report is written while other tests run."""
     watched.show("recordings")
     button = watched.page.locator("[data-report$=_hold\\.arrow]").first
     button.click()
@@ -454,7 +456,7 @@ def report(watched: Watched) -> str:
 
 
 @pytest.mark.usefixtures("report")
-def test_a_browser_that_is_killed_ends_its_experiment(browser: Browser, parts: Topology) -> None:
+def test_killed_browser_ends_its_experiment(browser: Browser, parts: Topology) -> None:
     before = renderers(browser)
     context = browser.new_context()
     other = Watched(context, parts.page)
@@ -469,12 +471,12 @@ def test_a_browser_that_is_killed_ends_its_experiment(browser: Browser, parts: T
 
 
 def renderers(browser: Browser) -> set[int]:
-    """Process ids of what draws the pages."""
+    """Process ids of the renderers of the pages."""
     processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
     return {each["id"] for each in processes if each["type"] == "renderer"}
 
 
-def test_a_wrong_password_is_told_and_asked_for_and_a_page_that_is_closed_ends_its_experiment(
+def test_wrong_password_asks_for_login_and_closing_the_page_ends_its_experiment(
     browser: Browser, parts: Topology, screenshots: Path
 ) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 700})
@@ -492,7 +494,7 @@ def test_a_wrong_password_is_told_and_asked_for_and_a_page_that_is_closed_ends_i
     page.click("#login button")
     expect(page.locator("#link")).to_have_text("live")
     expect(page.locator("#login")).to_be_hidden()
-    assert other.wrong == []
+    assert other.errors == []
     parts.until("interlocks", [])
     start(other, "hold")
     holder = parts.status()["lease"]["holder"]
@@ -504,11 +506,11 @@ def test_a_wrong_password_is_told_and_asked_for_and_a_page_that_is_closed_ends_i
     )
 
 
-def test_a_slow_link_is_told_does_not_pile_up_and_lets_a_stop_through(
+def test_slow_link_is_reported_builds_no_backlog_and_lets_a_stop_through(
     browser: Browser, watched: Watched, parts: Topology, screenshots: Path
 ) -> None:
     link = SlowLink(parts.websocket, rate=20e3, delay=0.3)
-    # The policy of the page lets it talk to its broker only.
+    # The page's content security policy only allows connections to its own broker.
     context = browser.new_context(bypass_csp=True)
     slow = Watched(context, parts.page, None, websocket=f"ws://127.0.0.1:{link.port}")
     expect(slow.page.locator("#link")).to_contain_text("late: data are up to", timeout=PATIENCE)
@@ -516,34 +518,34 @@ def test_a_slow_link_is_told_does_not_pile_up_and_lets_a_stop_through(
     start(watched, "hold")
     ages = [slow.page.evaluate(AGE) for _ in range(25) if slow.page.wait_for_timeout(100) is None]
     slow.page.screenshot(path=screenshots / "live-slow.png")
-    # Three times as much is sent as gets through: in the seconds so far it would be ten and more behind.
+    # Three times as much is sent as gets through: with a backlog the page would be ten or more seconds late by now.
     assert max(ages) < 7.0, ages
     slow.page.click("#stop")
     status = parts.until("mode", "disarmed", limit=20.0)
     assert status["reason"] == "an operator requested the end"
-    assert slow.wrong == []
+    assert slow.errors == []
     context.close()
     link.close()
 
 
 AGE = "() => Date.now() / 1000 - Number(document.querySelector('[id^=value-]').dataset.time)"
-"""s since what is shown was measured."""
+"""Age of the displayed values, s."""
 
 
-def test_what_is_missing_is_told_and_what_was_added_is_taken_back(asked: None, watched: Watched) -> None:
+def test_model_with_the_added_effect_is_adequate_and_undo_removes_the_effect(asked: None, watched: Watched) -> None:
     page = watched.page
     watched.show("gap")
-    # With the friction that was added nothing is.
+    # With the added friction, nothing is missing.
     expect(page.locator("#gap-ranked")).to_contain_text("The model is adequate", timeout=120_000)
     expect(page.locator("#gap-ranked")).to_contain_text("Next experiment: ")
-    told = page.locator("#gap-ranked [data-text=disturbance]")
-    expect(told).to_contain_text("The best possible prediction 0.5 s ahead has ")
-    expect(told).to_contain_text("deg RMS in roll")
+    disturbance = page.locator("#gap-ranked [data-text=disturbance]")
+    expect(disturbance).to_contain_text("The best possible prediction 0.5 s ahead has ")
+    expect(disturbance).to_contain_text("deg RMS in roll")
     page.click("#gap-undo")
     expect(page.locator("#gap-model")).to_contain_text("nothing", timeout=PATIENCE)
 
 
-def test_methods_stand_side_by_side(asked: None, watched: Watched) -> None:
+def test_methods_are_compared_side_by_side(asked: None, watched: Watched) -> None:
     watched.show("identify")
     inertia = watched.page.locator("#methods table").filter(has_text="inertia").first
     expect(inertia).to_be_visible(timeout=120_000)
@@ -555,11 +557,11 @@ def test_methods_stand_side_by_side(asked: None, watched: Watched) -> None:
     expect(choice).to_contain_text("Disturbance estimated by prediction_error: ")
     for method in METHODS:
         row = inertia.get_by_role("row").filter(has=watched.page.get_by_role("rowheader", name=method, exact=True))
-        # Without the friction a model of the roll motion explains it by another inertia, but not by any.
+        # Without the friction, a model of the roll motion has a wrong inertia, but not an arbitrary one.
         assert float(row.locator("td").first.inner_text()) == pytest.approx(1650.0, rel=0.1)
 
 
-def test_a_report_is_written(report: str, watched: Watched) -> None:
+def test_report_is_written_for_the_recording(report: str, watched: Watched) -> None:
     page = watched.page
     watched.show("recordings")
     link = page.locator("#view-recordings a", has_text=".html")
@@ -570,7 +572,9 @@ def test_a_report_is_written(report: str, watched: Watched) -> None:
 
 
 @pytest.mark.parametrize(("look", "width"), [("dark", 1280), ("phone", 390)])
-def test_each_view_in(look: str, width: int, watched: Watched, screenshots: Path) -> None:
+def test_every_view_fits_the_width_in_dark_mode_and_on_a_phone(
+    look: str, width: int, watched: Watched, screenshots: Path
+) -> None:
     page = watched.page
     page.emulate_media(color_scheme="dark" if look == "dark" else "light")
     page.set_viewport_size({"width": width, "height": 844})
@@ -582,12 +586,12 @@ def test_each_view_in(look: str, width: int, watched: Watched, screenshots: Path
         watched.picture(screenshots / f"{view}-{look}.png")
         wide = page.evaluate("document.documentElement.scrollWidth")
         assert wide <= width, f"{view} is {wide} px wide"
-    assert watched.wrong == []
+    assert watched.errors == []
 
 
-def test_it_says_what_is_stale_and_comes_back(watched: Watched, parts: Topology) -> None:
+def test_stale_and_lost_broker_connections_are_shown_and_recover(watched: Watched, parts: Topology) -> None:
     """A broker that hangs, and one that is killed and started again."""
-    link, before = watched.page.locator("#link"), list(watched.wrong)
+    link, before = watched.page.locator("#link"), list(watched.errors)
     broker = int((parts.folder / "mosquitto.pid").read_text())
     os.kill(broker, signal.SIGSTOP)
     try:
@@ -600,8 +604,8 @@ def test_it_says_what_is_stale_and_comes_back(watched: Watched, parts: Topology)
     expect(watched.page.locator("#stop")).to_be_disabled()
     expect(link).to_have_text("live", timeout=PATIENCE)
     # While there is no broker the browser itself reports each attempt as an error.
-    assert all("WebSocket connection" in said for said in watched.wrong[len(before) :])
-    watched.wrong[:] = before
+    assert all("WebSocket connection" in message for message in watched.errors[len(before) :])
+    watched.errors[:] = before
 
 
 @pytest.mark.parametrize("kind", registry.names())
@@ -612,13 +616,13 @@ def test_every_limit_and_amplitude_has_a_unit(kind: str) -> None:
     assert found.views.amplitude
 
 
-def test_an_effect_is_added_where_it_was_found(tmp_path: Path) -> None:
-    """A slope is a torque at the robot's wheels, not at its body; what the model does not have is no place."""
+def test_effect_is_added_at_its_place_and_unknown_places_are_refused(tmp_path: Path) -> None:
+    """A slope is a torque at the robot's wheels, not at its body. Places that the model does not have are refused."""
     (tmp_path / "square.arrow").touch()
     dashboard = Dashboard(Settings(load("twsbr"), tmp_path, "ws://127.0.0.1:9001"))
     asked = {"effect": "static_torque@travel", "recordings": ["square.arrow"]}
     words = dashboard._words("add", asked)
     assert words[:6] == ["model", "add", "twsbr", "static_torque", "--at", "travel"]
-    for strange in ("static_torque@moon", "static_torque@motors", "static_torque@../travel", "slope@travel"):
+    for invalid in ("static_torque@moon", "static_torque@motors", "static_torque@../travel", "slope@travel"):
         with pytest.raises(HTTPException):
-            dashboard._words("add", {**asked, "effect": strange})
+            dashboard._words("add", {**asked, "effect": invalid})

@@ -1,4 +1,4 @@
-"""The story as a person runs it: `upright demo` from the command line, and what can be done with its recordings."""
+"""`upright demo` from the command line, and what can be done with its recordings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(180)
 
 
 STILL = ("--hide", "disturbance=0")
-"""What is asserted of a demo is asserted of a vehicle that nothing shakes."""
+"""The assertions are about a vehicle without a random disturbance."""
 
 
 def upright(*words: str, code: int = 0) -> str:
@@ -44,7 +44,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize(("name", "bound"), [("step", 0.03), ("sweep", 0.01)])
-def test_inertia_and_gravity_stiffness_come_out(recordings: dict[str, Path], name: str, bound: float) -> None:
+def test_inertia_and_gravity_stiffness_are_identified(recordings: dict[str, Path], name: str, bound: float) -> None:
     method = "recursive_least_squares"
     found = document("identify", str(recordings[name]), "--method", method)["methods"][method]
     assert found["status"] == "ok"
@@ -54,7 +54,7 @@ def test_inertia_and_gravity_stiffness_come_out(recordings: dict[str, Path], nam
         assert abs(entry["value"] - true) < 1.96 * entry["std"]
 
 
-def test_the_cad_model_fails_and_the_identified_one_is_adequate(recordings: dict[str, Path]) -> None:
+def test_cad_model_is_not_adequate_and_the_identified_one_is(recordings: dict[str, Path]) -> None:
     sweep = recordings["sweep"]
     models = document("compare", str(sweep), "--model", str(sweep.with_suffix(".estimates.json")))["models"]
     by_name = {model["name"]: model for model in models}
@@ -63,7 +63,7 @@ def test_the_cad_model_fails_and_the_identified_one_is_adequate(recordings: dict
     assert by_name["recursive_least_squares"]["fit_percent"]["roll"] > 95 > by_name["CAD"]["fit_percent"]["roll"]
 
 
-def test_replay_gives_the_live_numbers_from_either_file(recordings: dict[str, Path]) -> None:
+def test_replay_of_either_file_gives_the_live_estimates(recordings: dict[str, Path]) -> None:
     arrow, log = recordings["step"], recordings["step"].with_suffix(".log")
     results = document("replay", str(arrow), str(log))["recordings"]
     live = json.loads(arrow.with_suffix(".estimates.json").read_text())["methods"]
@@ -71,13 +71,13 @@ def test_replay_gives_the_live_numbers_from_either_file(recordings: dict[str, Pa
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
-def test_a_raw_log_converts(recordings: dict[str, Path], tmp_path: Path, suffix: str) -> None:
+def test_raw_log_is_converted(recordings: dict[str, Path], tmp_path: Path, suffix: str) -> None:
     target = tmp_path / f"step{suffix}"
     upright("convert", str(recordings["step"].with_suffix(".log")), str(target))
     assert target.stat().st_size > 100_000
 
 
-def test_a_truncated_recording_gives_what_it_holds_and_says_so(recordings: dict[str, Path], tmp_path: Path) -> None:
+def test_truncated_recording_is_identified_with_a_warning(recordings: dict[str, Path], tmp_path: Path) -> None:
     whole = recordings["sweep"].read_bytes()
     cut = tmp_path / "cut.arrow"
     cut.write_bytes(whole[: len(whole) // 2])
@@ -87,21 +87,21 @@ def test_a_truncated_recording_gives_what_it_holds_and_says_so(recordings: dict[
     assert "inertia" in done.stdout
 
 
-def test_a_hidden_effect_makes_the_model_fail(tmp_path: Path) -> None:
+def test_no_model_is_adequate_with_a_hidden_effect(tmp_path: Path) -> None:
     upright("demo", *STILL, "--experiment", "multisine", "--hide", "coulomb_friction", "--data", str(tmp_path))
     recording = next(tmp_path.glob("*_multisine.arrow"))
     models = document("compare", str(recording), "--model", str(recording.with_suffix(".estimates.json")))["models"]
     assert not any(model["adequate"] for model in models)
 
 
-def test_an_effect_that_does_not_exist_lists_those_that_do(tmp_path: Path) -> None:
-    said = upright("demo", "--hide", "gremlins", "--data", str(tmp_path), code=1)
-    assert "gremlins" in said
-    assert "coulomb_friction" in said
+def test_unknown_effect_error_lists_the_available_effects(tmp_path: Path) -> None:
+    output = upright("demo", "--hide", "gremlins", "--data", str(tmp_path), code=1)
+    assert "gremlins" in output
+    assert "coulomb_friction" in output
 
 
-class Shown:
-    """A demo that shows its dashboard. `port` is the page's, `said` what it has printed so far."""
+class DashboardDemo:
+    """A demo with its dashboard. `port` is the port of the page, `output` the text printed so far."""
 
     # Under a shell that runs the tests in the background, Ctrl-C would be ignored.
     WORDS = (
@@ -115,13 +115,13 @@ class Shown:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
         words = ["demo", "--dashboard", "--port", str(self.port), "--experiment", "hold", "--data", str(folder)]
-        self.said = ""
+        self.output = ""
         self._until = time.monotonic() + 120.0
         self._running = subprocess.Popen(
             [*self.WORDS, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
 
-    def __enter__(self) -> Shown:
+    def __enter__(self) -> DashboardDemo:
         self._running.__enter__()
         return self
 
@@ -130,65 +130,65 @@ class Shown:
         self._running.communicate()
 
     def wait_for(self, words: str) -> None:
-        """Until it has said `words`."""
+        """Wait until it has printed `words`."""
         assert self._running.stdout is not None
-        while words not in self.said:
+        while words not in self.output:
             line = self._running.stdout.readline()
-            assert line, f"it ended without {words!r}: {self.said}"
-            assert time.monotonic() < self._until, self.said
-            self.said += line
+            assert line, f"it ended without {words!r}: {self.output}"
+            assert time.monotonic() < self._until, self.output
+            self.output += line
 
     def page(self) -> str:
         with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/", timeout=10.0) as answer:
             return str(answer.read().decode())
 
     def interrupt(self) -> None:
-        """Ctrl-C, and what it says until it has ended."""
+        """Send Ctrl-C, and collect the output until the demo has ended."""
         self._running.send_signal(signal.SIGINT)
-        self.said += self._running.communicate(timeout=30.0)[0]
+        self.output += self._running.communicate(timeout=30.0)[0]
 
 
-def test_the_dashboard_is_there_while_it_runs_and_ends_with_it(tmp_path: Path) -> None:
-    with Shown(tmp_path) as demo:
+def test_dashboard_runs_during_the_demo_and_ends_with_it(tmp_path: Path) -> None:
+    with DashboardDemo(tmp_path) as demo:
         demo.wait_for("Experiment hold")
         page = demo.page()
         demo.interrupt()
     assert "<title>" in page
-    assert f"http://localhost:{demo.port}" in demo.said
-    assert "Traceback" not in demo.said
+    assert f"http://localhost:{demo.port}" in demo.output
+    assert "Traceback" not in demo.output
     with pytest.raises(OSError):
         demo.page()
 
 
-def test_an_experiment_that_is_stopped_early_leaves_the_dashboard_running(tmp_path: Path) -> None:
-    with Shown(tmp_path) as demo:
+def test_dashboard_keeps_running_after_an_experiment_is_stopped_early(tmp_path: Path) -> None:
+    with DashboardDemo(tmp_path) as demo:
         demo.wait_for("Experiment hold")
-        time.sleep(1.0)  # it rests on its support still
+        time.sleep(1.0)  # the vehicle still rests on its support
         (place,) = tmp_path.glob("*.sock")
         list(api.call([place], {"verb": "stop"}, timeout=30.0))
         demo.wait_for("until Ctrl-C")
         assert "<title>" in demo.page()
         demo.interrupt()
-    assert "No report" in demo.said
-    assert "Traceback" not in demo.said
+    assert "No report" in demo.output
+    assert "Traceback" not in demo.output
 
 
-def test_a_port_that_is_taken_is_said_with_the_remedy(tmp_path: Path) -> None:
+def test_occupied_port_error_names_the_port_and_the_remedy(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        said = upright("demo", "--dashboard", "--port", port, "--data", str(tmp_path), code=1)
-    assert port in said
-    assert "--port" in said
+        output = upright("demo", "--dashboard", "--port", port, "--data", str(tmp_path), code=1)
+    assert port in output
+    assert "--port" in output
 
 
-def test_the_balancing_robot_has_a_story_of_its_own(tmp_path: Path) -> None:
-    """It is identified afterwards as well, without the seconds in which it gets up."""
-    told = upright("demo", *STILL, "--vehicle", "twsbr", "--experiment", "square", "--data", str(tmp_path))
+def test_balancing_robot_demo_identifies_compares_and_diagnoses(tmp_path: Path) -> None:
+    """It is identified afterwards as well, excluding the seconds in which it gets up."""
+    output = upright("demo", *STILL, "--vehicle", "twsbr", "--experiment", "square", "--data", str(tmp_path))
     (recording,) = tmp_path.glob("*_square.arrow")
     fitted = json.loads(recording.with_suffix(".estimates.json").read_text())["methods"]["prediction_error"]
     assert fitted["status"] == "ok"
     assert fitted["parameters"]["motor_constant"]["value"] > 0.0
-    assert "fails" in told, "the vehicle file's numbers are off the plant's by up to 40 %"
-    assert "adequate: the model explains these recordings to within their noise" in told
+    assert "fails" in output, "the vehicle file's numbers are off the plant's by up to 40 %"
+    assert "adequate: the model explains these recordings to within their noise" in output
     assert recording.with_suffix(".png").stat().st_size > 10_000
     assert "<svg" in (tmp_path / "diagnosis.html").read_text()
