@@ -1,7 +1,7 @@
-"""What all tests share: the measured data, and where the tests that need SocketCAN or systemd may run.
+"""Shared by all tests: the measured data, and the conditions under which tests that need SocketCAN or systemd run.
 
-With UPRIGHT_REQUIRE_ALL=1 a test that would be skipped fails instead, with the reason that it gave. A test on a bus
-that fails while the machine stood still is run again, and says so (`standstill.py`).
+With UPRIGHT_REQUIRE_ALL=1 a test that would be skipped fails instead, with the reason for the skip. A test on a bus
+that fails while the machine stood still is run again, and reports that (`standstill.py`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _in_throwaway_systemd() -> bool:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compiled models outlive a run of the tests, and are not mixed with the user's."""
+    """Compiled models are kept between test runs, separate from the user's."""
     os.environ.setdefault("UPRIGHT_CACHE", str(config.rootpath / ".pytest_cache" / "upright"))
 
 
@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @contextmanager
 def _witnessed(item: pytest.Item) -> Iterator[None]:
-    """What fails meanwhile is told as MachineStoodStill where that is what happened."""
+    """Replaces a failure by MachineStoodStill if the machine stood still in the meantime."""
     if not _in_real_time(item):
         yield
         return

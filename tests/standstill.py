@@ -1,7 +1,7 @@
-"""Whether the machine itself stood still for longer than a test in real time allows.
+"""Detects whether the machine itself stood still for longer than a real-time test allows.
 
-A guest's processor is a share of its host's, which may take it away at any time and says nothing of it. Whoever sleeps
-at the highest priority of the guest and wakes far too late has seen that.
+A guest's processor is a share of its host's, which may take it away at any time without notice. A process that sleeps
+at the highest priority of the guest and wakes up far too late has detected that.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import sys
 import time
 from pathlib import Path
 
-TOLD = 0.1
-"""s: half of what a vehicle file for such a machine forgives (`rig.patient`)."""
+REPORTED = 0.1
+"""Shortest standstill that is reported, s: half of what a vehicle file for such a machine tolerates (`rig.patient`)."""
 
 
 class MachineStoodStill(Exception):
-    """What failed here was held up by the machine, and shows nothing: to be run again."""
+    """The machine delayed the failed test, so that the failure shows nothing: the test is run again."""
 
 
 class Witness:
-    """A process that waits for nobody, and keeps every standstill of more than `TOLD` in a file."""
+    """A process, of the highest priority if possible, that records every standstill above `REPORTED` in a file."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -31,7 +31,7 @@ class Witness:
         self._process = subprocess.Popen([*ahead, sys.executable, "-S", __file__, str(file)])
 
     def longest_since(self, start: float) -> float:
-        """s, the longest standstill since `start` (of `time.monotonic`); 0 where there was none."""
+        """s, the longest standstill since `start` (of `time.monotonic`); 0 if there was none."""
         seen = [tuple(map(float, line.split())) for line in self.file.read_text().splitlines()]
         return max((lasted for at, lasted in seen if at >= start), default=0.0)
 
@@ -45,9 +45,9 @@ def _watch(file: Path, pause: float = 0.02) -> None:
     while os.getppid() == parent:
         time.sleep(pause)
         now = time.monotonic()
-        if now - before > TOLD:
-            with file.open("a") as told:
-                told.write(f"{now} {now - before}\n")
+        if now - before > REPORTED:
+            with file.open("a") as log:
+                log.write(f"{now} {now - before}\n")
         before = now
 
 

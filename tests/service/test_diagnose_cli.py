@@ -1,4 +1,4 @@
-"""`upright diagnose` as it is typed."""
+"""`upright diagnose` on the command line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from telemetry.storage import save
 
 EFFECTS = ("--effect", "viscous_friction", "--effect", "quadratic_drag")
 UNHURRIED = ("--budget", "inf")
-"""On a busy machine a test of what is found is none of how soon."""
+"""No time limit, since the machine may be busy: the test checks what is found, not how fast."""
 OTHERS = (
     "roll",
     "roll_rate",
@@ -67,18 +67,18 @@ def upright(*arguments: Any, code: int = 0) -> str:
     return done.stdout
 
 
-def test_for_people(recording: Path) -> None:
+def test_text_output_has_the_findings_and_the_disturbance(recording: Path) -> None:
     text = upright(recording, *EFFECTS)
     for part in ("missing effect", "1. viscous_friction", "Normalised innovation", "Minimum detectable", "N m s/rad"):
         assert part in text
     said = " ".join(text.split())
     assert "Disturbance: " in said
     assert "The best possible prediction 0.5 s ahead has " in said
-    assert " of the error energy 0.5 s ahead, and " in said  # the recording knows its loop
+    assert " of the error energy 0.5 s ahead, and " in said  # the recording contains its control loop
     assert "Left untried" not in said
 
 
-def test_a_script_reads_the_disturbance_and_what_each_effect_matters(recording: Path) -> None:
+def test_json_has_the_disturbance_and_the_relevance_of_a_finding(recording: Path) -> None:
     document = json.loads(upright(recording, *EFFECTS, "--budget", "inf", "--json"))
     assert document["untried"] == []
     assert document["disturbance"]["roll"]["unit"] == "N m"
@@ -90,24 +90,24 @@ def test_a_script_reads_the_disturbance_and_what_each_effect_matters(recording: 
     assert not relevance["negligible"]
 
 
-def test_a_budget_ends_it_with_what_it_has(recording: Path) -> None:
+def test_exhausted_budget_lists_what_was_left_untried_and_a_remedy(recording: Path) -> None:
     """The choice of the next experiment alone takes longer."""
     text = " ".join(upright(recording, "--budget", "2").split())
     assert "Left untried for want of time (2 s): " in text
     assert "Remedy: --budget 10." in text
 
 
-def test_a_budget_has_to_be_some_time(recording: Path) -> None:
+def test_zero_budget_is_a_usage_error(recording: Path) -> None:
     upright(recording, "--budget", "0", code=2)
 
 
-def test_the_usual_budget_goes_with_the_rows() -> None:
+def test_default_budget_grows_with_the_number_of_samples() -> None:
     rows = len(multisine("viscous_friction"))
     assert default_budget([multisine("viscous_friction")]) == pytest.approx(60.0 * max(1.0, rows / 12_000))
     assert default_budget([multisine("viscous_friction")] * 10) == pytest.approx(600.0 * rows / 12_000)
 
 
-def test_what_is_negligible_is_listed_below_and_makes_no_headline(capsys: pytest.CaptureFixture[str]) -> None:
+def test_negligible_effect_is_listed_separately_below_the_headline(capsys: pytest.CaptureFixture[str]) -> None:
     print_diagnosis(of_little_matter(), 60.0)
     text = " ".join(capsys.readouterr().out.split())
     assert text.startswith("negligible effect: nothing is missing that matters.")
@@ -116,7 +116,7 @@ def test_what_is_negligible_is_listed_below_and_makes_no_headline(capsys: pytest
     assert "1. coulomb_friction" in below
 
 
-def test_everything_that_is_written(recording: Path, tmp_path: Path) -> None:
+def test_model_trail_and_report_are_written_with_the_finding(recording: Path, tmp_path: Path) -> None:
     model, report = tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
     document = json.loads(upright(recording, *EFFECTS, "--auto", model, "--report", report, "--json"))
     assert document["verdict"] == "missing_effect"
@@ -134,26 +134,26 @@ def test_everything_that_is_written(recording: Path, tmp_path: Path) -> None:
     assert trail["recordings"]["multisine.arrow"] in page
 
 
-def test_a_recording_that_is_gone_by_then_is_no_loss(
+def test_recording_may_be_deleted_during_the_search(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once it was read: the search takes minutes, in which whoever recorded it may tidy up."""
+    """It is needed only until it has been read: the search takes minutes, in which a user may delete it."""
     path, model, report = tmp_path / "gone.arrow", tmp_path / "repaired.toml", tmp_path / "diagnosis.html"
     path.write_bytes(recording.read_bytes())
     search = diagnosis.parts.diagnose_parts
 
-    def tidied_up(*arguments: Any, **named: Any) -> Any:
+    def delete_and_search(*arguments: Any, **named: Any) -> Any:
         path.unlink()
         return search(*arguments, **named)
 
-    monkeypatch.setattr(diagnosis.parts, "diagnose_parts", tidied_up)
+    monkeypatch.setattr(diagnosis.parts, "diagnose_parts", delete_and_search)
     upright(path, *EFFECTS, "--auto", model, "--report", report)
     sha256 = hashlib.sha256(recording.read_bytes()).hexdigest()
     assert json.loads(model.with_suffix(".trail.json").read_text())["recordings"] == {"gone.arrow": sha256}
     assert sha256 in report.read_text()
 
 
-def test_an_effect_of_ones_own(recording: Path, tmp_path: Path) -> None:
+def test_user_defined_effect_is_found_and_written_to_the_model(recording: Path, tmp_path: Path) -> None:
     own = tmp_path / "wheel_drag.toml"
     own.write_text(OWN)
     model = tmp_path / "repaired.toml"
@@ -164,13 +164,13 @@ def test_an_effect_of_ones_own(recording: Path, tmp_path: Path) -> None:
     assert file.effect_files == {"wheel_drag": "wheel_drag.toml"}
 
 
-def test_a_folder_that_is_not_there_is_said_before_the_work(recording: Path, tmp_path: Path) -> None:
+def test_missing_report_folder_is_a_usage_error(recording: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["diagnose", str(recording), "--report", str(tmp_path / "nowhere" / "page.html")])
     assert done.exit_code == 2
     assert "there is no folder" in done.output.replace("\n", " ")
 
 
-def test_data_that_cannot_tell_end_with_1_and_the_reason(tmp_path: Path) -> None:
+def test_insufficient_data_end_with_exit_code_1_and_a_remedy(tmp_path: Path) -> None:
     short = multisine()
     path = tmp_path / "short.csv"
     rows = short.time < 8.0
@@ -186,16 +186,16 @@ def test_data_that_cannot_tell_end_with_1_and_the_reason(tmp_path: Path) -> None
     assert "Remedy" in text
 
 
-def test_an_unknown_effect_is_refused_with_a_hint(recording: Path) -> None:
+def test_unknown_effect_is_refused_with_a_hint(recording: Path) -> None:
     done = CliRunner().invoke(app, ["diagnose", str(recording), "--effect", "viscos_friction"])
     assert done.exit_code != 0
     assert "viscous_friction" in str(done.exception)
 
 
-def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Path) -> None:
-    """The nine channels of the contract as CSV, roll measured apart from the gyro: 0.01 deg of white noise on it.
+def test_foreign_csv_with_white_roll_noise_and_no_drive_age_is_diagnosed(tmp_path: Path) -> None:
+    """The nine channels of the contract as CSV, with roll measured independently of the gyro: 0.01 deg of white noise.
 
-    As a model of the own filter would have it, roll is the integrated gyro to a millionth of a radian.
+    A model of the project's own filter would expect roll to equal the integrated gyro to a millionth of a radian.
     """
     known = multisine("viscous_friction")
     rng = np.random.default_rng(5)
@@ -213,7 +213,7 @@ def test_a_recording_of_others_with_white_noise_and_without_an_age(tmp_path: Pat
     assert 0.9 < document["innovation_ratio_after"] < 1.1
 
 
-def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp_path: Path) -> None:
+def test_effect_that_starts_during_the_run_is_reported_and_found_in_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "late.arrow"
     save(record("monocab", "multisine", hide=["viscous_friction=2@20"], seed=4, duration=40.0), path)
     first = json.loads(upright(path, *EFFECTS, *UNHURRIED, "--json"))
@@ -223,13 +223,13 @@ def test_an_effect_that_sets_in_during_the_run_is_said_and_found_in_the_rest(tmp
     rest = json.loads(upright(path, *EFFECTS, "--from", begin, "--json"))
     assert rest["verdict"] == "missing_effect"
     assert rest["findings"][0]["effect"] == "viscous_friction"
-    told = CliRunner().invoke(app, ["diagnose", str(path), "--from", "99"])
-    assert told.exit_code != 0
-    assert "has no rows from 99" in str(told.exception)
+    refused = CliRunner().invoke(app, ["diagnose", str(path), "--from", "99"])
+    assert refused.exit_code != 0
+    assert "has no rows from 99" in str(refused.exception)
 
 
-def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
-    """The catalogue does not know it, whichever comes first."""
+def test_user_defined_effect_is_found_beside_one_of_the_catalogue(tmp_path: Path) -> None:
+    """It is not in the catalogue, whichever of the two is found first."""
     path, own = tmp_path / "two.arrow", tmp_path / "wheel_drag.toml"
     save(multisine("viscous_friction", "static_torque"), path)
     own.write_text(OWN)
@@ -237,8 +237,8 @@ def test_an_effect_of_ones_own_is_found_beside_another(tmp_path: Path) -> None:
     assert {each["effect"] for each in document["findings"]} == {"static_torque", "wheel_drag"}
 
 
-def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path) -> None:
-    """The vehicle from its measured gimbals on lacks nothing: the report is on the gimbals."""
+def test_input_delay_is_found_in_the_gimbal_model_and_reported(tmp_path: Path) -> None:
+    """The model that starts from the measured gimbals lacks nothing: the report is about the model of the gimbals."""
     path, report = tmp_path / "late.arrow", tmp_path / "report.html"
     save(record("monocab", "multisine", hide=["input_delay"], seed=6, duration=30.0), path)
     document = json.loads(upright(path, *UNHURRIED, "--report", report, "--json"))
@@ -252,7 +252,9 @@ def test_what_a_command_meets_on_its_way_is_named_and_reported_on(tmp_path: Path
     assert not (tmp_path / "report-2.html").exists()
 
 
-def test_the_notebook_names_what_it_hid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_notebook_finds_the_effect_that_it_hides(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("sys.argv", ["diagnose_in_a_notebook.py"])
     cells = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "diagnose_in_a_notebook.py"))
     assert [each.effect for each in cells["answer"].found.findings] == ["coulomb_friction"]

@@ -35,7 +35,7 @@ def test_mf4_keeps_values_units_and_time(recording: Recording, tmp_path: Path) -
         np.testing.assert_allclose(roll.timestamps, recording.time, atol=1e-12)
 
 
-def test_mcap_keeps_every_row_at_its_nanosecond(recording: Recording, tmp_path: Path) -> None:
+def test_mcap_keeps_every_sample_at_its_nanosecond(recording: Recording, tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
     convert(recording, tmp_path / "run.mcap")
@@ -47,7 +47,7 @@ def test_mcap_keeps_every_row_at_its_nanosecond(recording: Recording, tmp_path: 
     assert rows[7]["excitation"] is None
 
 
-def test_a_package_that_is_missing_names_the_extra(
+def test_missing_package_error_names_the_extra(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
@@ -55,6 +55,6 @@ def test_a_package_that_is_missing_names_the_extra(
         convert(recording, tmp_path / "run.mf4")
 
 
-def test_a_format_that_is_not_written_lists_those_that_are(recording: Recording, tmp_path: Path) -> None:
+def test_unsupported_format_error_lists_the_supported_ones(recording: Recording, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"does not write \.xlsx.*\.mcap"):
         convert(recording, tmp_path / "run.xlsx")

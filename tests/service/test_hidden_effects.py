@@ -1,4 +1,4 @@
-"""The benchmark of hidden effects: what it asks, that nothing which is done is lost, and that its figures are right."""
+"""The benchmark of hidden effects: its cases, that no finished case is lost, and that its figures are right."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from telemetry.recording import Recording
 from vehicles.file import load
 
 pytestmark = pytest.mark.timeout(300)
-"""Worker processes import numpy and SciPy anew, many times over; on a busy machine that takes a minute a test."""
+"""Each of many worker processes imports numpy and SciPy; on a busy machine that takes a minute per test."""
 
 TESTS = Path(__file__).resolve().parents[1] / "support"
 CASE = Case(("coulomb_friction",), 2.0, 1.0, "multisine", 0)
@@ -55,18 +55,18 @@ CASE = Case(("coulomb_friction",), 2.0, 1.0, "multisine", 0)
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the stand-ins leave their traces."""
+    """A folder with a subfolder in which the stand-ins record their calls."""
     traces = tmp_path / "traces"
     traces.mkdir()
     monkeypatch.setenv(stand_in.FOLDER, str(traces))
     return tmp_path
 
 
-# --- what is asked
+# --- the cases
 
 
-def test_a_key_and_its_seed_never_change() -> None:
-    """Results of another day and machine are matched by them."""
+def test_keys_and_seeds_of_cases_never_change() -> None:
+    """They match results from other days and machines."""
     assert CASE.key == "coulomb_friction|size 2|noise 1|multisine|0"
     assert CASE.seed() == 2141222896
     assert replace(CASE, number=1).seed() != CASE.seed() != CASE.seed("held out")
@@ -74,7 +74,7 @@ def test_a_key_and_its_seed_never_change() -> None:
     assert CASE.reference.key == "nothing|size 0|noise 1|multisine|0"
 
 
-def test_a_grid_is_every_combination_and_the_clean_records_and_pairs() -> None:
+def test_grid_has_every_combination_the_clean_records_and_pairs() -> None:
     grid = Grid(
         effects=("static_torque", "backlash", "test_cubic_drag"),
         sizes=(1.0, 4.0),
@@ -91,20 +91,20 @@ def test_a_grid_is_every_combination_and_the_clean_records_and_pairs() -> None:
     assert grid.cases() == cases
 
 
-def test_a_grid_of_further_records_shares_no_record_but_the_reference_with_the_first() -> None:
+def test_grids_with_other_record_numbers_share_only_the_references() -> None:
     one, other = (Grid(effects=("static_torque",), excitations=("hold",), seeds=2, first=first) for first in (0, 2))
     assert {case.number for case in other.cases()} == {2, 3}
     assert not set(one.cases()) & set(other.cases())
     assert {case.reference for case in one.cases()} == {case.reference for case in other.cases()}
 
 
-def test_the_whole_grid_hides_everything_there_is() -> None:
+def test_default_grid_hides_every_effect_and_the_quick_one_has_every_kind() -> None:
     cases = Grid().cases()
     assert {effect for case in cases for effect in case.effects} == {*HIDDEN, *UNLISTED}
     assert {case.kind for case in QUICK.cases()} == set(Kind)
 
 
-def test_two_effects_that_look_alike_are_not_hidden_together() -> None:
+def test_confusable_effects_are_not_hidden_together() -> None:
     for number in range(5):
         for case in Grid(seeds=5, sizes=(2.0,), excitations=("hold",)).cases():
             if case.kind is Kind.TWO and case.number == number:
@@ -113,14 +113,14 @@ def test_two_effects_that_look_alike_are_not_hidden_together() -> None:
                 assert other.name not in one.confused_with
 
 
-def test_an_effect_that_cannot_be_hidden_is_refused() -> None:
+def test_effect_that_cannot_be_hidden_is_refused() -> None:
     with pytest.raises(UnknownEffectError, match="test_cubic_drag") as caught:
         Grid(effects=("gravity_nonlinearity",))
     assert caught.value.name == "gravity_nonlinearity"
 
 
-def test_a_level_is_the_multiple_of_what_can_be_seen() -> None:
-    """60 N m of dry friction are level 1; 15 N m can be seen; two of these are level 0.5."""
+def test_level_is_a_multiple_of_the_minimum_detectable_effect() -> None:
+    """60 N m of dry friction are level 1. The minimum detectable effect is 15 N m; twice that is level 0.5."""
     assert levels(CASE, {"coulomb_friction": 15.0}) == {"coulomb_friction": 0.5}
     assert plant_sizes({"coulomb_friction": 0.5, "input_gain": 1.0}) == {"coulomb_friction": 30.0, "input_gain": -0.08}
     found = {
@@ -128,15 +128,15 @@ def test_a_level_is_the_multiple_of_what_can_be_seen() -> None:
         for number in range(20)
     }
     assert found == {1.0, -1.0}
-    for unseen in ({}, {"coulomb_friction": float("inf")}, {"coulomb_friction": float("nan")}):
+    for undetectable in ({}, {"coulomb_friction": float("inf")}, {"coulomb_friction": float("nan")}):
         with pytest.raises(NotDetectableError, match="coulomb_friction is not detectable with multisine"):
-            levels(CASE, unseen)
+            levels(CASE, undetectable)
 
 
-# --- the effects that no catalogue has
+# --- the effects outside the catalogue
 
 
-def test_no_catalogue_has_them() -> None:
+def test_unlisted_effects_are_in_no_catalogue() -> None:
     assert set(UNLISTED_EFFECTS) == set(UNLISTED)
     assert not set(UNLISTED) & {*CATALOGUE, *HIDDEN}
     assert all(name.startswith("test_") for name in UNLISTED)
@@ -144,7 +144,7 @@ def test_no_catalogue_has_them() -> None:
 
 @pytest.mark.parametrize("name", UNLISTED)
 def test_plant_and_model_have_the_same_torque(name: str) -> None:
-    """At a time where the swing's phase is that of the plant, so that one amplitude is enough."""
+    """With the model's time origin at that of the plant's oscillation, so that one amplitude is enough."""
     from service.hidden_effects.methods.terms import evaluated
 
     effect = UNLISTED_EFFECTS[name]
@@ -162,16 +162,16 @@ def test_plant_and_model_have_the_same_torque(name: str) -> None:
 # --- running
 
 
-def test_a_run_answers_every_case_and_a_second_one_asks_nothing(folder: Path) -> None:
+def test_run_answers_every_case_and_a_second_run_repeats_none(folder: Path) -> None:
     path = folder / "results.jsonl"
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     lines = benchmark(
-        stand_in.SMALL.cases(), stand_in.bench(), path, processes(2), lambda done, total: told.append((done, total))
+        stand_in.SMALL.cases(), stand_in.bench(), path, processes(2), lambda done, total: reported.append((done, total))
     )
     assert list(lines) == [case.key for case in stand_in.SMALL.cases()]
-    assert told == [(done, 5) for done in range(6)]
+    assert reported == [(done, 5) for done in range(6)]
     assert {line["status"] for line in lines.values()} == {"ok"}
-    # The clean record is asked once more, for what no catalogue has.
+    # The clean record is diagnosed once more, for the effects outside the catalogue.
     assert len(stand_in.traces()) == 6
     again = benchmark(stand_in.SMALL.cases(), stand_in.bench(), path, processes(2))
     assert again == lines
@@ -179,7 +179,7 @@ def test_a_run_answers_every_case_and_a_second_one_asks_nothing(folder: Path) ->
     assert results.read(path) == lines
 
 
-def test_a_run_goes_on_where_it_was_cut_off(folder: Path) -> None:
+def test_interrupted_run_is_resumed_where_it_was_cut_off(folder: Path) -> None:
     path = folder / "results.jsonl"
     cases = stand_in.SMALL.cases()
     whole = benchmark(cases, stand_in.bench(), path, processes(1))
@@ -192,7 +192,7 @@ def test_a_run_goes_on_where_it_was_cut_off(folder: Path) -> None:
     assert len(results.read(path)) == len(cases)
 
 
-def test_a_further_method_asks_again_and_other_conditions_are_refused(folder: Path) -> None:
+def test_added_method_runs_on_all_cases_and_other_conditions_are_refused(folder: Path) -> None:
     path = folder / "results.jsonl"
     cases = stand_in.SMALL.cases()
     benchmark(cases, stand_in.bench(), path, processes(1))
@@ -203,7 +203,7 @@ def test_a_further_method_asks_again_and_other_conditions_are_refused(folder: Pa
     assert caught.value.path == path
 
 
-def test_a_killed_worker_loses_nothing(folder: Path) -> None:
+def test_killed_worker_loses_no_case(folder: Path) -> None:
     cases = stand_in.SMALL.cases()
     lines = benchmark(cases, stand_in.bench(stand_in.killed_once), folder / "results.jsonl", processes(2))
     assert (folder / "traces" / "killed").exists()
@@ -211,13 +211,13 @@ def test_a_killed_worker_loses_nothing(folder: Path) -> None:
     assert {line["status"] for line in lines.values()} == {"ok"}
 
 
-def test_a_case_that_kills_its_worker_every_time_fails_alone_after_three_tries(folder: Path) -> None:
+def test_case_that_always_kills_its_worker_fails_alone_after_three_attempts(folder: Path) -> None:
     path = folder / "results.jsonl"
     lines = benchmark(stand_in.SMALL.cases(), stand_in.bench(stand_in.always_killed), path, processes(2))
     assert len(stand_in.traces("killed")) == 3
     failed = {key: line["reason"] for key, line in lines.items() if line["status"] != "ok"}
     assert failed == {CASE.key: "its worker process died 3 times"}
-    # What failed is asked again, and nothing else is.
+    # The failed case is run again, and no other.
     before = len(stand_in.traces())
     lines = benchmark(stand_in.SMALL.cases(), stand_in.bench(), path, processes(2))
     assert lines[CASE.key]["status"] == "ok"
@@ -228,23 +228,24 @@ def _refuses(*_: object, **__: object) -> Answer:
     raise ValueError("no idea")
 
 
-def test_a_method_that_fails_is_told_and_does_not_touch_the_others(folder: Path) -> None:
+def test_failed_method_is_reported_and_does_not_affect_the_others(folder: Path) -> None:
     line = run(CASE, stand_in.bench(refuses=_refuses), {"coulomb_friction": 60.0})
     assert line["status"] == "ok"
     assert line["methods"]["refuses"]["error"] == "ValueError: no idea"
     assert line["methods"][SUBJECT]["found"][0]["effect"] == "coulomb_friction"
 
 
-def test_without_the_clean_record_nothing_can_be_asked(folder: Path) -> None:
+def test_cases_fail_with_the_reason_of_their_failed_reference_case(folder: Path) -> None:
     bench = Bench(methods={SUBJECT: _refuses}, record=stand_in.labelled)
     lines = benchmark(stand_in.SMALL.cases(), bench, folder / "results.jsonl", processes(1))
     reasons = {line["reason"] for line in lines.values() if line["effects"]}
     assert reasons == {"the reference case failed: ValueError: no idea"}
 
 
-def test_vehicles_are_as_far_off_as_their_file_says_and_come_again() -> None:
-    """Of 400 the standard deviation comes within 11 % of the true one, three of its own; cut off where they are, normal
-    numbers have 0.955 of it. What the record itself tells stays."""
+def test_drawn_vehicles_deviate_as_their_file_says_and_are_reproducible() -> None:
+    """The standard deviation of 400 vehicles is within 11 % of the true one, three standard errors. Normal numbers
+    truncated at FARTHEST have 0.955 of the full standard deviation. A parameter that the record itself determines does
+    not deviate."""
     known = load("monocab").parameters
     plants = [drawn(seed).plant for seed in range(400)]
     for name, unit, field in (
@@ -264,22 +265,22 @@ def test_vehicles_are_as_far_off_as_their_file_says_and_come_again() -> None:
     assert drawn(3) != drawn(4)
 
 
-def test_both_records_of_a_case_are_of_one_vehicle() -> None:
-    asked: list[Recording] = []
+def test_both_records_of_a_case_are_from_the_same_vehicle() -> None:
+    records: list[Recording] = []
 
     def keep(*case: Any) -> Recording:
-        asked.append(stand_in.labelled(*case))
-        return asked[-1]
+        records.append(stand_in.labelled(*case))
+        return records[-1]
 
     for case in (CASE, replace(CASE, number=1)):
         run(case, Bench(methods={}, record=keep), {"coulomb_friction": 1.0})
-    latencies = [each.metadata["latency"] for each in asked]
+    latencies = [each.metadata["latency"] for each in records]
     assert latencies[0] == latencies[1]
     assert latencies[2] == latencies[3]
     assert latencies[0] != latencies[2]
 
 
-def test_what_the_vehicle_cannot_bear_is_told(folder: Path) -> None:
+def test_impossible_and_undetectable_cases_are_reported_by_their_status(folder: Path) -> None:
     line = run(Case(("flexible_mode",), 4.0, 1.0, "hold", 0), Bench(methods={}), {"flexible_mode": 0.5})
     assert line["status"] == "not_recorded"
     assert "flexible_mode cannot have the level" in line["reason"]
@@ -303,14 +304,14 @@ if __name__ == "__main__":
 """
 
 
-def test_ctrl_c_keeps_what_is_done_and_leaves_no_process(folder: Path) -> None:
+def test_ctrl_c_keeps_finished_cases_and_leaves_no_process(folder: Path) -> None:
     path, script = folder / "results.jsonl", folder / "interrupted.py"
     script.write_text(INTERRUPTED)
     running = subprocess.Popen(
         [sys.executable, script, path], env=_environment(), start_new_session=True, cwd=TESTS.parents[1]
     )
     try:
-        # The clean record is done at once, and then two cases, which take a minute, are under way.
+        # The clean record is finished at once; then two cases, which take a minute, are running.
         _until(lambda: path.exists() and len(stand_in.traces()) >= 4, 60.0)
         os.killpg(running.pid, signal.SIGINT)  # as a terminal does
         assert running.wait(20.0) == 130
@@ -330,7 +331,7 @@ def _alive(group: int) -> bool:
     return True
 
 
-# --- over machines
+# --- on several machines
 
 
 @pytest.fixture
@@ -372,7 +373,7 @@ def _workers(address: str) -> int:
 
 
 @pytest.mark.filterwarnings("default")  # Dask's own, about its event loop
-def test_over_machines_the_answers_are_the_same_and_a_killed_worker_loses_nothing(folder: Path, scheduler: str) -> None:
+def test_dask_workers_give_the_same_answers_even_if_one_is_killed(folder: Path, scheduler: str) -> None:
     cases = stand_in.SMALL.cases()
     here = benchmark(cases, stand_in.bench(), folder / "here.jsonl", processes(1))
     there = benchmark(cases, stand_in.bench(stand_in.killed_once), folder / "there.jsonl", machines(scheduler))
@@ -381,7 +382,7 @@ def test_over_machines_the_answers_are_the_same_and_a_killed_worker_loses_nothin
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_scheduler_that_is_not_there_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreachable_scheduler_is_reported_with_a_remedy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="Dask is not installed: pip install 'upright[bench]'")
     monkeypatch.setattr("service.hidden_effects.spread.CONNECT_TIMEOUT", 0.5)
     spread: Spread = machines("tcp://127.0.0.1:1")
@@ -389,7 +390,7 @@ def test_a_scheduler_that_is_not_there_is_told(folder: Path, monkeypatch: pytest
         benchmark(stand_in.SMALL.cases(), stand_in.bench(), folder / "results.jsonl", spread)
 
 
-def test_without_dask_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_dask_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(SchedulerError, match=r"upright\[bench\]") as caught:
         machines("tcp://server:8786")
@@ -402,7 +403,7 @@ def test_without_dask_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
 def _line(
     kind: Kind, effects: list[str], size: float, answer: dict[str, Any], excitation: str = "hold"
 ) -> dict[str, Any]:
-    told = {"verdict": MISSING, "found": [], "covered": {}, "seconds": 1.0, "error": "", **answer}
+    reported = {"verdict": MISSING, "found": [], "covered": {}, "seconds": 1.0, "error": "", **answer}
     return {
         "key": f"{effects}{size}{excitation}{json.dumps(answer)}",
         "kind": kind.value,
@@ -412,7 +413,7 @@ def _line(
         "excitation": excitation,
         "status": "ok",
         "conditions": "x",
-        "methods": {"m": told},
+        "methods": {"m": reported},
     }
 
 
@@ -420,7 +421,7 @@ def _named(*effects: str, tied: tuple[str, ...] = ()) -> dict[str, Any]:
     return {"found": [{"effect": effect, "tied_with": list(tied), "parameters": {}} for effect in effects]}
 
 
-def test_figures_of_a_small_set_are_those_worked_out_by_hand() -> None:
+def test_figures_of_a_small_set_equal_those_calculated_by_hand() -> None:
     one, two, strange, nothing = Kind.ONE, Kind.TWO, Kind.UNLISTED, Kind.NOTHING
     lines = [
         # Right, tied with one, tied with two (wrong), another name, failed, right but too small to count as seen.
@@ -474,13 +475,13 @@ def test_figures_of_a_small_set_are_those_worked_out_by_hand() -> None:
     }
 
 
-def test_a_disturbance_beside_what_has_no_name_is_told_apart() -> None:
+def test_disturbance_coverage_is_separate_for_correctly_named_records() -> None:
     held, missed = ({"disturbance_covered": {"rms": holds}} for holds in (True, False))
     lines = [
         _line(Kind.NOTHING, [], 0.0, held),
         _line(Kind.ONE, ["a"], 2.0, _named("b", tied=("a", "c")) | held),
         _line(Kind.TWO, ["a", "b"], 2.0, _named("b", "a") | missed),
-        # One of two, one too many, and what no catalogue has.
+        # One of two named, one name too many, and an effect outside the catalogue.
         _line(Kind.TWO, ["a", "b"], 2.0, _named("a") | missed),
         _line(Kind.ONE, ["a"], 2.0, _named("a", "c") | missed),
         _line(Kind.UNLISTED, ["test_x"], 2.0, {"verdict": UNKNOWN} | missed),
@@ -491,7 +492,7 @@ def test_a_disturbance_beside_what_has_no_name_is_told_apart() -> None:
     assert (named.count, named.of) == (2, 3)
 
 
-def test_a_false_name_that_is_said_to_be_negligible_is_told_apart() -> None:
+def test_false_names_that_are_called_negligible_are_counted_separately() -> None:
     beside = _named("a", "b")
     beside["found"][1]["negligible"] = True
     lines = [_line(Kind.ONE, ["a"], 2.0, beside), _line(Kind.ONE, ["a"], 2.0, _named("a", "c"))]
@@ -499,8 +500,8 @@ def test_a_false_name_that_is_said_to_be_negligible_is_told_apart() -> None:
     assert (merit.false_names.count, merit.false_names_that_matter.count) == (2, 1)
 
 
-def test_intervals_are_those_of_the_tables() -> None:
-    """Wilson's for 8 of 10 as in Newcombe, Statistics in Medicine 17 (1998); a median's as in Conover, table A3."""
+def test_confidence_intervals_equal_published_tables() -> None:
+    """Wilson's for 8 of 10 as in Newcombe, Statistics in Medicine 17 (1998); the median's as in Conover, table A3."""
     found = share([True] * 8 + [False] * 2)
     assert (found.value, found.low, found.high) == pytest.approx((0.8, 0.4902, 0.9433), abs=5e-5)
     assert share([]).value is None
@@ -510,12 +511,12 @@ def test_intervals_are_those_of_the_tables() -> None:
     assert (few.value, few.low, few.of) == (2.0, None, 3)
 
 
-def test_the_error_closed_is_that_between_nominal_and_right_model() -> None:
+def test_closed_error_is_the_share_between_nominal_and_right_model() -> None:
     assert closed(3.0, 1.5, 1.0) == 0.75
     assert closed(1.0, 1.0, 1.0) is None
 
 
-def test_an_answer_is_taken_from_a_diagnosis() -> None:
+def test_diagnosis_is_converted_into_an_answer() -> None:
     def parameter(value: float | None) -> SimpleNamespace:
         return SimpleNamespace(value=value, std=None if value is None else 2.0)
 
@@ -525,13 +526,13 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
         parameters={"torque": parameter(61.0), "other": parameter(None)},
         negligible=True,
     )
-    shaken = DisturbanceEstimate("roll", "N m", 8.0, 0.4, 0.3, 0.03)
+    estimate = DisturbanceEstimate("roll", "N m", 8.0, 0.4, 0.3, 0.03)
     found = SimpleNamespace(
-        verdict=MISSING, findings=(finding,), revised=None, minimum_detectable={"x": 1.0}, disturbance=(shaken,)
+        verdict=MISSING, findings=(finding,), revised=None, minimum_detectable={"x": 1.0}, disturbance=(estimate,)
     )
     answer = of_diagnosis(found)
     assert answer.disturbance == {"rms": (8.0, 0.4), "correlation_time": (0.3, 0.03)}
-    bounded = replace(shaken, shown=False, std_error=None, correlation_time=None, correlation_time_error=None)
+    bounded = replace(estimate, shown=False, std_error=None, correlation_time=None, correlation_time_error=None)
     assert of_diagnosis(SimpleNamespace(**{**vars(found), "disturbance": (bounded,)})).disturbance == {}
     assert answer.found[0].names == {"coulomb_friction", "hysteresis"}
     assert answer.found[0].parameters == {"torque": (61.0, 2.0)}
@@ -541,7 +542,7 @@ def test_an_answer_is_taken_from_a_diagnosis() -> None:
     assert (unknown.verdict, unknown.found, unknown.detectable) == (UNKNOWN, answer.found, {})
 
 
-# --- one real record
+# --- one complete record
 
 
 @pytest.fixture(scope="module")
@@ -555,7 +556,7 @@ SUPPORT = load("monocab").support
 DRY = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis", "load_dependent_friction"}
 
 
-def test_the_library_is_the_catalogue_s_own_torque(dry: Recording) -> None:
+def test_regression_library_has_the_torques_of_the_catalogue(dry: Recording) -> None:
     from estimators.data.segments import segments
 
     segment = segments(NOMINAL, [dry], support=SUPPORT)[0]
@@ -571,35 +572,35 @@ def test_the_library_is_the_catalogue_s_own_torque(dry: Recording) -> None:
     assert pair.columns.shape == (len(segment), 2)
 
 
-def test_smoothing_and_stepwise_find_dry_friction(dry: Recording) -> None:
-    """120 N m is eight times what a 30 s record shows, and no other family looks like it at this size."""
+def test_smoother_and_stepwise_regression_find_dry_friction(dry: Recording) -> None:
+    """120 N m is eight times what is detectable in a 30 s record; no other family is confusable at this amplitude."""
     answer = BASELINES["smoother_stepwise"](NOMINAL, [dry], SUPPORT)
     assert answer.verdict == MISSING
     assert answer.found[0].effect in DRY
 
 
-def test_sindy_answers(dry: Recording) -> None:
-    """That it is wrong more often than not is what the benchmark shows; that it names nothing foreign is tested."""
+def test_sindy_names_only_effects_of_the_catalogue(dry: Recording) -> None:
+    """The benchmark shows that it is wrong more often than not; tested is only that it names no foreign effect."""
     pytest.importorskip("pysindy", reason="PySINDy is not installed: pip install 'upright[bench]'")
     answer = BASELINES["differentiate_sindy"](NOMINAL, [dry], SUPPORT)
     assert answer.found
     assert {each.effect for each in answer.found} <= set(CATALOGUE)
 
 
-def test_the_least_bic_of_output_error_is_dry_friction(dry: Recording) -> None:
+def test_lowest_bic_of_output_error_fits_selects_dry_friction(dry: Recording) -> None:
     few = ("static_torque", "coulomb_friction", "cubic_stiffness")
     answer = BASELINES["exhaustive_bic"](NOMINAL, [dry], SUPPORT, few)
     assert [each.effect for each in answer.found] == ["coulomb_friction"]
     assert answer.revised is not None
-    # The model's tanh is wider than the plant's bristles, so the size is near, not equal.
+    # The model's tanh is wider than the plant's bristles, so the amplitude is close, not equal.
     assert answer.revised.values["coulomb_friction.torque"] == pytest.approx(120.0, rel=0.25)
 
 
-def test_the_right_model_leaves_less_than_the_nominal_one(dry: Recording) -> None:
+def test_right_model_leaves_less_error_than_the_nominal_one(dry: Recording) -> None:
     right, yardstick = fitted(right_model(NOMINAL, {"coulomb_friction": 2.0}, 6.8), [dry], SUPPORT)
     nominal, _ = fitted(NOMINAL, [dry], SUPPORT)
     floor = yardstick.energy(right, [dry], SUPPORT)
-    # The innovations' covariance is their own mean square, plus a floor on what the roll channel may claim.
+    # The innovations' covariance is their own mean square, plus a floor that limits the precision claimed for roll.
     assert 0.3 < floor < 1.1
     assert yardstick.energy(nominal, [dry], SUPPORT) > 1.01 * floor
 
@@ -607,7 +608,7 @@ def test_the_right_model_leaves_less_than_the_nominal_one(dry: Recording) -> Non
 # --- the command
 
 
-def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
+def test_command_shows_the_figures_of_a_results_file(folder: Path) -> None:
     path, picture = folder / "results.jsonl", folder / "confusion.png"
     bench = stand_in.bench(blind=stand_in.blind)
     benchmark(stand_in.SMALL.cases(), bench, path, processes(1))
@@ -615,8 +616,8 @@ def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
     assert shown.exit_code == 0, shown.output
     assert "100 % (34 to 100) 2" in shown.output
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    told = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path), "--json"])
-    document = json.loads(told.stdout)
+    reported = CliRunner().invoke(app, ["benchmark", "hidden-effects", "--summary", str(path), "--json"])
+    document = json.loads(reported.stdout)
     assert document["methods"][SUBJECT]["both"]["2"]["count"] == 1
     assert document["methods"]["blind"]["right_seen"] == {
         "value": 0.0,
@@ -637,13 +638,13 @@ def test_the_command_shows_the_figures_of_a_file(folder: Path) -> None:
         (["--baseline", "sindy"], "is not one of differentiate_sindy"),
     ],
 )
-def test_an_option_that_cannot_be_is_refused(arguments: list[str], what: str) -> None:
+def test_invalid_option_is_a_usage_error_with_the_reason(arguments: list[str], what: str) -> None:
     shown = CliRunner().invoke(app, ["benchmark", "hidden-effects", *arguments], env={"COLUMNS": "200"})
     assert shown.exit_code == 2
     assert what in " ".join(shown.output.split())
 
 
-def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_file_without_results_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "x.jsonl"
     for text in ('{"a": 1}\n', "no json\n"):
         other.write_text(text)
@@ -653,7 +654,7 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
         results.read(tmp_path / "none.jsonl")
 
 
-def test_there_is_nothing_to_draw_without_a_case(tmp_path: Path) -> None:
+def test_confusion_picture_without_a_case_is_refused(tmp_path: Path) -> None:
     from telemetry.errors import UprightError
 
     with pytest.raises(UprightError, match="no case"):
@@ -661,7 +662,7 @@ def test_there_is_nothing_to_draw_without_a_case(tmp_path: Path) -> None:
 
 
 def _timeless(line: dict[str, Any]) -> dict[str, Any]:
-    methods = {name: {**told, "seconds": 0.0} for name, told in line["methods"].items()}
+    methods = {name: {**reported, "seconds": 0.0} for name, reported in line["methods"].items()}
     return {**line, "methods": methods}
 
 

@@ -1,4 +1,4 @@
-"""The lease on what moves: signs that come, come twice, late or never; clients that are killed or suspended."""
+"""The lease on an experiment: renewals that are regular, repeated, late or missing; clients killed or suspended."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from service.control.loop import Mode
 
 LENGTH = 0.3
 SLACK = 1.0
-"""s beyond the lease that a busy machine may take to notice."""
+"""s after the end of the lease that a busy machine may take to detect it."""
 
 UPRIGHT = [sys.executable, "-c", "from service.cli import main; main()"]
 
 pytestmark = pytest.mark.timeout(120)
 
 
-# --- the rule
+# --- the lease itself
 
 
-def test_it_holds_as_long_as_signs_come() -> None:
+def test_lease_holds_as_long_as_it_is_renewed() -> None:
     lease = Lease("me", LENGTH)
     for _ in range(1000):
         assert lease.pass_time(LOOK)
@@ -42,7 +42,7 @@ def test_it_holds_as_long_as_signs_come() -> None:
     assert not lease.ended
 
 
-def test_it_is_over_when_none_comes_and_no_late_sign_brings_it_back() -> None:
+def test_lease_ends_without_renewal_and_a_late_renewal_is_refused() -> None:
     lease = Lease("me", LENGTH)
     held = 0
     while lease.pass_time(LOOK):
@@ -54,7 +54,7 @@ def test_it_is_over_when_none_comes_and_no_late_sign_brings_it_back() -> None:
     assert not lease.release("me", "late")
 
 
-def test_a_farewell_ends_it_at_once_and_only_once() -> None:
+def test_release_ends_the_lease_at_once_and_only_once() -> None:
     lease = Lease("me", LENGTH)
     assert lease.release("me", "me released the lease")
     assert not lease.release("me", "again")
@@ -62,14 +62,14 @@ def test_a_farewell_ends_it_at_once_and_only_once() -> None:
     assert not lease.pass_time(0.0)
 
 
-def test_nobody_else_can_hold_or_end_it() -> None:
+def test_other_clients_can_neither_renew_nor_release_the_lease() -> None:
     lease = Lease("me", LENGTH)
     assert not lease.renew("you")
     assert not lease.release("you", "you released the lease")
     assert lease.pass_time(LOOK)
 
 
-def test_a_daemon_that_was_held_up_does_not_blame_its_client() -> None:
+def test_delay_of_the_daemon_does_not_end_the_lease() -> None:
     lease = Lease("me", LENGTH)
     assert lease.pass_time(30.0)
     assert lease.renew("me")
@@ -77,7 +77,7 @@ def test_a_daemon_that_was_held_up_does_not_blame_its_client() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from(["sign", "stranger", "pass"]), st.floats(0.0, 0.2)), max_size=60))
-def test_it_ends_exactly_when_its_holder_was_silent_for_too_long(course: list[tuple[str, float]]) -> None:
+def test_lease_ends_exactly_when_the_holder_was_silent_for_its_length(course: list[tuple[str, float]]) -> None:
     lease, silence, over = Lease("me", LENGTH), 0.0, False
     for what, elapsed in course:
         if what == "pass":
@@ -92,11 +92,11 @@ def test_it_ends_exactly_when_its_holder_was_silent_for_too_long(course: list[tu
     assert bool(lease.ended) is over
 
 
-# --- in the daemon, with a virtual vehicle at the pace of the wall's clock
+# --- in the daemon, with a virtual vehicle in real time
 
 
 async def _ended(daemon: Daemon) -> str:
-    """Why the run ends, once it was told to."""
+    """The reason for the end of the run, once it has ended and the next one may start."""
     run = daemon.loop.run
     assert run is not None
     await until(lambda: run.end_reason, LENGTH + SLACK)
@@ -107,17 +107,17 @@ async def _ended(daemon: Daemon) -> str:
     return run.end_reason
 
 
-async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
+async def test_run_ends_without_renewals_or_connection_and_repeated_renewals_hold_it(tmp_path: Path) -> None:
     async with serving(tmp_path, "virtual:lease-signs") as daemon:
-        # Never a sign, though the connection is open and what comes is read.
+        # No renewal, although the connection is open and the answers are read.
         _, writer = await connect(tmp_path)
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
         assert "not renewed" in await _ended(daemon)
-        # A late sign is refused and brings nothing back.
+        # A late renewal is refused and does not restart the run.
         assert daemon.commands.sign({"verb": "renew", "client": daemon.commands.lease.holder})["code"] == "no_lease"  # type: ignore[union-attr]
         assert daemon.loop.mode is Mode.DISARMED
         writer.close()
-        # Signs, each of them twice, hold it past the length of a lease; the farewell ends it.
+        # Renewals, each sent twice, hold the lease beyond its length; the release ends it.
         _, writer = await connect(tmp_path)
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
         for _ in range(12):
@@ -133,7 +133,7 @@ async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
         writer.transport.abort()
         assert "disconnected" in await _ended(daemon)
-        # Nonsense instead of a sign.
+        # Garbage instead of a renewal.
         _, writer = await connect(tmp_path)
         await until(lambda: daemon.loop.mode is Mode.RUNNING)
         writer.write(b"nonsense\n")
@@ -143,7 +143,7 @@ async def test_clients_that_never_sign_late_and_twice(tmp_path: Path) -> None:
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Path]:
-    """The daemon as a process of its own; its socket."""
+    """The socket of a daemon that runs as a process of its own."""
     socket = tmp_path / "s.sock"
     with (tmp_path / "log").open("wb") as log:
         words = ["serve", "monocab", "--virtual", "--data", str(tmp_path), "--socket", str(socket)]
@@ -174,7 +174,7 @@ def _await(socket: Path, what: Any, limit: float = 40.0) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("blow", "word"), [(signal.SIGKILL, "disconnected"), (signal.SIGSTOP, "not renewed")])
-def test_a_terminal_that_is_killed_or_suspended_ends_its_experiment(
+def test_terminal_that_is_killed_or_suspended_ends_its_experiment(
     blow: signal.Signals, word: str, served: Path
 ) -> None:
     terminal = subprocess.Popen([*UPRIGHT, "experiment", "hold", "--socket", str(served)], stderr=subprocess.DEVNULL)

@@ -1,4 +1,4 @@
-"""`upright model add` with recordings, `undo` and `drop-test`: what is written, taken back, and never half done."""
+"""`upright model add` with recordings, `undo` and `drop-test`: what is written and undone, always completely."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def added(tmp_path_factory: pytest.TempPathFactory, recordings: tuple[Path, Path]) -> tuple[str, dict[str, Any], bytes]:
-    """The file after `add`, what `--json` said, and the picture's first bytes."""
+    """The file after `add`, the output of `--json`, and the first bytes of the picture."""
     folder = tmp_path_factory.mktemp("added")
     (folder / "mine.toml").write_text(MODEL)
     first, second = recordings
@@ -145,7 +145,7 @@ def test_fitted_values_and_their_deviations_are_written(mine: Path) -> None:
     assert max(len(repr(inertia[key])) for key in ("value", "std")) < 12, "no digits that mean nothing"
 
 
-def test_the_history_says_what_the_error_did_and_on_what(mine: Path, recordings: tuple[Path, Path]) -> None:
+def test_history_records_errors_values_and_hashes_of_the_recordings(mine: Path, recordings: tuple[Path, Path]) -> None:
     (entry,) = tomllib.loads(mine.read_text())["history"]
     assert (entry["action"], entry["effect"]) == ("add", "coulomb_friction")
     assert entry["recording"] == ["first.csv"]
@@ -161,7 +161,7 @@ def test_the_history_says_what_the_error_did_and_on_what(mine: Path, recordings:
     assert "sha256" not in shown
 
 
-def test_the_document_tells_the_whole_repair(added: tuple[str, dict[str, Any], bytes]) -> None:
+def test_json_output_has_the_whole_revision(added: tuple[str, dict[str, Any], bytes]) -> None:
     _, document, picture = added
     revision = document["repair"]
     assert document["effect"] == revision["effect"] == "coulomb_friction"
@@ -174,7 +174,7 @@ def test_the_document_tells_the_whole_repair(added: tuple[str, dict[str, Any], b
     assert picture == b"\x89PNG\r\n\x1a\n"
 
 
-def test_undo_gives_the_file_back(mine: Path) -> None:
+def test_undo_restores_the_file(mine: Path) -> None:
     answer = json.loads(upright("undo", mine, "--json"))
     assert answer == {"file": str(mine), "removed": "coulomb_friction", "effects": ["viscous_friction"], "kept": []}
     assert tomllib.loads(mine.read_text()) == {
@@ -186,7 +186,7 @@ def test_undo_gives_the_file_back(mine: Path) -> None:
         upright("undo", mine)
 
 
-def test_undo_keeps_what_was_changed_by_hand_since(mine: Path) -> None:
+def test_undo_keeps_values_that_were_changed_by_hand_since(mine: Path) -> None:
     value = read(mine).model.values["inertia"]
     mine.write_text(mine.read_text().replace(f"value = {value}", "value = 2.125", 1))
     assert read(mine).model.values["inertia"] == 2.125
@@ -196,7 +196,7 @@ def test_undo_keeps_what_was_changed_by_hand_since(mine: Path) -> None:
     assert model.values["viscous_friction.coefficient"] == 0.0
 
 
-def test_only_the_last_addition_can_be_undone(mine: Path) -> None:
+def test_undo_is_refused_if_the_last_change_is_not_an_addition(mine: Path) -> None:
     upright("remove", mine, "viscous_friction")
     before = mine.read_bytes()
     with pytest.raises(ModelError, match="only 'add' can be undone"):
@@ -204,7 +204,7 @@ def test_only_the_last_addition_can_be_undone(mine: Path) -> None:
     assert mine.read_bytes() == before
 
 
-def test_the_next_fit_starts_from_what_was_known_before_any(mine: Path) -> None:
+def test_next_fit_starts_from_the_values_before_any_fit(mine: Path) -> None:
     """A fitted value with its deviation as prior would count the same recording twice."""
     model = before_fits(read(mine))
     assert (model.values["inertia"], model.parameter("inertia").std) == (1.8, 0.3)
@@ -215,14 +215,14 @@ def test_the_next_fit_starts_from_what_was_known_before_any(mine: Path) -> None:
     assert before_fits(read(mine)).values["inertia"] == read(mine).model.values["inertia"], "set by hand since"
 
 
-def test_additions_are_undone_one_after_the_other(mine: Path, recordings: tuple[Path, Path]) -> None:
+def test_additions_are_undone_one_by_one(mine: Path, recordings: tuple[Path, Path]) -> None:
     first = undone(read(mine))[0]
     after_one = tomllib.loads(mine.read_text())
     upright("add", mine, "input_asymmetry", "-r", recordings[0], "--held-out", recordings[1], "--json")
     two = read(mine)
     assert [entry["effect"] for entry in two.history] == ["coulomb_friction", "input_asymmetry"]
     assert two.history[1]["values_before"]["inertia"] == after_one["history"][0]["values_after"]["inertia"]
-    # The same recording, the same prior: a further effect that is not there hardly moves the others.
+    # Same recording, same prior: adding an effect that the plant does not have hardly changes the other values.
     assert two.model.values["inertia"] == pytest.approx(after_one["parameters"]["inertia"]["value"], rel=2e-3)
     assert two.model.parameter("inertia").std == pytest.approx(after_one["parameters"]["inertia"]["std"], rel=0.2)
     upright("undo", mine)
@@ -232,7 +232,7 @@ def test_additions_are_undone_one_after_the_other(mine: Path, recordings: tuple[
     assert read(mine).model == first.model
 
 
-def test_a_file_without_history_works(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
+def test_file_without_history_can_be_tested_but_not_undone(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(MODEL + '\n[[effects]]\nname = "coulomb_friction"\n')
     page = upright("drop-test", mine, recordings[0])
@@ -242,7 +242,7 @@ def test_a_file_without_history_works(tmp_path: Path, recordings: tuple[Path, Pa
         upright("undo", mine)
 
 
-def test_the_drop_test_keeps_the_right_effect_and_names_the_useless(mine: Path, recordings: tuple[Path, Path]) -> None:
+def test_drop_test_separates_needed_effects_from_unnecessary_ones(mine: Path, recordings: tuple[Path, Path]) -> None:
     upright("add", mine, "static_torque")
     before = mine.read_bytes()
     document = json.loads(upright("drop-test", mine, *recordings, "--json"))
@@ -253,7 +253,7 @@ def test_the_drop_test_keeps_the_right_effect_and_names_the_useless(mine: Path, 
     assert "upright model remove" in upright("drop-test", mine, *recordings)
 
 
-def test_the_page_shows_the_budget_and_says_it_in_words(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
+def test_text_output_has_the_budget_as_a_chart_and_in_words(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(MODEL)
     page = upright("add", mine, "coulomb_friction", "-r", recordings[0])
@@ -273,7 +273,7 @@ def test_the_page_shows_the_budget_and_says_it_in_words(tmp_path: Path, recordin
         ({"force": "push"}, "force"),
     ],
 )
-def test_a_recording_that_cannot_be_used_leaves_the_file_as_it_was(
+def test_unusable_recording_leaves_the_file_unchanged(
     tmp_path: Path, recordings: tuple[Path, Path], columns: dict[str, str], said: str
 ) -> None:
     mine, bad = tmp_path / "mine.toml", tmp_path / "bad.csv"
@@ -289,7 +289,7 @@ def test_a_recording_that_cannot_be_used_leaves_the_file_as_it_was(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.csv", "mine.toml"]
 
 
-def test_a_held_out_recording_that_cannot_be_used_is_told_too(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
+def test_unusable_held_out_recording_leaves_the_file_unchanged(tmp_path: Path, recordings: tuple[Path, Path]) -> None:
     mine, stuck = tmp_path / "mine.toml", tmp_path / "stuck.csv"
     mine.write_text(MODEL)
     whole = load(recordings[0])
@@ -299,7 +299,7 @@ def test_a_held_out_recording_that_cannot_be_used_is_told_too(tmp_path: Path, re
     assert mine.read_text() == MODEL
 
 
-def test_a_shipped_model_needs_a_file_to_be_written(tmp_path: Path) -> None:
+def test_shipped_model_can_only_be_extended_in_a_new_toml_file(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="is not changed"):
         upright("add", "monocab_roll", "coulomb_friction")
     target = tmp_path / "mine.toml"
@@ -312,7 +312,7 @@ def test_a_shipped_model_needs_a_file_to_be_written(tmp_path: Path) -> None:
         upright("add", "monocab_roll", "coulomb_friction", "-o", tmp_path / "mine.txt")
 
 
-def test_an_own_effect_is_found_from_the_new_file(tmp_path: Path) -> None:
+def test_path_of_a_user_defined_effect_is_adapted_to_the_new_file(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()
     (tmp_path / "new").mkdir()
     (tmp_path / "old" / "bump.toml").write_text(

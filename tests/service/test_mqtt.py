@@ -1,4 +1,4 @@
-"""MQTT against a real broker with passwords and an access list: what is published, and what its absence costs."""
+"""MQTT against a real broker with passwords and an access list: what is published, and operation without a broker."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ async def connected(client: ObserverClient) -> None:
     await until(lambda: (client.statistics().get("mqtt") or {}).get("connected"))
 
 
-async def test_an_experiment_as_the_broker_tells_it(client: ObserverClient, broker: Mosquitto) -> None:
+async def test_experiment_publishes_state_events_progress_and_results(
+    client: ObserverClient, broker: Mosquitto
+) -> None:
     client.publish_state({"mode": "starting"})
     client.publish_state(STATE)
     await connected(client)
@@ -65,12 +67,12 @@ async def test_an_experiment_as_the_broker_tells_it(client: ObserverClient, brok
         await until(lambda: watcher.of("parameters") and watcher.of("telemetry"))
         await until(lambda: watcher.of("parameters")[-1] == parameters(summary["estimates"]))
         await until(lambda: watcher.of("diagnosis") and watcher.of("diagnosis")[-1] == summary["diagnosis"])
-        told = {each["code"]: each for each in watcher.of("event")}
-        assert told.pop("end") == {"severity": "warning", "code": "end", "text": "an operator requested the end"}
-        # What was named at the end, and perhaps others before it: each is told once.
+        published = {each["code"]: each for each in watcher.of("event")}
+        assert published.pop("end") == {"severity": "warning", "code": "end", "text": "an operator requested the end"}
+        # The effects named at the end, and perhaps others before: each is published once.
         named = summary["diagnosis"]["findings"]
         events = [each["text"] for each in watcher.of("event") if each["code"] == "missing_effect"]
-        assert told.keys() <= {"missing_effect"}
+        assert published.keys() <= {"missing_effect"}
         assert len(events) == len(set(events))
         assert all(any(each["effect"] in text for text in events) for each in named)
         assert watcher.of("progress") == [{"task": "sweep", "fraction": 0.25, "remaining": 30.0}]
@@ -83,17 +85,17 @@ async def test_an_experiment_as_the_broker_tells_it(client: ObserverClient, brok
         assert not late.of("telemetry")
 
 
-async def test_telemetry_is_the_cycles_in_batches(client: ObserverClient, broker: Mosquitto) -> None:
+async def test_telemetry_publishes_the_cycles_in_batches(client: ObserverClient, broker: Mosquitto) -> None:
     frames = cycles()[:500]
     await connected(client)
     async with Watcher(broker.port) as watcher:
         for frame in frames:
             client.offer(frame)
             if frame.timestamp_ns % 200_000_000 == 0:
-                await asyncio.sleep(0.02)  # a little slower than the broker can take
+                await asyncio.sleep(0.02)  # a little slower than the broker can process
         await until(lambda: sum(len(batch["roll"]) for batch in watcher.of("telemetry")) >= 450)
     batches = watcher.of("telemetry")
-    assert len(batches) >= 36  # 20 a second of 2 s, less those that are not full yet
+    assert len(batches) >= 36  # 20 per second for 2 s, less those that are not full yet
     rows = 0
     for batch in batches:
         assert set(batch) - {"predictions"} == {"t0", "dt", *MONOCAB.names}
@@ -106,7 +108,9 @@ async def test_telemetry_is_the_cycles_in_batches(client: ObserverClient, broker
         rows += len(batch["roll"])
 
 
-async def test_killed_the_will_is_told_and_a_new_observer_is_online(client: ObserverClient, broker: Mosquitto) -> None:
+async def test_killed_observer_is_published_as_offline_and_a_new_one_as_online(
+    client: ObserverClient, broker: Mosquitto
+) -> None:
     client.publish_state(STATE)
     await connected(client)
     assert client.pid is not None
@@ -120,7 +124,7 @@ async def test_killed_the_will_is_told_and_a_new_observer_is_online(client: Obse
         await until(lambda: watcher.of("state") == [STATE, STATE])
 
 
-async def test_it_says_goodbye(client: ObserverClient, broker: Mosquitto) -> None:
+async def test_offline_status_is_published_on_stop(client: ObserverClient, broker: Mosquitto) -> None:
     await connected(client)
     async with Watcher(broker.port) as watcher:
         await until(lambda: watcher.of("status"))
@@ -131,12 +135,14 @@ async def test_it_says_goodbye(client: ObserverClient, broker: Mosquitto) -> Non
         assert late.messages == [("status", "offline", True)]
 
 
-async def test_a_broker_that_goes_and_comes_back_disturbs_nothing(client: ObserverClient, broker: Mosquitto) -> None:
+async def test_recording_continues_without_the_broker_and_publishing_resumes(
+    client: ObserverClient, broker: Mosquitto
+) -> None:
     frames = cycles()
     client.publish_state(STATE)
     await connected(client)
     broker.stop()
-    summary = await record(client, frames)  # as if there had never been one
+    summary = await record(client, frames)  # as if there had never been a broker
     assert (summary["failure"], summary["rows"]) == ("", len(frames))
     await until(lambda: client.statistics()["mqtt"]["trouble"])
     client.event("info", "while_away", "told later")
@@ -149,13 +155,13 @@ async def test_a_broker_that_goes_and_comes_back_disturbs_nothing(client: Observ
         for frame in frames[:100]:
             client.offer(Frame(frame.timestamp_ns + 60_000_000_000, frame.values))
         await until(lambda: watcher.of("telemetry"))
-        # The old is not made up for, but for the batch that was not full yet.
+        # Old telemetry is not sent later, except for the batch that was not full yet.
         assert watcher.of("telemetry")[0]["t0"] >= frames[-1].timestamp_ns * 1e-9 - 0.05
     await until(lambda: client.statistics()["mqtt"]["connections"] == 2)
     assert client.statistics()["mqtt"]["dropped"] > 0
 
 
-async def test_a_broker_that_hangs_disturbs_nothing(client: ObserverClient, broker: Mosquitto) -> None:
+async def test_hanging_broker_affects_neither_recording_nor_shutdown(client: ObserverClient, broker: Mosquitto) -> None:
     frames = cycles()
     await connected(client)
     os.kill(broker.pid, signal.SIGSTOP)
@@ -169,7 +175,9 @@ async def test_a_broker_that_hangs_disturbs_nothing(client: ObserverClient, brok
         os.kill(broker.pid, signal.SIGCONT)
 
 
-async def test_a_wrong_password_is_told_and_tried_again(tmp_path: Path, broker: Mosquitto) -> None:
+async def test_wrong_or_missing_password_is_reported_and_recording_still_works(
+    tmp_path: Path, broker: Mosquitto
+) -> None:
     wrong = tmp_path / "wrong"
     wrong.write_text("guess\n")
     client = ObserverClient(hello(tmp_path, broker.address, username="upright", password_file=str(wrong)))
@@ -189,7 +197,7 @@ def section(**changes: Any) -> dict[str, Any]:
     return {**MqttSection().model_dump(), "broker": "localhost:1883", **changes}
 
 
-def test_settings() -> None:
+def test_settings_are_parsed_and_invalid_ones_are_refused() -> None:
     assert MqttConfig.of(section(broker=""), "monocab") is None
     config = MqttConfig.of(section(base="hall/7"), "monocab")
     assert config is not None
@@ -215,7 +223,7 @@ async def test_queues_are_bounded_without_a_broker() -> None:
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 70 + ".invalid"])
-async def test_a_host_that_is_not_there(host: str) -> None:
+async def test_unknown_host_is_reported_and_the_publisher_can_be_closed(host: str) -> None:
     config = MqttConfig.of(section(broker=f"{host}:1883"), "monocab")
     assert config is not None
     publisher = MqttPublisher(config)
@@ -226,7 +234,7 @@ async def test_a_host_that_is_not_there(host: str) -> None:
     assert not publisher.statistics.connected
 
 
-async def test_the_embedded_broker_keeps_what_is_retained() -> None:
+async def test_embedded_broker_keeps_retained_messages() -> None:
     async with EmbeddedBroker() as broker:
         host, _, port = broker.address.partition(":")
         config = MqttConfig.of(section(broker=broker.address), "monocab")
@@ -235,7 +243,7 @@ async def test_the_embedded_broker_keeps_what_is_retained() -> None:
         publisher.retain("state", STATE)
         running = asyncio.create_task(publisher.run())
         await until(lambda: publisher.statistics.published == 1)
-        # As a browser would: by its websockets.
+        # Over websockets, as a browser would.
         place, _, websocket = broker.websocket.removeprefix("ws://").partition(":")
         assert (host, int(port)) != (place, int(websocket))
         async with aiomqtt.Client(place, int(websocket), transport="websockets") as watcher:
@@ -258,7 +266,7 @@ def batches(stamps: list[int], rate: float = 250.0) -> list[dict[str, Any]]:
     return [json.loads(document) for document in cutter.add(frames)]
 
 
-def test_a_batch_ends_at_a_gap_and_where_time_goes_back() -> None:
+def test_batch_ends_at_a_gap_and_where_time_goes_back() -> None:
     ms = 1_000_000
     regular = batches([4 * ms * i for i in range(40)])
     assert [len(batch["roll"]) for batch in regular] == [13, 13, 13]
@@ -283,12 +291,12 @@ def test_parameters_are_those_of_the_last_method_that_has_them() -> None:
 
 
 @pytest.mark.parametrize("shown", [True, False])
-def test_what_shakes_the_vehicle_is_told_beside_its_parameters(shown: bool) -> None:
+def test_disturbance_is_published_with_the_parameters(shown: bool) -> None:
     estimate = DisturbanceEstimate("roll", "N m", 8.1, *((0.4, 0.31, 0.03) if shown else (None,) * 3), shown=shown)
-    told = parameters({"recursion": {"parameters": {}, "disturbance": {"roll": estimate.to_json()}}})
-    for entry in told.values():
+    published = parameters({"recursion": {"parameters": {}, "disturbance": {"roll": estimate.to_json()}}})
+    for entry in published.values():
         mqtt_topics.Parameter.model_validate(entry)
-    rms, time = told["disturbance.roll.rms"], told["disturbance.roll.correlation_time"]
+    rms, time = published["disturbance.roll.rms"], published["disturbance.roll.correlation_time"]
     assert (rms["value"], time["value"]) == ((8.1, 0.31) if shown else (None, None))
     assert (rms["unit"], time["unit"]) == ("N m", "s")
     assert rms["reason"] == ("" if shown else "no disturbance shows: less than 8.1 N m RMS")

@@ -30,7 +30,7 @@ def command(identity: str = "1", *, client: str = "page", at: float = NOW, **arg
 
 
 def judge(gate: CommandGate, payload: bytes, verb: str = "experiment", **more: Any) -> str:
-    """What becomes of it: "passed" or the code of the refusal."""
+    """The verdict on a command: "passed" or the code of the refusal."""
     found = gate.judge(verb, payload, retained=more.get("retained", False), now=more.get("now", NOW))
     return "passed" if isinstance(found, Passed) else found.code
 
@@ -38,14 +38,14 @@ def judge(gate: CommandGate, payload: bytes, verb: str = "experiment", **more: A
 # --- the gate
 
 
-def test_a_command_passes_with_its_arguments() -> None:
+def test_command_passes_with_its_arguments() -> None:
     gate = CommandGate()
     found = gate.judge("experiment", command(name="step"), retained=False, now=NOW)
     assert found == Passed("experiment", "page", "1", {"name": "step"})
     assert gate.counts == {**dict.fromkeys(gate.counts, 0), "passed": 1}
 
 
-def test_what_is_retained_is_refused_a_stop_too() -> None:
+def test_retained_commands_are_refused_even_a_stop() -> None:
     gate = CommandGate()
     assert judge(gate, command(name="step"), retained=True) == "retained"
     assert judge(gate, command(), "stop", retained=True) == "retained"
@@ -53,22 +53,22 @@ def test_what_is_retained_is_refused_a_stop_too() -> None:
 
 
 @pytest.mark.parametrize("seconds", [OLDEST + 0.1, -OLDEST - 0.1, 86400.0])
-def test_what_is_late_or_from_another_clock_is_refused_but_for_a_stop(seconds: float) -> None:
+def test_late_command_or_wrong_clock_is_refused_except_for_a_stop(seconds: float) -> None:
     gate = CommandGate()
     assert judge(gate, command("1", name="step"), now=NOW + seconds) == "stale"
     assert judge(gate, command("2"), "stop", now=NOW + seconds) == "passed"
 
 
-def test_a_repetition_is_refused_and_marked() -> None:
+def test_repetition_is_refused_and_marked() -> None:
     gate = CommandGate()
     assert judge(gate, command(name="step")) == "passed"
     again = gate.judge("experiment", command(name="step"), retained=False, now=NOW)
     assert isinstance(again, Refused)
     assert (again.code, again.again) == ("duplicate", True)
-    assert judge(gate, command(client="other", name="step")) == "passed"  # ids are each client's own
+    assert judge(gate, command(client="other", name="step")) == "passed"  # ids are per client
 
 
-def test_what_was_overtaken_is_refused_but_for_a_stop() -> None:
+def test_out_of_order_command_is_refused_except_for_a_stop() -> None:
     gate = CommandGate()
     assert judge(gate, command("1", at=NOW), "renew") == "passed"
     assert judge(gate, command("2", at=NOW - 0.5, name="step")) == "reordered"
@@ -96,21 +96,21 @@ def test_what_was_overtaken_is_refused_but_for_a_stop() -> None:
         command(name="step").replace(b"1800000000.0", b'"now"'),
     ],
 )
-def test_what_is_no_command_is_refused(payload: bytes) -> None:
+def test_malformed_command_is_refused(payload: bytes) -> None:
     gate = CommandGate()
     assert judge(gate, payload) == "malformed"
     assert gate.counts["malformed"] == 1
 
 
-def test_what_is_too_large_is_not_even_read() -> None:
+def test_too_large_command_is_refused() -> None:
     assert judge(CommandGate(), command(name="x" * LARGEST)) == "huge"
 
 
-def test_an_unknown_verb_is_refused() -> None:
+def test_unknown_verb_is_refused() -> None:
     assert judge(CommandGate(), command(), "self_destruct") == "malformed"
 
 
-def test_a_flood_is_cut_short_but_a_stop_comes_through() -> None:
+def test_flood_of_commands_is_limited_but_a_stop_passes() -> None:
     gate = CommandGate()
     said = [judge(gate, command(str(number)), "renew") for number in range(3 * MOST_A_SECOND)]
     assert said.count("passed") == MOST_A_SECOND
@@ -118,7 +118,7 @@ def test_a_flood_is_cut_short_but_a_stop_comes_through() -> None:
     assert judge(gate, command("next", at=NOW + 1.0), "renew", now=NOW + 1.0) == "passed"
 
 
-def test_it_keeps_little_however_many_clients_there_are() -> None:
+def test_number_of_remembered_clients_is_bounded() -> None:
     gate = CommandGate()
     for number in range(10 * MOST_CLIENTS):
         judge(gate, command(client=f"c{number}", at=NOW + number), "renew", now=NOW + number)
@@ -126,7 +126,7 @@ def test_it_keeps_little_however_many_clients_there_are() -> None:
 
 
 @given(st.sampled_from([*ARGUMENTS, "other", ""]), st.binary(max_size=300), st.booleans())
-def test_no_bytes_raise(verb: str, payload: bytes, retained: bool) -> None:
+def test_no_payload_raises(verb: str, payload: bytes, retained: bool) -> None:
     gate = CommandGate()
     gate.judge(verb, payload, retained=retained, now=NOW)
     assert sum(gate.counts.values()) == 1
@@ -135,14 +135,14 @@ def test_no_bytes_raise(verb: str, payload: bytes, retained: bool) -> None:
 # --- schemas
 
 
-def test_the_shipped_schemas_are_those_of_the_models() -> None:
+def test_shipped_schemas_equal_those_of_the_models() -> None:
     shipped = {
         file.name.removesuffix(".schema.json"): json.loads(file.read_text()) for file in (REFERENCE / "mqtt").iterdir()
     }
     assert shipped == schemas(), "write them anew: python -m service.mqtt.topics docs/reference/mqtt"
 
 
-def test_the_reference_names_every_topic_verb_and_schema() -> None:
+def test_reference_names_every_topic_verb_and_schema() -> None:
     page = (REFERENCE / "mqtt.md").read_text()
     for topic in TOPICS:
         assert f"`{topic}" in page
@@ -152,7 +152,7 @@ def test_the_reference_names_every_topic_verb_and_schema() -> None:
         assert f"(mqtt/{topic}.schema.json)" in page
 
 
-def test_home_assistant_is_shown_sensors_only() -> None:
+def test_home_assistant_discovery_has_only_sensors() -> None:
     entities = dict(discovery("upright/monocab", "monocab", "1.0", {"inertia": "kg m^2"}))
     assert len({entity["unique_id"] for entity in entities.values()}) == len(entities)
     for topic, entity in entities.items():
@@ -175,7 +175,7 @@ def broker(tmp_path: Path) -> Iterator[Mosquitto]:
 
 
 class Control:
-    """What the control process would get, in its place: an observer, and the commands that it lets through."""
+    """Takes the role of the control process: an observer, and the commands that it passes on."""
 
     def __init__(self, folder: Path, broker: Mosquitto, **mqtt: Any) -> None:
         self.client = ObserverClient(hello(folder, broker.address, **broker.login, **mqtt))
@@ -199,7 +199,7 @@ async def control(tmp_path: Path, broker: Mosquitto) -> AsyncIterator[Control]:
     await control.client.stop()
 
 
-async def test_a_command_comes_through_once_and_its_reply_goes_back(control: Control, broker: Mosquitto) -> None:
+async def test_command_passes_once_and_its_client_gets_the_reply(control: Control, broker: Mosquitto) -> None:
     async with Watcher(broker.port, OPERATOR) as page:
         payload = command("17", at=time.time(), name="step")
         await page.publish("cmd/experiment", payload)
@@ -208,7 +208,7 @@ async def test_a_command_comes_through_once_and_its_reply_goes_back(control: Con
         reply = {"id": "17", "ok": True, "code": "accepted", "text": "", "done": False}
         control.client.reply("page", reply)
         await until(lambda: page.of("reply/page") == [reply])
-        await page.publish("cmd/experiment", payload)  # a repetition: answered again, not done again
+        await page.publish("cmd/experiment", payload)  # a repetition: answered again, not executed again
         await until(lambda: page.of("reply/page") == [reply, reply])
         assert len(control.commands) == 1
         await page.publish("cmd/experiment", command("18", at=time.time() - 60.0, name="step"))
@@ -225,7 +225,7 @@ async def test_a_command_comes_through_once_and_its_reply_goes_back(control: Con
         assert all(not retained for topic, _, retained in page.messages if topic.startswith("reply"))
 
 
-async def test_a_retained_command_waits_in_vain(tmp_path: Path, broker: Mosquitto) -> None:
+async def test_retained_command_at_the_broker_is_refused(tmp_path: Path, broker: Mosquitto) -> None:
     async with Watcher(broker.port, OPERATOR) as page:
         await page.publish("cmd/experiment", command(at=time.time(), name="step"), retain=True)
         control = Control(tmp_path, broker, commands=True)
@@ -248,7 +248,9 @@ async def test_commands_are_off_unless_enabled(tmp_path: Path, broker: Mosquitto
     await control.client.stop()
 
 
-async def test_whoever_only_looks_on_can_command_nothing(control: Control, broker: Mosquitto) -> None:
+async def test_viewer_cannot_send_commands_and_no_client_can_forge_the_state(
+    control: Control, broker: Mosquitto
+) -> None:
     async with Watcher(broker.port, WATCHER) as viewer, Watcher(broker.port, OPERATOR) as page:
         await viewer.publish("cmd/stop", command("1", client="viewer", at=time.time()))
         await viewer.publish("state", json.dumps({"mode": "forged"}))
@@ -260,7 +262,7 @@ async def test_whoever_only_looks_on_can_command_nothing(control: Control, broke
         assert not [topic for topic, _, _ in viewer.messages if topic.startswith(("cmd", "reply"))]
 
 
-async def test_over_tls_and_not_to_a_broker_that_nobody_vouches_for(tmp_path: Path) -> None:
+async def test_tls_connects_only_to_a_broker_with_a_trusted_certificate(tmp_path: Path) -> None:
     broker = Mosquitto(tmp_path, tls=True)
     broker.start()
     address = f"localhost:{broker.port}"
@@ -270,19 +272,19 @@ async def test_over_tls_and_not_to_a_broker_that_nobody_vouches_for(tmp_path: Pa
     await until(lambda: (good.statistics().get("mqtt") or {}).get("connected"))
     await good.stop()
     for ca_file, word in ((str(tmp_path / "absent.pem"), "ca_file"), ("", "certificate")):
-        doubtful = ObserverClient(hello(tmp_path, address, **section, ca_file=ca_file))
-        await doubtful.start()
+        untrusted = ObserverClient(hello(tmp_path, address, **section, ca_file=ca_file))
+        await untrusted.start()
 
-        def trouble(client: ObserverClient = doubtful) -> str:
+        def trouble(client: ObserverClient = untrusted) -> str:
             said = client.statistics()
             return str(said.get("trouble", "")) + str((said.get("mqtt") or {}).get("trouble", ""))
 
         await until(lambda word=word, trouble=trouble: word in trouble())
-        await doubtful.stop()
+        await untrusted.stop()
     broker.stop()
 
 
-async def test_everything_that_is_published_is_as_the_schemas_say(control: Control, broker: Mosquitto) -> None:
+async def test_everything_published_conforms_to_the_schemas(control: Control, broker: Mosquitto) -> None:
     state = {
         "vehicle": "monocab", "mode": "disarmed", "experiment": None, "phase": "none", "code": "disarmed", "reason": "",
         "interlocks": [], "faults": [], "version": "1", "since": 1.0, "held_by": None, "commands": True,
@@ -309,32 +311,33 @@ async def test_everything_that_is_published_is_as_the_schemas_say(control: Contr
                     model.model_validate(document)
 
 
-async def test_predictions_lie_over_what_was_measured(control: Control, broker: Mosquitto) -> None:
-    """The stretches that the model predicts, half a second each, against the cycles that they are predictions of."""
+async def test_published_predictions_are_close_to_the_measurement(control: Control, broker: Mosquitto) -> None:
+    """The segments that the model predicts, half a second each, compared with the cycles that they predict."""
     frames = cycles()
     roll = {round(frame.timestamp_ns * 1e-9, 3): frame.values[0] for frame in frames}
     async with Watcher(broker.port) as watcher:
         await asyncio.sleep(0.5)
         await until(lambda: control.client.ready)
-        stretches: list[dict[str, Any]] = []
-        # What was compiled before answers within seconds; the first half of the run is for estimates to come.
+        segments: list[dict[str, Any]] = []
+        # A model that was compiled before is ready within seconds; the first half of the run yields the estimates.
         for place in range(0, len(frames), 50):
             for frame in frames[place : place + 50]:
                 control.client.offer(frame)
             await asyncio.sleep(0.1)
         await until(lambda: [each for batch in watcher.of("telemetry") for each in batch.get("predictions", [])])
-        stretches = [each for batch in watcher.of("telemetry") for each in batch.get("predictions", [])]
-    errors, sizes = [], []
-    for stretch in stretches:
-        for place, predicted in enumerate(stretch["values"]["roll"]):
-            measured = roll.get(round(stretch["t0"] + place * stretch["dt"], 3))
+        segments = [each for batch in watcher.of("telemetry") for each in batch.get("predictions", [])]
+    errors, magnitudes = [], []
+    for segment in segments:
+        for place, predicted in enumerate(segment["values"]["roll"]):
+            measured = roll.get(round(segment["t0"] + place * segment["dt"], 3))
             if measured is not None:
                 errors.append(abs(predicted - measured))
-                sizes.append(abs(measured))
-        assert max(map(abs, stretch["innovations"]["roll_rate"])) < 0.05
+                magnitudes.append(abs(measured))
+        assert max(map(abs, segment["innovations"]["roll_rate"])) < 0.05
     assert len(errors) > 100
-    # With CAD values that are 15 % off, half a second ahead on a plant that falls at 3/s: a fraction of the motion.
-    assert sum(errors) < 0.5 * sum(sizes)
+    # With CAD values that are 15 % off, half a second ahead, on a plant with an unstable pole at 3/s, the error is a
+    # fraction of the motion.
+    assert sum(errors) < 0.5 * sum(magnitudes)
 
 
 async def test_home_assistant_finds_its_sensors(control: Control, broker: Mosquitto) -> None:

@@ -1,4 +1,4 @@
-"""sd_notify against a real datagram socket, in the place of systemd's."""
+"""sd_notify against a real datagram socket in place of systemd's."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from service.control.notify import Notifier, NotifyError
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[socket.socket, str]]:
-    """A service manager's socket and its name as it stands in $NOTIFY_SOCKET."""
+    """A service manager's socket, and its name as given in $NOTIFY_SOCKET."""
     name = f"@upright-test-{os.getpid()}" if request.param == "abstract" else str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(name.replace("@", "\0", 1))
@@ -22,7 +22,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
         yield listener, name
 
 
-def test_a_life_as_the_service_manager_hears_it(manager: tuple[socket.socket, str]) -> None:
+def test_service_manager_receives_all_notifications_in_order(manager: tuple[socket.socket, str]) -> None:
     listener, name = manager
     notifier = Notifier.from_environment({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "2000000"})
     assert notifier.watchdog_timeout == 2.0
@@ -51,35 +51,35 @@ def test_without_a_service_manager_nothing_is_sent() -> None:
     assert notifier.unsent == 0
 
 
-def test_a_watchdog_meant_for_another_process_is_not_ours() -> None:
+def test_watchdog_of_another_process_is_ignored() -> None:
     assert Notifier.from_environment({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}).watchdog_timeout is None
     ours = {"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid())}
     assert Notifier.from_environment(ours).watchdog_timeout == 0.5
 
 
-def test_an_unreachable_manager_is_named(tmp_path: Path) -> None:
+def test_unreachable_manager_is_reported_with_a_remedy(tmp_path: Path) -> None:
     with pytest.raises(NotifyError, match="cannot reach the service manager") as caught:
         Notifier(str(tmp_path / "gone"))
     assert "systemctl start upright" in caught.value.remedy
 
 
-def test_a_full_queue_is_counted_and_never_waited_for(manager: tuple[socket.socket, str]) -> None:
+def test_full_queue_never_blocks_and_unsent_messages_are_counted(manager: tuple[socket.socket, str]) -> None:
     listener, name = manager
     notifier = Notifier(name)
     queue_limit = 5_000  # far beyond net.unix.max_dgram_qlen (10 by default, 512 under systemd)
     for _ in range(queue_limit):
         notifier.watchdog()
     assert 0 < notifier.unsent < queue_limit
-    heard = 0
-    while notifier.unsent + heard < queue_limit:
+    received = 0
+    while notifier.unsent + received < queue_limit:
         assert listener.recv(64) == b"WATCHDOG=1"
-        heard += 1
+        received += 1
     notifier.watchdog()
     assert listener.recv(64) == b"WATCHDOG=1"
     notifier.close()
 
 
-def test_a_manager_that_went_away_stops_no_control_loop(tmp_path: Path) -> None:
+def test_lost_manager_raises_nothing_and_unsent_messages_are_counted(tmp_path: Path) -> None:
     address = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(address)

@@ -34,13 +34,13 @@ from vehicles.registry import nominal_model
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled() -> None:
-    """The model is in the cache: to compile it, the first start on a computer needs longer than these tests wait."""
+    """Put the compiled model into the cache: compiling it on a new computer takes longer than these tests wait."""
     online_estimators("monocab", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support).join()
 
 
 @pytest.fixture
 async def client(tmp_path: Path) -> AsyncIterator[ObserverClient]:
-    """A started client; its observer waits for nothing but the pipe."""
+    """A started client; its observer depends only on the pipe."""
     client = ObserverClient(hello(tmp_path))
     await client.start()
     yield client
@@ -50,11 +50,11 @@ async def client(tmp_path: Path) -> AsyncIterator[ObserverClient]:
 
 
 async def up(client: ObserverClient) -> None:
-    """Wait until the observer has read what was sent, its start-up included."""
+    """Wait until the observer has started and has read the messages sent so far."""
     await until(lambda: "trouble" in client.statistics())
 
 
-async def test_recording_live_results_and_replay_are_one(client: ObserverClient) -> None:
+async def test_recording_live_results_and_replay_agree(client: ObserverClient) -> None:
     frames = cycles()
     client.offer(Frame(frames[0].timestamp_ns - 4_000_000, frames[0].values))  # before the start: not recorded
     await up(client)
@@ -76,13 +76,13 @@ async def test_recording_live_results_and_replay_are_one(client: ObserverClient)
     assert beside["diagnosis"]["verdict"] in ("adequate", "missing_effect", "insufficient_data")
 
 
-async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing(
+async def test_estimator_that_is_compiled_late_still_gets_every_sample(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on the first start on a computer: a recording begins, and ends, before the model is compiled."""
     compiled = threading.Event()
 
-    def slowly(*given: Any) -> EstimatorBank:
+    def slow_estimators(*given: Any) -> EstimatorBank:
         def make() -> LiveDiagnosis:
             compiled.wait(20.0)
             return LiveDiagnosis(
@@ -91,7 +91,7 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
 
         return EstimatorBank([make_plain(given[1], given[3])], {"recursive_prediction_error": make})
 
-    monkeypatch.setattr("service.observer.process.online_estimators", slowly)
+    monkeypatch.setattr("service.observer.process.online_estimators", slow_estimators)
     own, other = link.pair()
     loop = asyncio.get_running_loop()
     running = asyncio.create_task(Observer(other, hello(tmp_path)).run())
@@ -102,13 +102,13 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
     for place in range(0, len(frames), 20):
         await loop.sock_sendall(own, codec.pack(frames[place : place + 20]))
 
-    async def told(what: str) -> dict[str, Any]:
+    async def next_message(what: str) -> dict[str, Any]:
         while True:
             message = link.unpack_json(await asyncio.wait_for(loop.sock_recv(own, link.LARGEST), 20.0))
             if message["type"] == what:
                 return message
 
-    meanwhile = (await told("estimates"))["estimates"]
+    meanwhile = (await next_message("estimates"))["estimates"]
     assert meanwhile["recursive_prediction_error"]["status"] == "starting"
     assert "compiled" in meanwhile["recursive_prediction_error"]["reason"]
     assert meanwhile["recursive_least_squares"]["samples"] > 10
@@ -116,7 +116,7 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
     await loop.sock_sendall(own, link.pack_json({"type": "stop_recording", **end}))
     await asyncio.sleep(0.3)
     compiled.set()
-    finished = await told("finished")
+    finished = await next_message("finished")
     assert finished["rows"] == len(frames)
     live = finished["estimates"]["recursive_prediction_error"]
     assert live == replay.replay(load(Path(finished["recording"])), VEHICLE)["recursive_prediction_error"]
@@ -126,7 +126,7 @@ async def test_an_estimator_that_takes_time_to_make_joins_and_has_missed_nothing
     other.close()
 
 
-async def test_estimates_come_while_it_records_and_begin_anew_with_each_recording(client: ObserverClient) -> None:
+async def test_estimates_arrive_during_a_recording_and_restart_with_the_next(client: ObserverClient) -> None:
     frames = cycles()
     client.start_recording("first", frames[0].timestamp_ns, {})
     for frame in frames:
@@ -138,7 +138,7 @@ async def test_estimates_come_while_it_records_and_begin_anew_with_each_recordin
     assert load(first[0]).metadata["end_reason"] == "another recording began"
 
 
-async def test_cycles_before_the_start_and_clocks_set_back_are_left_out(client: ObserverClient) -> None:
+async def test_cycles_before_the_start_or_after_a_clock_setback_are_left_out(client: ObserverClient) -> None:
     frames = cycles()[:500]
     client.start_recording("hold", frames[50].timestamp_ns, {})
     for frame in (*frames[:200], *frames[150:300]):
@@ -148,16 +148,16 @@ async def test_cycles_before_the_start_and_clocks_set_back_are_left_out(client: 
     assert list(load(Path(summary["recording"])).frames()) == frames[50:300]
 
 
-async def test_raw_frames_that_come_through_the_pipe(client: ObserverClient) -> None:
+async def test_raw_frames_from_the_pipe_are_logged(client: ObserverClient) -> None:
     start = 1_000_000_000_000
     kinds: list[dict[str, Any]] = [{}, {"extended": True}, {"error": True}, {"bus": 1}]
     frames = [CanFrame(start + 100_000 * i, 0x18A, bytes([i % 256] * (i % 9)), **kinds[i % 4]) for i in range(3000)]
     frames[20] = CanFrame(frames[20].timestamp_ns, 0x18A, bytes(4), remote=True)
-    client.offer_can(frames[0])  # nothing records yet
+    client.offer_can(frames[0])  # no recording yet
     client.start_recording("hold", frames[10].timestamp_ns, {})
     for frame in frames[:1500]:
         client.offer_can(frame)
-    client.stop_recording("done", frames[2000].timestamp_ns - 2_000_000)  # and half a cycle on: the setpoints' frames
+    client.stop_recording("done", frames[2000].timestamp_ns - 2_000_000)  # plus half a cycle: the setpoints' frames
     for frame in frames[1500:]:
         client.offer_can(frame)
     summary = await client.finished_recording()
@@ -167,7 +167,9 @@ async def test_raw_frames_that_come_through_the_pipe(client: ObserverClient) -> 
     assert logged == frames[10:2001]
 
 
-async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: ObserverClient, tmp_path: Path) -> None:
+async def test_killed_observer_leaves_its_recording_and_a_new_one_takes_over(
+    client: ObserverClient, tmp_path: Path
+) -> None:
     exits: list[int] = []
     client.on_exit = exits.append
     frames = cycles()
@@ -180,7 +182,7 @@ async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: Observ
     await until(lambda: exits)
     assert exits == [-signal.SIGKILL]
     assert not client.alive
-    client.offer(frames[1000])  # nobody hears it; it must not raise
+    client.offer(frames[1000])  # there is no receiver; it must not raise
     client.stop_recording("done", frames[1000].timestamp_ns)
     summary = await client.finished_recording()
     assert summary["failure"] == "the observer process ended"
@@ -195,13 +197,13 @@ async def test_killed_it_leaves_what_it_had_and_a_new_one_goes_on(client: Observ
     assert client.statistics()["exits"] == 1
 
 
-async def test_slow_it_costs_frames_that_are_counted_and_nothing_else(client: ObserverClient) -> None:
+async def test_stalled_observer_never_blocks_and_dropped_frames_are_counted(client: ObserverClient) -> None:
     await up(client)
     assert client.pid is not None
     os.kill(client.pid, signal.SIGSTOP)
     client.start_recording("sweep", 0, {})
     values = (0.0,) * len(MONOCAB)
-    total = 100_000  # 400 s: more than twice what pipe and queue hold. A single wait in it would hang this test.
+    total = 100_000  # 400 s: more than twice what pipe and queue hold. A single blocking wait would hang this test.
     for i in range(total):
         client.offer(Frame(1 + 4_000_000 * i, values))
     client.stop_recording("done", 4_000_000 * total)
@@ -216,7 +218,7 @@ async def test_slow_it_costs_frames_that_are_counted_and_nothing_else(client: Ob
     assert recording.metadata["dropped_frames"] == str(counts["frames_dropped"])
 
 
-async def test_cycles_wait_for_an_observer_that_stalls_for_half_a_minute(client: ObserverClient) -> None:
+async def test_no_cycle_is_lost_if_the_observer_stalls_for_half_a_minute(client: ObserverClient) -> None:
     await up(client)
     assert client.pid is not None
     os.kill(client.pid, signal.SIGSTOP)
@@ -232,7 +234,7 @@ async def test_cycles_wait_for_an_observer_that_stalls_for_half_a_minute(client:
     assert client.statistics()["frames_dropped"] == 0
 
 
-async def test_messages_wait_for_a_slow_observer_up_to_a_bound(client: ObserverClient) -> None:
+async def test_messages_for_a_stalled_observer_are_queued_up_to_a_bound(client: ObserverClient) -> None:
     await up(client)
     assert client.pid is not None
     os.kill(client.pid, signal.SIGSTOP)
@@ -241,14 +243,14 @@ async def test_messages_wait_for_a_slow_observer_up_to_a_bound(client: ObserverC
         client.event("info", "test", f"number {i}, {text}")
     dropped = client.statistics()["messages_dropped"]
     assert 0 < dropped < 20_000 - MOST_WAITING / 1200
-    # The order comes while there is no room for a message, and is not lost.
+    # The order to record arrives while there is no room for a message, and is not lost.
     summary_of_later = asyncio.create_task(record(client, cycles()[:500]))
     await asyncio.sleep(0.1)
     os.kill(client.pid, signal.SIGCONT)
     assert (await summary_of_later)["failure"] == ""
 
 
-async def test_lossless_it_waits_for_a_slow_observer(tmp_path: Path) -> None:
+async def test_lossless_client_waits_for_a_stalled_observer(tmp_path: Path) -> None:
     client = ObserverClient(hello(tmp_path), lossless=True)
     await client.start()
     await up(client)
@@ -268,14 +270,14 @@ async def test_lossless_it_waits_for_a_slow_observer(tmp_path: Path) -> None:
     await client.stop()
 
 
-async def test_stopped_while_it_records_it_finishes_and_deaf_to_signals(client: ObserverClient) -> None:
+async def test_observer_ignores_signals_and_finishes_its_recording_on_stop(client: ObserverClient) -> None:
     frames = cycles()[:500]
     await up(client)
     assert client.pid is not None
     client.start_recording("hold", frames[0].timestamp_ns, {})
     for frame in frames:
         client.offer(frame)
-    os.kill(client.pid, signal.SIGTERM)  # a stopped service tells all its processes
+    os.kill(client.pid, signal.SIGTERM)  # stopping a service signals all its processes
     os.kill(client.pid, signal.SIGINT)
     await client.stop()
     summary = await client.finished_recording()
@@ -285,7 +287,7 @@ async def test_stopped_while_it_records_it_finishes_and_deaf_to_signals(client: 
     assert recording.metadata["end_reason"] == "the control process ended"
 
 
-async def test_where_nothing_can_be_written_it_says_so_and_still_estimates(tmp_path: Path) -> None:
+async def test_unwritable_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     client = ObserverClient(hello(tmp_path / "file"))
     await client.start()
@@ -295,11 +297,11 @@ async def test_where_nothing_can_be_written_it_says_so_and_still_estimates(tmp_p
     await client.stop()
 
 
-async def test_nothing_recorded_nothing_to_wait_for(tmp_path: Path) -> None:
+async def test_finished_recording_is_empty_if_nothing_was_recorded(tmp_path: Path) -> None:
     assert await ObserverClient(hello(tmp_path)).finished_recording() == {}
 
 
-async def test_a_recording_that_is_never_stopped_is_not_waited_for(client: ObserverClient) -> None:
+async def test_waiting_for_a_recording_that_is_never_stopped_times_out(client: ObserverClient) -> None:
     client.start_recording("a/b c", 0, {})
     summary = await client.finished_recording(timeout=0.1)
     assert "not finished" in summary["failure"]
@@ -346,7 +348,7 @@ def test_when_control_is_killed_the_recording_is_completed_and_the_observer_ends
     assert recording.metadata["end_reason"] == "the control process ended"
 
 
-def test_packets_keep_every_bit() -> None:
+def test_packets_are_lossless_and_too_large_messages_are_refused() -> None:
     random = np.random.default_rng(3)
     frames = [Frame(int(t), tuple(random.standard_normal(14).tolist())) for t in random.integers(0, 1 << 62, 50)]
     codec = link.FrameCodec(14)

@@ -27,11 +27,11 @@ def test_no_number_unit_or_name_is_cut(width: int) -> None:
     page = Console(file=io.StringIO(), width=width)
     page.print(parameter_table(ESTIMATES))
     assert isinstance(page.file, io.StringIO)
-    said = page.file.getvalue()
+    output = page.file.getvalue()
     for text in ("1612.3", "46", "kg m^2", "2.9 %", "-50.1", "40 %", "static_torque.torque", "drive_time_offset"):
-        assert text in said
-    assert "…" not in said
-    letters = "".join(line[:32].split("  ")[0].strip() for line in said.splitlines() if line and line[0] != " ")
+        assert text in output
+    assert "…" not in output
+    letters = "".join(line[:32].split("  ")[0].strip() for line in output.splitlines() if line and line[0] != " ")
     assert "recursive_instrumental_variables" in letters
 
 
@@ -42,16 +42,16 @@ def printed(estimates: dict[str, Any]) -> str:
     return " ".join(page.file.getvalue().split())
 
 
-def test_what_there_is_to_say_is_said_whole_and_once() -> None:
-    said = printed(ESTIMATES)
-    assert said.endswith("drive_time_offset: the record does not tell it")
+def test_reason_is_printed_in_full_and_only_once() -> None:
+    output = printed(ESTIMATES)
+    assert output.endswith("drive_time_offset: the record does not tell it")
     (one,) = ESTIMATES.values()
     assert printed({"a": {**one, "reason": "the record does not tell it"}}).count("the record does not tell it") == 1
 
 
-def test_of_several_methods_it_is_said_of_which() -> None:
+def test_reasons_name_the_method_if_there_are_several() -> None:
     (one,) = ESTIMATES.values()
     failed = {"parameters": {}, "reason": "ValueError: [no] number"}
-    said = printed({"a": one, "b": one, "c": failed})
-    assert "drive_time_offset (a), drive_time_offset (b): the record does not tell it" in said
-    assert "c: ValueError: [no] number" in said
+    output = printed({"a": one, "b": one, "c": failed})
+    assert "drive_time_offset (a), drive_time_offset (b): the record does not tell it" in output
+    assert "c: ValueError: [no] number" in output

@@ -25,7 +25,7 @@ VEHICLE = load("monocab")
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """STEM of a recording and its raw log: the step, ended soon after the vehicle is up."""
+    """Path stem of a recording and its raw log: the step experiment, ended soon after the vehicle is upright."""
     stem = tmp_path_factory.mktemp("run") / "step"
     loop = ClosedLoop()
     loop.loop.start_experiment("step")
@@ -43,7 +43,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def alone(run: Path, folder: Path, *, lines: slice = slice(None), tail: str = "") -> Path:
-    """Some lines of the raw log, in another folder."""
+    """A copy of some lines of the raw log, in another folder."""
     log = folder / "alone.log"
     log.write_text("".join(Path(f"{run}.log").read_text().splitlines(keepends=True)[lines]) + tail)
     return log
@@ -55,7 +55,7 @@ def assert_same(a: Recording, b: Recording, names: tuple[str, ...] = MONOCAB.nam
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
-def test_the_raw_log_rebuilds_every_row_and_every_estimate(run: Path) -> None:
+def test_raw_log_rebuilds_every_sample_and_every_estimate(run: Path) -> None:
     recorded = replay.load(Path(f"{run}.arrow"), VEHICLE)
     rebuilt = replay.load(Path(f"{run}.log"), VEHICLE)
     assert len(recorded) > 1000
@@ -69,7 +69,7 @@ def test_the_raw_log_rebuilds_every_row_and_every_estimate(run: Path) -> None:
     assert results["recursive_prediction_error"]["status"] == "ok"
 
 
-def test_a_log_alone_gives_all_that_was_on_the_bus(run: Path, tmp_path: Path) -> None:
+def test_log_without_its_recording_gives_all_channels_on_the_bus(run: Path, tmp_path: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     rebuilt = replay.load(alone(run, tmp_path), VEHICLE)
     assert_same(recorded, rebuilt, tuple(name for name in MONOCAB.names if name not in replay.not_on_the_bus(MONOCAB)))
@@ -79,8 +79,10 @@ def test_a_log_alone_gives_all_that_was_on_the_bus(run: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("dropped", [(), (0x201, 0x202, 0x203)])
-def test_a_log_alone_gives_the_plain_estimates_bit_for_bit(run: Path, tmp_path: Path, dropped: tuple[int, ...]) -> None:
-    """Neither what was never on the bus nor the setpoints, whichever cycle they are counted to, play a part."""
+def test_log_without_its_recording_gives_the_plain_estimates_bit_for_bit(
+    run: Path, tmp_path: Path, dropped: tuple[int, ...]
+) -> None:
+    """Neither the channels that are not on the bus nor the setpoints, whichever cycle they belong to, affect them."""
     recorded = replay.replay(replay.load(Path(f"{run}.arrow"), VEHICLE), VEHICLE)
     lines = Path(f"{run}.log").read_text().splitlines(keepends=True)
     kept = [line for line in lines if int(line.split()[2].partition("#")[0], 16) not in dropped]
@@ -96,13 +98,13 @@ def test_a_log_alone_gives_the_plain_estimates_bit_for_bit(run: Path, tmp_path: 
     assert rebuilt[instrumental]["samples"] == 0
 
 
-def test_a_log_that_was_cut_off_gives_the_rows_before(run: Path, tmp_path: Path) -> None:
+def test_truncated_log_gives_the_samples_before_the_cut(run: Path, tmp_path: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     rebuilt = replay.load(alone(run, tmp_path, lines=slice(6000), tail="(0000001005.1234"), VEHICLE)
     assert "line 6001" in rebuilt.truncated
     rows = len(rebuilt)
     assert 100 < rows < len(recorded)
-    # The setpoints that answered the last sample may be cut off: that row has those before.
+    # The setpoints for the last sample may be cut off: it then has the previous ones.
     np.testing.assert_array_equal(rebuilt["roll"], recorded["roll"][:rows])
     np.testing.assert_array_equal(
         rebuilt["precession_rate_setpoint"][:-1], recorded["precession_rate_setpoint"][: rows - 1]
@@ -117,7 +119,7 @@ def test_a_log_that_was_cut_off_gives_the_rows_before(run: Path, tmp_path: Path)
         (lambda can_id: False, "no complete IMU frame set"),
     ],
 )
-def test_frames_of_another_vehicle(run: Path, tmp_path: Path, kept: object, words: str) -> None:
+def test_log_of_another_vehicle_is_refused_with_a_remedy(run: Path, tmp_path: Path, kept: object, words: str) -> None:
     assert callable(kept)
     lines = Path(f"{run}.log").read_text().splitlines(keepends=True)
     log = tmp_path / "other.log"
@@ -129,14 +131,14 @@ def test_frames_of_another_vehicle(run: Path, tmp_path: Path, kept: object, word
 
 
 @pytest.mark.parametrize("suffix", [".arrow", ".parquet", ".csv"])
-def test_converted_it_gives_the_same_estimates(run: Path, tmp_path: Path, suffix: str) -> None:
+def test_converted_recording_gives_the_same_estimates(run: Path, tmp_path: Path, suffix: str) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     replay.convert(recorded, tmp_path / f"converted{suffix}")
     converted = load_file(tmp_path / f"converted{suffix}")
     assert replay.replay(converted, VEHICLE) == replay.replay(recorded, VEHICLE)
 
 
-def test_matlab_file(run: Path, tmp_path: Path) -> None:
+def test_matlab_file_keeps_values_time_units_and_metadata(run: Path, tmp_path: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     replay.convert(recorded, tmp_path / "run.mat")
     content = loadmat(tmp_path / "run.mat")
@@ -147,7 +149,7 @@ def test_matlab_file(run: Path, tmp_path: Path) -> None:
     assert content["metadata"]["experiment"][0, 0][0] == "step"
 
 
-def test_what_cannot_be_converted(run: Path, tmp_path: Path) -> None:
+def test_unsupported_format_and_missing_folder_are_refused(run: Path, tmp_path: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     with pytest.raises(RecordingError, match=r"does not write \.xls"):
         replay.convert(recorded, tmp_path / "run.xls")
@@ -156,7 +158,7 @@ def test_what_cannot_be_converted(run: Path, tmp_path: Path) -> None:
             replay.convert(recorded, tmp_path / "absent" / f"run{suffix}")
 
 
-def test_a_channel_that_the_estimators_miss_is_named(run: Path) -> None:
+def test_channel_that_the_estimators_miss_is_named(run: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     channels = ChannelTable(MONOCAB[:3])
     few = Recording(channels, recorded.timestamp_ns, {name: recorded[name] for name in channels.names})
@@ -165,7 +167,7 @@ def test_a_channel_that_the_estimators_miss_is_named(run: Path) -> None:
     assert caught.value.key == "pitch"
 
 
-def test_a_recording_from_before_a_channel_was_there_is_as_good(run: Path) -> None:
+def test_recording_without_the_newer_channels_gives_the_same_least_squares(run: Path) -> None:
     recorded = load_file(Path(f"{run}.arrow"))
     channels = ChannelTable(each for each in MONOCAB if not each.newer)
     assert set(MONOCAB.names) - set(channels.names) == {"gyro_bias_std", "setpoint_age"}
@@ -174,7 +176,7 @@ def test_a_recording_from_before_a_channel_was_there_is_as_good(run: Path) -> No
     assert replay.replay(older, VEHICLE)[least_squares] == replay.replay(recorded, VEHICLE)[least_squares]
 
 
-def test_a_full_disk_ends_the_recording_and_leaves_what_was_written(tmp_path: Path) -> None:
+def test_full_disk_ends_the_recording_and_keeps_what_was_written(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run", MONOCAB, 0, {}, ("can0",))
     values = (0.0,) * len(MONOCAB)
     recorder.add([Frame(i, values) for i in range(10)])
@@ -193,5 +195,5 @@ def test_a_full_disk_ends_the_recording_and_leaves_what_was_written(tmp_path: Pa
         recorder.write(recorder.take())
     recorder._stream = stream
     recorder.add([Frame(i, values) for i in range(20, 30)])
-    recorder.finish({"end_reason": "done"}, {})  # nothing is written behind a gap
+    recorder.finish({"end_reason": "done"}, {})  # nothing is written after a gap
     assert len(load_file(tmp_path / "run.arrow")) == recorder.rows == 10

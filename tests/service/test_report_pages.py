@@ -1,4 +1,4 @@
-"""The pages of a comparison and of an identification: one file that loads nothing, with what the JSON says."""
+"""The pages of a comparison and of an identification: each is one self-contained file with the contents of the JSON."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TRUTH = library.get("monocab_roll").add("static_torque").change({"inertia": 1650
 RIGHT = TRUTH.change({"static_torque.torque": 40.0})
 PROVENANCE = Provenance(vehicle="monocab", version="1.2.3", date="2031-02-03 04:05", hashes={HOSTILE: HASH})
 METHODS = ("least_squares", "instrumental_variables", "drive_lag")
-"""The quick ones."""
+"""The fast methods."""
 
 
 @cache
@@ -52,7 +52,7 @@ def document() -> dict[str, Any]:
 
 
 def check(text: str) -> Page:
-    """One document that loads nothing and believes no name it is given, each id once."""
+    """Check that the page is one document that loads nothing and escapes every given name, with unique ids."""
     page = Page(text)
     assert [len(page.all(tag)) for tag in ("html", "head", "body", "title", "h1", "footer")] == [1] * 6
     assert not {"script", "link", "img", "iframe", "object", "embed"} & {tag for tag, _ in page.tags}
@@ -78,11 +78,11 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class TestAComparison:
-    def test_the_verdicts_come_first(self) -> None:
+class TestComparisonPage:
+    def test_verdicts_come_first(self) -> None:
         before = comparison_page().text.split("Measured against predicted")[0]
         assert "<b>right</b>: adequate; CAD: not" in before
-        assert before.count("again.arrow") == 3  # above, and once a model
+        assert before.count("again.arrow") == 3  # at the top, and once per model
         for each in compared():
             assert f"{each.innovation_ratio:.3g}" in before
 
@@ -96,17 +96,17 @@ class TestAComparison:
         for sentence in compared()[0].summary:
             assert " ".join(sentence.split()) in comparison_page().text
 
-    def test_a_loop_that_is_not_known_has_its_reason_and_no_number(self) -> None:
+    def test_unknown_control_loop_is_reported_with_its_reason(self) -> None:
         part = comparison_page().text.split("Simulated in the closed loop")[1].split("Where it fails")[0]
         assert "CAD, <b>right</b>: not available, the recording is <of> another vehicle." in part
 
-    def test_every_model_has_a_look(self) -> None:
+    def test_six_models_have_distinct_colours_and_dashes(self) -> None:
         assert len({each.colour for each in looks(6)}) == len({str(each.dash) for each in looks(6)}) == 6
         assert len(looks(20)) == 20
 
 
-class TestAnIdentification:
-    def test_says_what_to_rely_on_with_its_parameters(self) -> None:
+class TestIdentificationPage:
+    def test_recommended_method_is_shown_with_its_parameters(self) -> None:
         page = check(write_identification(document(), "monocab_roll", provenance=PROVENANCE, why="No <b>model</b>."))
         best = document()["best"]
         assert f"Recommended method: {best}" in page.text
@@ -118,30 +118,30 @@ class TestAnIdentification:
             assert name in page.text
         assert page.text.count("No <b>model</b>.") == 1
 
-    def test_shows_what_the_estimates_predict(self) -> None:
+    def test_predictions_of_the_estimates_are_shown(self) -> None:
         text = write_identification(document(), "monocab_roll", comparisons=compared(), provenance=PROVENANCE)
         assert "Measured against predicted" in check(text).text
 
 
-class TestTheCommands:
+class TestCommands:
     def run(self, *arguments: Any, code: int = 0) -> str:
         done = CliRunner().invoke(app, [*map(str, arguments)])
         assert done.exit_code == code, done.output
         return done.stdout
 
-    def test_compare(self, file: Path, tmp_path: Path) -> None:
+    def test_compare_writes_its_report(self, file: Path, tmp_path: Path) -> None:
         report = tmp_path / "compare.html"
-        told = json.loads(self.run("compare", file, "--report", report, "--json"))
-        assert [each["closed_loop"]["available"] for each in told["models"]] == [False]
-        assert told["models"][0]["closed_loop"]["rmse"] == {}
-        left = DisturbanceEstimate.from_json("roll", told["models"][0]["disturbance"]["roll"])
+        answer = json.loads(self.run("compare", file, "--report", report, "--json"))
+        assert [each["closed_loop"]["available"] for each in answer["models"]] == [False]
+        assert answer["models"][0]["closed_loop"]["rmse"] == {}
+        left = DisturbanceEstimate.from_json("roll", answer["models"][0]["disturbance"]["roll"])
         page = Page(report.read_text())
         assert "CAD: not adequate" in page.text
         assert str(left) in page.text
         assert f"disturbance, CAD: {left}" in " ".join(self.run("compare", file).split())
         assert "sweep.csv SHA-256" in page.text
 
-    def test_identify(self, file: Path, tmp_path: Path) -> None:
+    def test_identify_writes_its_report(self, file: Path, tmp_path: Path) -> None:
         report = tmp_path / "identify.html"
         assert f"Report: {report}" in self.run("identify", file, "-m", "least_squares", "--report", report).replace(
             "\n", ""
@@ -150,15 +150,15 @@ class TestTheCommands:
         assert "No method can be recommended" in page.text
         assert "run prediction_error" in page.text
 
-    def test_identify_says_what_shakes_the_vehicle(self, file: Path, tmp_path: Path) -> None:
+    def test_identify_reports_the_disturbance(self, file: Path, tmp_path: Path) -> None:
         report = tmp_path / "shaken.html"
-        asked = ("identify", file, "-m", "prediction_error", "-m", "least_squares", "--report", report)
-        methods = json.loads(self.run(*asked, "--json"))["methods"]
+        words = ("identify", file, "-m", "prediction_error", "-m", "least_squares", "--report", report)
+        methods = json.loads(self.run(*words, "--json"))["methods"]
         assert methods["least_squares"]["disturbance"] == {}
         found = DisturbanceEstimate.from_json("roll", methods["prediction_error"]["disturbance"]["roll"])
         assert f"Disturbance that prediction_error found beside these: {found}." in Page(report.read_text()).text
-        assert f"Disturbance (prediction_error): {found}" in " ".join(self.run(*asked).split())
+        assert f"Disturbance (prediction_error): {found}" in " ".join(self.run(*words).split())
 
     @pytest.mark.parametrize("command", ["compare", "identify"])
-    def test_a_folder_that_is_not_there_is_told_before_the_work(self, command: str, file: Path) -> None:
+    def test_missing_report_folder_is_a_usage_error(self, command: str, file: Path) -> None:
         self.run(command, file, "--report", "/nowhere/at/all.html", code=2)

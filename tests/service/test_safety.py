@@ -1,4 +1,4 @@
-"""The safety verdict: every reason, its reaction, its words, and when it does not apply."""
+"""The safety verdict: every reason, its reaction, its text, and when it does not apply."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STILL = GimbalMeasurement(1, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def balancing() -> Observation:
-    """All is well in the middle of an experiment."""
+    """An observation without a fault, in the middle of an experiment."""
     drives = tuple(
         DriveObservation(name, age=0.004, enabled=True, state="Operation enabled")
         for name in ("gimbal_left", "gimbal_right", "trim")
@@ -89,13 +89,13 @@ BALANCING = [
 ]
 
 
-def test_when_all_is_well_the_verdict_is_the_constant_one() -> None:
+def test_verdict_without_a_fault_is_the_constant_ok() -> None:
     assert SAFETY.judge(balancing()) is OK
     assert OK.reaction is Reaction.CONTINUE
 
 
 @pytest.mark.parametrize(("spoil", "code", "words"), ALWAYS + ARMED + SHOULD_RUN)
-def test_what_cannot_be_controlled_stops_now(
+def test_state_that_cannot_be_controlled_stops_immediately(
     spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
 ) -> None:
     seen = balancing()
@@ -106,7 +106,7 @@ def test_what_cannot_be_controlled_stops_now(
 
 
 @pytest.mark.parametrize(("spoil", "code", "words"), BALANCING)
-def test_what_can_still_be_controlled_ends_in_order(
+def test_state_that_can_still_be_controlled_ends_in_order(
     spoil: Callable[[Observation], None], code: Code, words: tuple[str, ...]
 ) -> None:
     seen = balancing()
@@ -120,7 +120,7 @@ def test_what_can_still_be_controlled_ends_in_order(
     ("flag", "cases"),
     [("armed", ARMED + SHOULD_RUN + BALANCING), ("should_run", SHOULD_RUN), ("balancing", BALANCING)],
 )
-def test_checks_of_a_phase_are_silent_outside_it(
+def test_checks_of_a_phase_do_not_apply_outside_it(
     flag: str, cases: list[tuple[Callable[[Observation], None], Code]]
 ) -> None:
     for spoil, *_ in cases:
@@ -130,7 +130,7 @@ def test_checks_of_a_phase_are_silent_outside_it(
         assert SAFETY.judge(seen) is OK
 
 
-def test_the_imu_and_the_roll_angle_are_watched_in_every_phase() -> None:
+def test_imu_and_roll_are_monitored_in_every_phase() -> None:
     for spoil, code, _ in ALWAYS:
         seen = balancing()
         seen.armed = seen.should_run = seen.balancing = False
@@ -138,13 +138,13 @@ def test_the_imu_and_the_roll_angle_are_watched_in_every_phase() -> None:
         assert SAFETY.judge(seen).code is code
 
 
-def test_resting_on_a_support_is_no_fault() -> None:
+def test_resting_on_a_support_is_not_a_fault() -> None:
     seen = balancing()
     seen.angle = math.radians(4.1)
     assert SAFETY.judge(seen) is OK
 
 
-def test_three_cycles_without_an_answer_are_borne_and_the_fourth_is_not() -> None:
+def test_three_missed_cycles_are_tolerated_and_the_fourth_is_not() -> None:
     """`missed_cycles = 3` at 4 ms, with half a cycle of jitter."""
     for age, code in ((0.0125, Code.OK), (0.0139, Code.OK), (0.0141, Code.DRIVE_SILENT)):
         seen = balancing()
@@ -152,7 +152,7 @@ def test_three_cycles_without_an_answer_are_borne_and_the_fourth_is_not() -> Non
         assert SAFETY.judge(seen).code is code
 
 
-def test_the_cause_is_named_before_its_consequence() -> None:
+def test_cause_is_named_before_its_consequence() -> None:
     """A drive with an emergency also leaves Operation enabled; a dead IMU also leaves roll undefined."""
     seen = balancing()
     drive(emergency="2310h overcurrent", enabled=False, state="Fault")(seen)
@@ -161,7 +161,7 @@ def test_the_cause_is_named_before_its_consequence() -> None:
     assert SAFETY.judge(seen).code is Code.IMU_SILENT
 
 
-def test_the_hard_limit_comes_before_the_budget() -> None:
+def test_hard_limit_takes_precedence_over_the_budget() -> None:
     seen = balancing()
     seen.axes = replace(STILL, precession=1.2)
     assert SAFETY.judge(seen).reaction is Reaction.STOP_NOW

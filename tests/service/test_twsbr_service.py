@@ -1,6 +1,6 @@
 """The balancing robot on the daemon's code: its vehicle file, its controller, its runs, and every way they can end.
 
-What is shared with the MONOCAB is tested there; here it is that the same loop drives this vehicle, too.
+Code shared with the MONOCAB is tested there; the tests here show that the same loop also drives this vehicle.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ DT = VEHICLE.period
 PHASE, TILT = TWSBR.index_of("phase"), TWSBR.index_of("tilt")
 UP = (Phase.SETTLE, Phase.EXCITE, Phase.FADE)
 SHORT = 4.0
-"""s of excitation, for what does not depend on its length."""
+"""Duration of the excitation, s, for tests that do not depend on it."""
 
 
 # --- vehicle file
 
 
-def test_the_cad_values_are_those_of_the_models_table() -> None:
+def test_cad_values_equal_those_of_the_models_table() -> None:
     """The paper's Table 1 and a quarter of Table 2's range, written down twice: here and in vehicles.twsbr.model."""
     values, deviations = VEHICLE.parameters.values, VEHICLE.parameters.deviations
     table = {each.name: each for each in MODEL.base_parameters if each.name in values}
@@ -86,7 +86,7 @@ def test_the_cad_values_are_those_of_the_models_table() -> None:
         ('kind = "twsbr"', 'kind = "unicycle"', "there is no kind of vehicle 'unicycle'.*monocab, twsbr"),
     ],
 )
-def test_what_is_wrong_in_its_vehicle_file_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_error_in_the_vehicle_file_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in FILE
     path = tmp_path / "mine.toml"
     path.write_text(FILE.replace(old, new, 1))
@@ -94,26 +94,26 @@ def test_what_is_wrong_in_its_vehicle_file_is_named(tmp_path: Path, old: str, ne
         load(str(path))
 
 
-def test_config_check_tells_of_controller_and_experiments() -> None:
+def test_config_check_reports_controller_experiments_and_bus_load() -> None:
     answer = CliRunner().invoke(app, ["config", "check", "twsbr", "--json"])
     assert answer.exit_code == 0, answer.output
-    told = json.loads(answer.stdout)
-    assert told["controller"]["proportional_gain"] == 25.0
-    assert set(told["experiments"]) == {"hold", "square", "sine", "doublet", "sine_stream"}
-    assert 5.0 < told["bus_load_percent"]["socketcan:can0"] < 50.0
+    document = json.loads(answer.stdout)
+    assert document["controller"]["proportional_gain"] == 25.0
+    assert set(document["experiments"]) == {"hold", "square", "sine", "doublet", "sine_stream"}
+    assert 5.0 < document["bus_load_percent"]["socketcan:can0"] < 50.0
 
 
 # --- drive in voltage mode
 
 
 def wheel(direction: int = 1) -> DriveConfig:
-    """With steps of a millivolt, as its object has them, and not those of the bridge."""
+    """A wheel drive with steps of a millivolt, the resolution of its object, not that of the bridge."""
     return replace(assembly.drive_config(VEHICLE, VEHICLE.drive[0]), direction=direction, setpoint_resolution=0.0)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 @given(volts=st.floats(-40.0, 40.0))
-def test_a_voltage_is_sent_in_millivolts_and_read_back_bit_for_bit(direction: int, volts: float) -> None:
+def test_voltage_is_sent_in_millivolts_and_read_back_bit_for_bit(direction: int, volts: float) -> None:
     drive, reader = Drive(wheel(direction)), Drive(wheel(direction))
     drive.handle(CanFrame(1, 0x181, (0x0237).to_bytes(2, "little") + bytes(4)))
     ((cob_id, data),) = drive.command(State.OPERATION_ENABLED, volts)
@@ -132,7 +132,7 @@ def pid(limit: float = 1e3, return_time: float = 0.0) -> TiltController:
     return TiltController(25.0, 3.0, 3.5, limit=limit, wheel_return=WheelReturn(return_time, math.radians(2.0)))
 
 
-def test_the_gains_are_volts_by_degrees() -> None:
+def test_gains_are_in_volts_per_degree() -> None:
     deg = math.radians(1.0)
     assert pid().step(deg, 0.0, 0.0, 0.0, 0.0, DT) == pytest.approx(25.0 + 3.0 * DT)
     assert pid().step(0.0, deg, 0.0, 0.0, 0.0, DT) == pytest.approx(3.5)
@@ -145,14 +145,14 @@ def test_the_gains_are_volts_by_degrees() -> None:
 
 
 @given(st.lists(st.tuples(*[st.floats(-10.0, 10.0)] * 6), min_size=1, max_size=50))
-def test_the_voltage_never_passes_the_supply_whatever_comes_in(rows: list[tuple[float, ...]]) -> None:
+def test_voltage_never_exceeds_the_supply_for_any_input(rows: list[tuple[float, ...]]) -> None:
     subject = pid(12.0, 1.5)
     for tilt, rate, place, speed, reference, excitation in rows:
         assert abs(subject.step(tilt, rate, place, speed, reference, DT, excitation)) <= 12.0
 
 
-def test_getting_up_does_not_wind_the_integral_up() -> None:
-    """5 s at the limit with an error of 12 deg: upright, with nothing to do, the voltage is zero at once."""
+def test_integral_does_not_wind_up_while_getting_up() -> None:
+    """After 5 s at the limit with an error of 12 deg, the voltage is zero at once when the robot is upright."""
     subject = pid(12.0)
     for _ in range(1000):
         assert subject.step(math.radians(12.0), 0.0, 0.0, 0.0, 0.0, DT) == 12.0
@@ -160,8 +160,8 @@ def test_getting_up_does_not_wind_the_integral_up() -> None:
     assert subject.step(0.0, 0.0, 0.0, 0.0, 0.0, DT) == 0.0
 
 
-def test_the_wheels_come_back_with_the_configured_time_constant() -> None:
-    """Where the tilt follows the lean at once: place'' = g lean, a double pole at -1/T, from rest 0.1 m off.
+def test_wheels_return_with_the_configured_time_constant() -> None:
+    """If the tilt follows the lean at once: place'' = g lean, a double pole at -1/T, from rest 0.1 m off.
 
     place = 0.1 (1 + t/T) exp(-t/T); a step of 1 ms leaves an error of some thousandths of that.
     """
@@ -203,7 +203,7 @@ def balancing(**axes: float) -> Observation:
         (replace(balancing(), imu_age=0.018), Code.IMU_SILENT, Reaction.STOP_NOW),
     ],
 )
-def test_every_limit_of_the_file_is_watched(seen: Observation, code: Code, reaction: Reaction) -> None:
+def test_every_limit_of_the_vehicle_file_is_monitored(seen: Observation, code: Code, reaction: Reaction) -> None:
     safety = Safety(bounds(VEHICLE), missed_cycles=3, period=DT)
     verdict = safety.judge(seen)
     assert (verdict.code, verdict.reaction) == (code, reaction)
@@ -228,8 +228,8 @@ def assert_lies_disarmed(closed: ClosedLoop) -> None:
 
 
 @pytest.mark.parametrize("name", list(VEHICLE.experiments))
-def test_it_balances_through_every_experiment_from_its_bumper_and_back(name: str) -> None:
-    """Within 3 deg, the estimate and the truth, at every cycle from upright to the order to get down."""
+def test_robot_balances_in_every_experiment_from_its_bumper_and_back(name: str) -> None:
+    """Estimated and true tilt stay within 3 deg in every cycle from upright to the order to get down."""
     closed, worst = ClosedLoop(VEHICLE), 0.0
     closed.loop.start_experiment(name)
     while closed.loop.mode is Mode.RUNNING:
@@ -246,7 +246,7 @@ def test_it_balances_through_every_experiment_from_its_bumper_and_back(name: str
     assert_lies_disarmed(closed)
 
 
-def test_a_recording_has_the_robots_channels_and_hides_what_is_hidden() -> None:
+def test_recording_has_the_robots_channels_and_does_not_name_a_hidden_effect() -> None:
     bare = record("twsbr", "square", duration=SHORT)
     hidden = record("twsbr", "square", hide=["input_gain"], duration=SHORT)
     assert bare.channels == TWSBR
@@ -262,20 +262,20 @@ def test_a_recording_has_the_robots_channels_and_hides_what_is_hidden() -> None:
     assert all(again[name].tobytes() == bare[name].tobytes() for name in TWSBR.names)
 
 
-def test_what_another_vehicle_can_hide_is_refused_with_what_this_one_can() -> None:
+def test_hidden_effect_of_another_vehicle_is_refused_with_a_list() -> None:
     with pytest.raises(UnknownEffectError, match="slope"):
         record("twsbr", "square", hide=["gimbal_imbalance"])
 
 
-def test_a_load_on_one_side_is_leant_against() -> None:
-    """10 mN m of 345 mN m/rad of gravity, as the CAD values say: the body stands 0.0285 rad back, the wheels stay."""
+def test_robot_leans_against_a_constant_load() -> None:
+    """10 mN m against a gravity stiffness of 345 mN m/rad (CAD): the body leans back by 0.0285 rad, the wheels stay."""
     recording = record("twsbr", "hold", hide=["static_torque"])
     last = np.flatnonzero(recording["phase"] == Phase.EXCITE)[-1000:]
     assert recording["tilt"][last].mean() == pytest.approx(-0.01 / (0.74 * 9.81 * 0.0475), rel=0.05)
     assert np.abs(recording["left_wheel_rate"][last]).mean() < 1.0
 
 
-def test_without_the_wheels_return_the_same_load_drives_it_to_the_edge_and_it_ends_in_order() -> None:
+def test_without_wheel_return_the_load_uses_up_the_travel_and_the_run_ends_in_order() -> None:
     section = VEHICLE.controller.model_copy(update={"wheel_return_time": 0.0})
     with pytest.raises(VirtualRunError, match=r"travel budget used up: 2\.0 of 2 m") as caught:
         record(VEHICLE.model_copy(update={"controller": section}), "hold", hide=["static_torque"])
@@ -283,8 +283,8 @@ def test_without_the_wheels_return_the_same_load_drives_it_to_the_edge_and_it_en
     assert {Phase.LOWER, Phase.DISABLE} <= {Phase(int(phase)) for phase in caught.value.recording["phase"]}
 
 
-def test_a_tilt_reference_is_followed() -> None:
-    """0.3 deg at 0.25 Hz: the body leans about as far as it is asked to, and the excitation is an angle."""
+def test_tilt_reference_is_followed() -> None:
+    """0.3 deg at 0.25 Hz: the body leans about as far as the reference, and the excitation is an angle."""
     wave = VEHICLE.experiments["sine"].model_copy(
         update={"at": "tilt_reference", "amplitude": None, "amplitude_deg": 0.3, "frequency": 0.25, "duration": 8.0}
     )
@@ -297,7 +297,7 @@ def test_a_tilt_reference_is_followed() -> None:
     assert np.ptp(tilt) == pytest.approx(np.ptp(reference), rel=0.5)
 
 
-def test_the_raw_frames_rebuild_the_rows_bit_for_bit() -> None:
+def test_measured_samples_are_rebuilt_bit_for_bit_from_raw_frames() -> None:
     closed = ClosedLoop(VEHICLE)
     closed.run("doublet")
     (_, start_ns), (_, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
@@ -322,7 +322,7 @@ def running(seconds: float, **options: object) -> ClosedLoop:
 
 
 @pytest.mark.parametrize("after", [0.5, 4.3, 4.5, 6.0, 9.0])
-def test_an_operator_ends_it_in_order_from_every_phase(after: float) -> None:
+def test_operator_request_ends_the_experiment_in_order_from_every_phase(after: float) -> None:
     closed = running(0.2 + after)
     closed.loop.end_experiment("an operator requested the end")
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 20.0)
@@ -336,7 +336,7 @@ def test_another_experiment_is_refused_while_one_runs() -> None:
     assert closed.loop.interlocks() == ["experiment hold is running."]
 
 
-def test_an_immediate_stop_shorts_the_motors_and_is_latched() -> None:
+def test_immediate_stop_disarms_the_robot_and_is_latched_until_reset() -> None:
     closed = running(8.0)
     closed.loop.stop_now("an operator requested an immediate stop")
     closed.advance(3.0)
@@ -360,7 +360,7 @@ def test_an_immediate_stop_shorts_the_motors_and_is_latched() -> None:
         ("drive_restart:right_wheel@10", "drive_silent"),
     ],
 )
-def test_a_fault_ends_in_a_stop_with_its_reason_and_the_robot_lies(fault: str, code: str) -> None:
+def test_fault_stops_the_run_with_its_reason_and_the_robot_lies_on_its_support(fault: str, code: str) -> None:
     closed = running(0.0, faults=[fault])
     closed.until(lambda: closed.loop.mode is not Mode.RUNNING, 20.0)
     assert (closed.loop.mode, closed.loop.code) == (Mode.FAULT, code)
@@ -372,7 +372,7 @@ def test_a_fault_ends_in_a_stop_with_its_reason_and_the_robot_lies(fault: str, c
     assert closed.witness.ended, "the recording goes on for a moment, then ends"
 
 
-def test_nobody_listening_means_that_the_drives_stop_by_themselves() -> None:
+def test_fault_is_latched_and_the_robot_lies_down_if_no_frames_reach_the_drives() -> None:
     closed = running(8.0)
     closed.late = True
     closed.advance(3.0)
@@ -380,7 +380,7 @@ def test_nobody_listening_means_that_the_drives_stop_by_themselves() -> None:
     assert abs(true_tilt(closed)) == pytest.approx(VEHICLE.support, abs=math.radians(0.3))
 
 
-def test_a_robot_that_cannot_get_up_says_so_and_stays_down() -> None:
+def test_robot_that_cannot_get_up_reports_it_and_stays_down() -> None:
     """A twentieth of the voltage arrives: not enough to lift the body off its bumper."""
     with pytest.raises(VirtualRunError, match=f"not upright within {UPRIGHT.timeout:g} s") as caught:
         record("twsbr", "hold", hide=["input_gain=11.9"])
@@ -388,8 +388,8 @@ def test_a_robot_that_cannot_get_up_says_so_and_stays_down() -> None:
     assert not np.isin(UP, caught.value.recording["phase"]).any()
 
 
-def test_a_robot_that_falls_is_stopped_before_it_drives_away() -> None:
-    """0.3 N m more than it can bear set in while it stands: forty times what gravity does at 1 deg of tilt."""
+def test_falling_robot_is_stopped_and_its_voltage_is_zero_afterwards() -> None:
+    """0.3 N m more than it can bear starts while it stands: forty times the torque of gravity at 1 deg of tilt."""
     with pytest.raises(VirtualRunError, match=r"tilt while balancing of -?[89]\.\d+ deg") as caught:
         record("twsbr", "hold", hide=["torque_step=90@12"])
     recording = caught.value.recording
@@ -397,21 +397,21 @@ def test_a_robot_that_falls_is_stopped_before_it_drives_away() -> None:
     assert (recording["left_voltage"][recording["phase"] == Phase.NONE] == 0.0).all()
 
 
-# --- what needs a model of the vehicle
+# --- features that need a model of the vehicle
 
 
-def test_its_live_estimator_is_the_recursion_and_a_diagnosis_looks_over_it() -> None:
+def test_live_estimator_is_the_recursion_with_a_diagnosis_beside_it() -> None:
     bank = online_estimators("twsbr", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
     assert not bank.complete
     bank.join()
     assert bank.complete
     assert list(bank.results()) == ["recursive_prediction_error"]
-    told = bank.diagnosis()
-    assert told is not None
-    assert (told["verdict"], told["findings"]) == ("insufficient_data", [])
+    document = bank.diagnosis()
+    assert document is not None
+    assert (document["verdict"], document["findings"]) == ("insufficient_data", [])
 
 
-def test_its_loop_can_be_run_again() -> None:
+def test_control_loop_is_reconstructed_from_a_recording() -> None:
     recording = record("twsbr", "doublet", duration=SHORT)
     found = recorded_loop(VEHICLE, recording)
     assert isinstance(found, Loop)
@@ -421,7 +421,7 @@ def test_its_loop_can_be_run_again() -> None:
 # --- the daemon
 
 
-async def test_the_daemon_sets_up_the_motors_by_sdo_and_runs_it_over_a_bus(tmp_path: Path) -> None:
+async def test_daemon_sets_up_the_motors_by_sdo_and_runs_an_experiment_over_a_bus(tmp_path: Path) -> None:
     """Daemon, observer process and control socket, as for the MONOCAB, on a lock-step bus."""
     doublet = VEHICLE.experiments["doublet"].model_copy(update={"duration": SHORT})
     vehicle = VEHICLE.model_copy(update={"experiments": {**VEHICLE.experiments, "doublet": doublet}})
@@ -457,7 +457,7 @@ async def test_the_daemon_sets_up_the_motors_by_sdo_and_runs_it_over_a_bus(tmp_p
     assert answer["estimates"]["recursive_prediction_error"]["samples"] > 200
     rebuilt = replay.load(Path(answer["recording"]).with_suffix(".log"), vehicle)
     assert "excitation" in replay.not_on_the_bus(TWSBR)
-    for name in TWSBR.names:  # the last row's setpoints may come after the log's end
+    for name in TWSBR.names:  # the last sample's setpoints may come after the log's end
         assert np.array_equal(rebuilt[name][: len(recording) - 1], recording[name][:-1]), name
     up = np.isin(recording["phase"], UP)
     assert np.abs(recording["tilt"][up]).max() < math.radians(3.0)

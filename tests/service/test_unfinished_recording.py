@@ -1,4 +1,4 @@
-"""An experiment that ends in order and leaves a recording that is not whole is a failure, and its result says so."""
+"""An experiment that ends in order but leaves an incomplete recording is a failure, and its result says so."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from telemetry.storage import load
 pytestmark = pytest.mark.timeout(120)
 
 
-async def _sign(writer: asyncio.StreamWriter) -> None:
+async def _renew(writer: asyncio.StreamWriter) -> None:
     while True:
         writer.write(b'{"verb": "renew"}\n')
         await asyncio.sleep(RENEWAL_PERIOD)
 
 
-async def test_a_recording_that_is_not_whole_is_no_success(tmp_path: Path) -> None:
+async def test_experiment_with_an_incomplete_recording_fails(tmp_path: Path) -> None:
     async with serving(tmp_path, "virtual:unfinished") as daemon:
         reader, writer = await connect(tmp_path)
-        signing = asyncio.create_task(_sign(writer))
+        renewing = asyncio.create_task(_renew(writer))
         await until(lambda: any(path.stat().st_size > 50_000 for path in tmp_path.glob("*.arrow")))
         assert daemon.observer.pid is not None
         os.kill(daemon.observer.pid, signal.SIGKILL)
-        signing.cancel()
+        renewing.cancel()
         writer.write(b'{"verb": "release"}\n')
         while (answer := json.loads(await reader.readline()))["type"] != "result":
             pass

@@ -1,4 +1,4 @@
-"""Recordings of the virtual vehicle without a bus: as the recorder writes them, the same for a seed, or refused."""
+"""Recordings of the virtual vehicle without a bus: as the recorder writes them, reproducible by seed, or refused."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from vehicles.phases import Phase
 
 TRUTH = PlantTruth()
 SHORT = 2.0
-"""s of doublet, for what does not depend on its length."""
+"""Duration of the doublet, s, for tests that do not depend on it."""
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def same(one: Recording, other: Recording) -> bool:
     )
 
 
-def test_it_is_the_whole_experiment(first: Recording) -> None:
+def test_recording_covers_the_whole_experiment(first: Recording) -> None:
     assert first.channels == assembly.channels(load("monocab"))
     assert {Phase(int(phase)) for phase in first["phase"]} >= set(Phase) - {Phase.NONE, Phase.CENTRE}
     exciting = np.count_nonzero(first["phase"] == Phase.EXCITE)
@@ -44,25 +44,25 @@ def test_it_is_the_whole_experiment(first: Recording) -> None:
     assert all(np.isfinite(first[name][1:]).all() for name in first.channels.names)
 
 
-def test_a_seed_gives_the_same_bits_and_another_one_others(first: Recording) -> None:
+def test_same_seed_gives_identical_bits_and_another_seed_does_not(first: Recording) -> None:
     assert same(first, record(load("monocab"), "doublet", seed=1, duration=SHORT))
     assert not same(first, record(experiment="doublet", seed=2, duration=SHORT))
 
 
-def test_a_hidden_effect_shows(first: Recording) -> None:
+def test_hidden_torque_is_balanced_by_gravity_and_gyroscopes(first: Recording) -> None:
     loaded = record(experiment="doublet", hide=["static_torque=2"], duration=SHORT)
 
     def carried(recording: Recording) -> float:
-        """N m, mean of what gravity and the gyroscopes give while the vehicle is up."""
+        """Mean torque of gravity and the gyroscopes while the vehicle is upright, N m."""
         up = np.isin(recording["phase"], (Phase.SETTLE, Phase.EXCITE))
         torque = TRUTH.gravity_stiffness * recording["roll"] + TRUTH.angular_momentum * recording["precession_rate"]
         return float(torque[up].mean())
 
-    # A roll rate that differs by 40 mrad/s between beginning and end of these 5 s is 13 N m of the mean.
+    # A roll rate that differs by 40 mrad/s between beginning and end of these 5 s changes the mean by 13 N m.
     assert carried(loaded) - carried(first) == pytest.approx(-240.0, abs=15.0)
 
 
-def test_it_is_what_the_recorder_writes(first: Recording, tmp_path: Path) -> None:
+def test_recording_equals_that_of_the_recorder(first: Recording, tmp_path: Path) -> None:
     closed = ClosedLoop(load("monocab"))
     closed.run("doublet")
     (_, start_ns), (reason, end_ns) = closed.witness.recordings[0], closed.witness.ended[0]
@@ -77,15 +77,15 @@ def test_it_is_what_the_recorder_writes(first: Recording, tmp_path: Path) -> Non
     assert first.metadata["end_reason"] == ""
 
 
-def test_progress_rises_to_the_end() -> None:
-    told: list[float] = []
-    record(experiment="hold", duration=0.5, progress=told.append)
-    assert told == sorted(told)
-    assert told[0] == 0.0
-    assert told[-1] == 1.0
+def test_progress_rises_from_zero_to_one() -> None:
+    fractions: list[float] = []
+    record(experiment="hold", duration=0.5, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[0] == 0.0
+    assert fractions[-1] == 1.0
 
 
-def test_an_experiment_that_does_not_exist_is_named_with_the_nearest() -> None:
+def test_unknown_experiment_error_suggests_the_nearest_name() -> None:
     with pytest.raises(VirtualRunError, match=r"no such experiment.*Did you mean 'multisine'") as caught:
         record(experiment="multisin")
     assert caught.value.experiment == "multisin"
@@ -95,18 +95,18 @@ def test_an_experiment_that_does_not_exist_is_named_with_the_nearest() -> None:
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
-def test_an_impossible_duration_is_refused(duration: float) -> None:
+def test_impossible_duration_is_refused(duration: float) -> None:
     with pytest.raises(VirtualRunError, match="positive duration"):
         record(duration=duration)
 
 
-def test_an_effect_that_does_not_exist_is_refused() -> None:
+def test_unknown_effect_is_refused() -> None:
     with pytest.raises(UnknownEffectError, match="coulomb_fricton"):
         record(hide=["coulomb_fricton"])
 
 
-def test_a_run_that_fails_says_why_and_keeps_what_was_recorded() -> None:
-    """960 N m more than what the vehicle was designed for: it cannot be raised."""
+def test_failed_run_gives_its_reason_and_keeps_the_recording() -> None:
+    """960 N m more than the vehicle was designed for: it cannot be raised."""
     with pytest.raises(VirtualRunError) as caught:
         record(experiment="hold", hide=["static_torque=8"])
     assert caught.value.reason
