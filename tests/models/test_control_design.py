@@ -1,4 +1,4 @@
-"""LQI design: against the plant's own simulation, and everything it must refuse."""
+"""LQI design: compared with a simulation of the plant, and everything that it must refuse."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ def _at(factors: Mapping[str, float]) -> StateSpace:
 
 
 def simulate(parameters: MonocabParameters, gains: LqiGains, seconds: float, delay: int) -> list[float]:
-    """Roll over time after a start at 0.01 rad, by plain recursion: written apart from the design's matrices."""
+    """Roll over time after a start at 0.01 rad, by plain recursion: independent of the design's matrices."""
     model = reduced_model(parameters)
     A, B = discretise(model.A, model.B, gains.period)
-    x, q, previous, under_way = np.array([0.01, 0.0, 0.0]), 0.0, 0.0, [0.0] * delay
+    x, q, previous, in_transit = np.array([0.01, 0.0, 0.0]), 0.0, 0.0, [0.0] * delay
     rolls = []
     for _ in range(round(seconds / gains.period)):
         u = -(float(np.dot(gains.states, x)) + gains.previous * previous + gains.integral * q)
         q += gains.period * x[0]
         previous = u
-        under_way.append(u)
-        x = A @ x + B[:, 0] * under_way.pop(0)
+        in_transit.append(u)
+        x = A @ x + B[:, 0] * in_transit.pop(0)
         rolls.append(float(x[0]))
     return rolls
 
@@ -52,19 +52,19 @@ def simulate(parameters: MonocabParameters, gains: LqiGains, seconds: float, del
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize("parameters", [CAD, TRUTH], ids=["cad", "truth"])
-def test_designed_from_cad_it_balances_the_truth_with_delay(
+def test_controller_designed_from_cad_balances_the_true_plant_with_delay(
     parameters: MonocabParameters, rate: int, delay: int
 ) -> None:
     gains = design_lqi(*_matrices(CAD), WEIGHTS, 1.0 / rate)
     rolls = simulate(parameters, gains, 4.0, delay)
     assert max(abs(roll) for roll in rolls) < 0.015
-    # The slowest pole of both is faster than 3 1/s.
+    # The slowest pole of both plants is faster than 3 1/s.
     assert abs(rolls[-1]) < 1e-5
     slowest = continuous_poles(closed_loop(reduced_model(parameters), gains, delay), gains.period)[0]
     assert slowest.real < -3.0
 
 
-def test_closed_loop_matrix_says_what_the_recursion_does() -> None:
+def test_closed_loop_matrix_agrees_with_the_recursive_simulation() -> None:
     gains = design_lqi(*_matrices(CAD), WEIGHTS, 0.004)
     for delay in (0, 1, 3):
         matrix = closed_loop(reduced_model(TRUTH), gains, delay)
@@ -77,7 +77,7 @@ def test_closed_loop_matrix_says_what_the_recursion_does() -> None:
         assert np.allclose(rolls, simulate(TRUTH, gains, 0.2, delay), rtol=1e-9, atol=1e-15)
 
 
-def test_a_constant_torque_leaves_no_roll_error() -> None:
+def test_constant_torque_leaves_no_steady_state_roll_error() -> None:
     gains = design_lqi(*_matrices(CAD), WEIGHTS, 0.004)
     matrix = closed_loop(reduced_model(TRUTH), gains)
     model = reduced_model(TRUTH)
@@ -88,14 +88,14 @@ def test_a_constant_torque_leaves_no_roll_error() -> None:
     assert steady[2] == pytest.approx(-550.0 / 3300.0)
 
 
-def test_gains_hardly_depend_on_the_rate_because_weights_do_not() -> None:
+def test_gains_hardly_depend_on_the_control_rate() -> None:
     gains = [design_lqi(*_matrices(CAD), WEIGHTS, 1.0 / rate) for rate in RATES]
     assert gains[0].states[0] == pytest.approx(gains[2].states[0], rel=0.1)
     assert gains[0].integral == pytest.approx(gains[2].integral, rel=0.12)
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_margins_are_where_the_loop_really_becomes_unstable(rate: int) -> None:
+def test_loop_becomes_unstable_just_beyond_its_margins(rate: int) -> None:
     gains = design_lqi(*_matrices(CAD), WEIGHTS, 1.0 / rate)
     found = margins(reduced_model(CAD), gains)
     assert found.gain_decrease < 0.5
@@ -104,12 +104,12 @@ def test_margins_are_where_the_loop_really_becomes_unstable(rate: int) -> None:
     assert found.delay > 0.03
 
     def stable(factor: float, extra_delay: int = 0) -> bool:
-        # A factor on the loop gain is one on the torque of a setpoint and nothing else: on the plant's B.
+        # A factor on the loop gain scales the torque of a setpoint and nothing else: the plant's B.
         model = reduced_model(CAD)
         scaled = replace(model, B=model.B * factor)
         return bool(np.max(np.abs(np.linalg.eigvals(closed_loop(scaled, gains, 1 + extra_delay)))) < 1.0)
 
-    # The margins are read off a grid of 2,000 frequencies: 2 %.
+    # The margins are read off a grid of 2,000 frequencies, hence the 2 %.
     assert stable(found.gain_increase * 0.98)
     assert not stable(found.gain_increase * 1.02)
     assert stable(found.gain_decrease * 1.02)
@@ -120,7 +120,7 @@ def test_margins_are_where_the_loop_really_becomes_unstable(rate: int) -> None:
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_a_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) -> None:
+def test_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) -> None:
     design = design_roll_controller(CAD, WEIGHTS, 1.0 / rate)
     every = list(corners(_at, UNCERTAIN, design.gains, 0.2))
     assert len(every) == 2 * 2**3
@@ -131,23 +131,23 @@ def test_a_design_is_checked_at_every_corner_and_reports_the_worst(rate: int) ->
     assert all(pole.real < 0.0 for pole in design.poles)
 
 
-def test_a_controller_that_cannot_stand_the_uncertainty_is_refused_with_the_corner() -> None:
-    hard = LqiWeights((4.0e8, 1.0e6, 0.0), 4.0e8, 1.0)
+def test_controller_unstable_at_a_corner_is_refused_and_the_corner_named() -> None:
+    aggressive = LqiWeights((4.0e8, 1.0e6, 0.0), 4.0e8, 1.0)
     with pytest.raises(
         ControlDesignError, match=r"inertia x 0[.]8, gravity_stiffness x 0[.]8, speed_loop_lag x 0[.]8"
     ) as caught:
-        design_roll_controller(CAD, hard, 0.02, spread=0.2)
+        design_roll_controller(CAD, aggressive, 0.02, spread=0.2)
     assert "effort_weight" in caught.value.remedy
 
 
-def test_a_mode_out_of_reach_of_the_input_is_named() -> None:
-    """The full model's trim mass, with the gyroscopes as the only input: its position just stays."""
+def test_model_with_an_uncontrollable_mode_is_refused() -> None:
+    """The trim mass of the full model, with the gyroscopes as the only input: its position does not change."""
     model = full_model(CAD)
     with pytest.raises(ControlDesignError, match="not stabilisable"):
         design_lqi(model.A, model.B[:, 1:], model.C[:1], LqiWeights((1.0,) * 6, 1.0, 1.0), 0.004)
 
 
-def test_gyroscopes_without_angular_momentum_cannot_hold_the_vehicle() -> None:
+def test_design_without_angular_momentum_is_refused_with_the_unstable_mode() -> None:
     A, B, C = _matrices(CAD)
     A = A.copy()
     A[1, 2] = 0.0
@@ -161,7 +161,7 @@ def test_weights_of_zero_are_refused_with_a_remedy() -> None:
     assert "[controller]" in caught.value.remedy
 
 
-def test_shapes_that_do_not_fit_are_refused() -> None:
+def test_wrong_number_of_weights_is_refused() -> None:
     A, B, C = _matrices(CAD)
     with pytest.raises(ValueError, match="2 weights"):
         design_lqi(A, B, C, LqiWeights((1.0, 1.0), 1.0, 1.0), 0.004)

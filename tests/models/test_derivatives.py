@@ -1,4 +1,4 @@
-"""Derivatives that are found once are SymPy's own."""
+"""Derivatives with kept intermediate results equal SymPy's own."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ X, Y = sympy.symbols("x y", real=True)
         sympy.log(X) * sympy.atan(Y) * X * Y + 3,
     ],
 )
-def test_every_kind_of_expression(expression: sympy.Expr) -> None:
+def test_derivatives_of_every_kind_of_expression_equal_sympys(expression: sympy.Expr) -> None:
     derivatives = Derivatives()
     for symbol in (X, Y, sympy.Symbol("z")):
         assert derivatives.by(expression, symbol) == expression.diff(symbol)
 
 
-def test_the_whole_catalogue() -> None:
+def test_derivatives_of_all_effects_of_the_catalogue_equal_sympys() -> None:
     model = library.get("monocab_reduced")
     for name in CATALOGUE:
         model = model.add(name)

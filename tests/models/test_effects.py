@@ -1,4 +1,4 @@
-"""The catalogue of effects: each is absent at zero, obeys physics, and can be what the virtual vehicle hides."""
+"""The catalogue of effects: each vanishes at amplitude zero, obeys physics, and explains its hidden counterpart."""
 
 from __future__ import annotations
 
@@ -57,30 +57,30 @@ ARRAY_FUNCTIONS = {name: getattr(np, name) for name in ("sin", "cos", "tanh", "e
 }
 
 
-def every(names: object = CATALOGUE) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def for_each_effect(names: object = CATALOGUE) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return pytest.mark.parametrize("name", sorted(names))  # type: ignore[call-overload]
 
 
 def values_at(text: str, names: Mapping[str, object]) -> Array:
-    """`text` with arrays for its names: an evaluator apart from the one in use. The texts are our own."""
+    """`text` with arrays for its names: an evaluator independent of the project's. The texts are trusted."""
     return eval(text, {"__builtins__": {}}, {**ARRAY_FUNCTIONS, **names})
 
 
-# --- the list
+# --- the catalogue as a list
 
 
-def test_the_catalogue_has_what_the_virtual_vehicle_can_hide_and_the_sine_of_gravity() -> None:
+def test_catalogue_has_all_effects_of_the_virtual_vehicle_and_gravity_nonlinearity() -> None:
     assert set(CATALOGUE) == {*HIDDEN, "gravity_nonlinearity"}
     assert all(name == effect.name for name, effect in CATALOGUE.items())
 
 
-def test_every_effect_is_in_one_family() -> None:
+def test_every_effect_is_in_exactly_one_family() -> None:
     assert list(families()) == list(Family)
     assert all(families().values())
     assert sorted(e.name for effects in families().values() for e in effects) == sorted(CATALOGUE)
 
 
-def test_a_misspelt_name_is_answered_with_names_alike() -> None:
+def test_misspelt_effect_name_is_answered_with_similar_names() -> None:
     assert find("backlash") is CATALOGUE["backlash"]
     with pytest.raises(ModelError, match="did you mean coulomb_friction") as caught:
         find("columb_friction")
@@ -89,18 +89,18 @@ def test_a_misspelt_name_is_answered_with_names_alike() -> None:
         MONOCAB.add("xyz")
 
 
-def test_importing_the_catalogue_stays_cheap() -> None:
+def test_importing_effects_loads_neither_sympy_nor_numba_nor_scipy() -> None:
     code = "import sys, models.file.own_effects;assert not {'sympy', 'numba', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=REPOSITORY, timeout=60)
 
 
-def test_the_reference_page_is_that_of_the_catalogue() -> None:
+def test_reference_page_is_the_one_generated_from_the_catalogue() -> None:
     page = (REPOSITORY / "docs" / "reference" / "effects.md").read_text()
     assert page == markdown(), "write it again: python docs/reference/effects_page.py > docs/reference/effects.md"
 
 
-@every()
-def test_an_effect_says_what_it_is_and_what_it_is_mistaken_for(name: str) -> None:
+@for_each_effect()
+def test_every_effect_is_documented_and_confusions_are_listed_mutually(name: str) -> None:
     effect = CATALOGUE[name]
     validate(effect)
     assert all((effect.title, effect.equation, effect.signature, effect.confused_with, effect.separated_by))
@@ -113,8 +113,8 @@ def test_an_effect_says_what_it_is_and_what_it_is_mistaken_for(name: str) -> Non
 # --- in a model
 
 
-@every()
-def test_units_scales_and_bounds_resolve_at_the_monocab(name: str) -> None:
+@for_each_effect()
+def test_units_scales_and_bounds_resolve_on_the_monocab(name: str) -> None:
     attached = MONOCAB.add(name).effects[0]
     assert attached.amplitudes
     for parameter in attached.parameters:
@@ -131,8 +131,8 @@ def test_units_scales_and_bounds_resolve_at_the_monocab(name: str) -> None:
         assert set(units) == {HIDDEN[name].unit}
 
 
-@every()
-def test_physics_allows_the_sign_it_should(name: str) -> None:
+@for_each_effect()
+def test_lower_bounds_allow_only_physical_signs(name: str) -> None:
     attached = MONOCAB.add(name).effects[0]
     lower = [parameter.lower for parameter in attached.parameters if parameter.name in attached.amplitudes]
     assert all(each < 0.0 if name in EITHER_SIGN else each == 0.0 for each in lower)
@@ -155,26 +155,26 @@ def _functions(model: Model) -> Callable[..., list[float]]:
     return compute
 
 
-@every()
-def test_equations_are_those_of_the_model_without_it_where_its_size_is_zero(name: str) -> None:
-    with_it = MONOCAB.add(name)
-    bare, full = _functions(MONOCAB), _functions(with_it)
+@for_each_effect()
+def test_effect_of_amplitude_zero_leaves_the_equations_unchanged(name: str) -> None:
+    extended = MONOCAB.add(name)
+    bare, full = _functions(MONOCAB), _functions(extended)
     source = np.random.default_rng(1)
     for _ in range(5):
-        values = {**with_it.values, "time": source.uniform(0.0, 30.0)}
-        values |= {state.name: source.normal(0.0, 0.3) for state in with_it.states}
-        # A filter that nothing leads astray stays at rest.
+        values = {**extended.values, "time": source.uniform(0.0, 30.0)}
+        values |= {state.name: source.normal(0.0, 0.3) for state in extended.states}
+        # A filter without an error stays at rest.
         values |= {f"{name}.{state}": 0.0 for state in FILTERED}
         values |= {each.name: source.normal(0.0, 0.3) for each in MONOCAB.inputs}
         values |= {f"{each.name}_slope": source.normal() for each in MONOCAB.inputs}
-        there, expected = full(values), bare(values)
+        computed, expected = full(values), bare(values)
         states = len(MONOCAB.base_states)
-        memory = len(with_it.states) - states
-        assert there[:states] + there[states + memory :] == pytest.approx(expected, rel=1e-12, abs=1e-15)
+        memory = len(extended.states) - states
+        assert computed[:states] + computed[states + memory :] == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
-@every(DISSIPATIVE - {"hysteresis"})
-def test_friction_and_drag_never_push(name: str) -> None:
+@for_each_effect(DISSIPATIVE - {"hysteresis"})
+def test_friction_and_drag_never_supply_power(name: str) -> None:
     effect = CATALOGUE[name]
     source = np.random.default_rng(2)
     for _ in range(300):
@@ -184,8 +184,8 @@ def test_friction_and_drag_never_push(name: str) -> None:
         assert force * names["rate"] <= 0.0
 
 
-def _with_memory(effect: Effect, names: dict[str, object], rate: Array, step: float) -> Array:
-    """The state of an effect with one, at the start of each step, by the midpoint rule in four parts a step."""
+def _state_history(effect: Effect, names: dict[str, object], rate: Array, step: float) -> Array:
+    """The only state of an effect at the start of each step, by the midpoint rule with four substeps."""
     (state,) = effect.states
     derivative = compile(state.derivative, state.name, "eval")
     here = {"__builtins__": {}, **names, "abs": abs}
@@ -200,7 +200,7 @@ def _with_memory(effect: Effect, names: dict[str, object], rate: Array, step: fl
     return path
 
 
-def test_hysteresis_gives_back_no_more_than_it_was_given_and_loses_in_every_loop() -> None:
+def test_hysteresis_is_passive_and_dissipates_energy_in_every_loop() -> None:
     effect, step = CATALOGUE["hysteresis"], 1e-3
     time = np.arange(0.0, 4.0, step)
     sizes: dict[str, object] = {"torque": 60.0, "yield_travel": 0.002}
@@ -210,26 +210,26 @@ def test_hysteresis_gives_back_no_more_than_it_was_given_and_loses_in_every_loop
             source.normal() * np.sin(2 * np.pi * f * time + source.uniform(0, 6)) for f in (0.5, 1.3, 3.1)
         )
         rate = np.gradient(wandering, step)
-        force = values_at(effect.force, {**sizes, "z": _with_memory(effect, sizes, rate, step)})
-        given = np.cumsum(-0.5 * (force[1:] + force[:-1]) * rate[:-1]) * step  # z moved at rate[k] from k to k + 1
-        assert given.min() > -1e-9 * given.max()
+        force = values_at(effect.force, {**sizes, "z": _state_history(effect, sizes, rate, step)})
+        supplied = np.cumsum(-0.5 * (force[1:] + force[:-1]) * rate[:-1]) * step  # z moved at rate[k] from k to k + 1
+        assert supplied.min() > -1e-9 * supplied.max()
     periods = [slice(k * 1000, (k + 1) * 1000) for k in (1, 2, 3)]
     rate = 2 * np.pi * 0.01 * np.cos(2 * np.pi * time)
-    force = values_at(effect.force, {**sizes, "z": _with_memory(effect, sizes, rate, step)})
-    lost = [float(np.sum(-force[period] * rate[period]) * step) for period in periods]
-    # A loop through +-10 mrad, far beyond the yield travel, loses nearly the rectangle of 4 x 60 N m x 10 mrad.
-    assert lost[1:] == pytest.approx(lost[:-1], rel=1e-3)
-    assert 0.75 * 2.4 < lost[0] < 2.4
+    force = values_at(effect.force, {**sizes, "z": _state_history(effect, sizes, rate, step)})
+    dissipated = [float(np.sum(-force[period] * rate[period]) * step) for period in periods]
+    # A loop through +-10 mrad, far beyond the yield travel, dissipates nearly the rectangle, 4 x 60 N m x 10 mrad.
+    assert dissipated[1:] == pytest.approx(dissipated[:-1], rel=1e-3)
+    assert 0.75 * 2.4 < dissipated[0] < 2.4
 
 
-# --- against what the virtual vehicle hides, which is written apart
+# --- compared with the virtual vehicle's hidden effects, which are implemented independently
 
 
 STEP = 1e-3
 
 
 def _record() -> tuple[Array, Array, Array, Array]:
-    """Time, roll, its rate and precession of a balanced MONOCAB under excitation, which begins gently."""
+    """Time, roll, roll rate and precession of a balanced MONOCAB under an excitation that begins gently."""
     time = np.arange(0.0, 20.0, STEP)
     roll = 0.012 * np.sin(2 * np.pi * 0.31 * time) + 0.004 * np.sin(2 * np.pi * 0.83 * time + 1.0)
     roll *= np.minimum(time, 1.0) ** 2
@@ -250,7 +250,7 @@ HIDDEN_TORQUES = sorted(
 
 
 @pytest.mark.parametrize("name", [name for name in HIDDEN_TORQUES if name != "gimbal_angle_coupling"])
-def test_the_effect_explains_the_torque_that_the_virtual_vehicle_hides_under_its_name(name: str) -> None:
+def test_effect_explains_the_hidden_torque_of_the_same_name(name: str) -> None:
     effect, size = CATALOGUE[name], HIDDEN[name].size
     time, roll, rate, precession = _record()
     precession_rate = np.gradient(precession, time)
@@ -266,7 +266,7 @@ def test_the_effect_explains_the_torque_that_the_virtual_vehicle_hides_under_its
     names: dict[str, object] = {p.name.removeprefix(f"{name}."): p.value for p in attached.parameters}
     names |= SHAPES.get(name, {})
     if effect.states:
-        names["z"] = _with_memory(effect, names, rate, STEP)
+        names["z"] = _state_history(effect, names, rate, STEP)
     names |= {"coordinate": roll, "rate": rate, "time": time, "smooth_rate": 1e-3, "gain": 3300.0}
     names |= {"actuator_rate": precession_rate, "actuator_angle": precession}
     columns = [
@@ -274,16 +274,16 @@ def test_the_effect_explains_the_torque_that_the_virtual_vehicle_hides_under_its
         for amplitude in effect.amplitudes
     ]
     fitted, *_ = np.linalg.lstsq(np.column_stack(columns), torque, rcond=None)
-    left = torque - np.column_stack(columns) @ fitted
-    # The hidden friction has damped bristles that bend by 0.1 mrad at each reversal; the catalogue's has no memory.
+    residual = torque - np.column_stack(columns) @ fitted
+    # The hidden friction has damped bristles that bend by 0.1 mrad at each reversal; the catalogue's has no state.
     unexplained = 0.08 if effect.family is Family.DRY_FRICTION else 1e-3
-    assert float(left @ left) < unexplained * float(torque @ torque)
+    assert float(residual @ residual) < unexplained * float(torque @ torque)
     assert np.max(np.abs(fitted)) == pytest.approx(abs(size), rel=0.1)
     assert 0.05 * np.ptp(roll) > BRISTLE_DEFLECTION, "or the motion would be too small to slide"
 
 
 @pytest.mark.parametrize("name", ["input_gain", "input_asymmetry", "input_deadband"])
-def test_the_effect_makes_of_a_command_what_the_virtual_vehicle_makes_of_it(name: str) -> None:
+def test_effect_changes_a_command_as_the_virtual_vehicle_does(name: str) -> None:
     size = HIDDEN[name].size
     (hidden,) = input_effects({name: size}, 1e-3)
     command = np.linspace(-0.1, 0.1, 41)
@@ -292,7 +292,7 @@ def test_the_effect_makes_of_a_command_what_the_virtual_vehicle_makes_of_it(name
     assert acting == pytest.approx([hidden(each) for each in command], abs=1e-15)
 
 
-# --- where an effect cannot be
+# --- where an effect is refused
 
 
 def _refused(model: Model, name: str, what: str, at: str = "") -> None:
@@ -301,7 +301,7 @@ def _refused(model: Model, name: str, what: str, at: str = "") -> None:
     assert caught.value.remedy
 
 
-def test_a_place_that_lacks_what_an_effect_needs_is_named_with_what_it_lacks() -> None:
+def test_effect_is_refused_where_the_model_lacks_what_it_needs() -> None:
     bare = get("axis")
     _refused(bare, "backlash", "needs actuator_rate, gain, which joint axis does not have")
     _refused(bare, "gimbal_imbalance", "needs actuator_angle, which joint axis")
@@ -315,13 +315,13 @@ def test_a_place_that_lacks_what_an_effect_needs_is_named_with_what_it_lacks() -
     _refused(rate_only, "sensor_offset", "needs angle, which sensor gyro")
 
 
-def test_a_sensor_without_a_rate_reading_is_shifted_in_what_it_has() -> None:
+def test_sensor_delay_acts_on_a_sensor_without_a_rate() -> None:
     shifted = compose(replace(axis(rate_measured=True), sensors=get("axis").sensors).add("sensor_delay"))
     delay = next(symbol for symbol in shifted.parameters if symbol.name == "sensor_delay.delay")
     assert shifted.outputs[0].diff(delay) != 0
 
 
-def test_an_effect_goes_to_the_first_place_that_can_have_it_and_elsewhere_says_where() -> None:
+def test_effect_is_named_with_its_place_unless_that_is_the_first_suitable_one() -> None:
     rated = axis(rate_measured=True)
     encoder = Sensor("encoder", angle="position")
     two = replace(rated, sensors=(encoder, replace(rated.sensors[0], name="gyro")))
@@ -333,7 +333,7 @@ def test_an_effect_goes_to_the_first_place_that_can_have_it_and_elsewhere_says_w
     _refused(two, "gyro_bias", "attach it at gyro", at="encoder")
 
 
-def test_units_follow_the_joint() -> None:
+def test_units_of_effects_follow_the_joint() -> None:
     cart = get("axis").add("viscous_friction").add("cubic_stiffness").add("input_deadband")
     units = {parameter.name: parameter.unit for parameter in cart.parameters}
     assert units["viscous_friction.coefficient"] == "N s/m"
@@ -341,7 +341,7 @@ def test_units_follow_the_joint() -> None:
     assert units["input_deadband.width"] == "N"
 
 
-def test_starts_are_numbers_of_the_place_and_need_a_parameter() -> None:
+def test_start_values_scale_with_the_place_and_need_a_known_parameter() -> None:
     model = MONOCAB.add("end_stop")
     assert starts(model, model.effects[0], "gap") == pytest.approx((0.01, 0.02 / 30, 0.002, 0.004, 0.02, 0.04))
     with pytest.raises(ModelError, match="there is no parameter 'width'"):
@@ -358,7 +358,7 @@ def test_starts_are_numbers_of_the_place_and_need_a_parameter() -> None:
         ({"parameters": (replace(CATALOGUE["static_torque"].parameters[0], unit="{furlong}"),)}, "cannot be filled in"),
     ],
 )
-def test_an_effect_that_makes_no_sense_is_not_attached(change: dict[str, object], what: str) -> None:
+def test_inconsistent_effect_is_not_attached(change: dict[str, object], what: str) -> None:
     effect = replace(CATALOGUE["static_torque"], **change)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=what):
         MONOCAB.add(effect)
@@ -376,7 +376,7 @@ def full_kernel() -> tuple[Model, Kernel]:
 
 
 def _segment(model: Model, rows: int = 80, *, moving: bool = True) -> Segment:
-    """Excitation that reaches every effect: large, fast, of both signs, within a third of a second."""
+    """An excitation that activates every effect: large, fast, of both signs, within a third of a second."""
     source = np.random.default_rng(4)
     time = 0.004 * np.arange(rows)
     phase = 5.0 * time if moving else np.ones(rows)
@@ -392,8 +392,8 @@ def _segment(model: Model, rows: int = 80, *, moving: bool = True) -> Segment:
     return Segment(time, knots, np.ascontiguousarray(inputs), np.full((rows, len(model.outputs)), np.nan))
 
 
-SEEN_SOON = {"torque_step.start": 0.1, "torque_step.rise": 0.1, "torque_drift.time_constant": 0.5}
-"""Shapes that a third of a second can show."""
+FAST_SHAPES = {"torque_step.start": 0.1, "torque_step.rise": 0.1, "torque_drift.time_constant": 0.5}
+"""Values of shape parameters that have an influence within a third of a second."""
 
 
 def _initial(kernel: Kernel) -> Array:
@@ -402,30 +402,32 @@ def _initial(kernel: Kernel) -> Array:
 
 
 @pytest.mark.timeout(600)
-def test_all_effects_together_are_neutral_at_zero(full_kernel: tuple[Model, Kernel]) -> None:
+def test_all_effects_together_have_no_influence_at_zero(full_kernel: tuple[Model, Kernel]) -> None:
     model, kernel = full_kernel
     bare = compile_model(MONOCAB)
     segment = _segment(model)
     expected = bare.run(segment, bare.vector(), _initial(bare)).predicted
     assert np.ptp(expected[:, 0]) > 1e-3
-    there = kernel.run(segment, kernel.vector(), _initial(kernel)).predicted
-    assert there == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    computed = kernel.run(segment, kernel.vector(), _initial(kernel)).predicted
+    assert computed == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
-@every()
+@for_each_effect()
 @pytest.mark.timeout(600)
-def test_sensitivities_are_derivatives_at_zero_and_elsewhere(name: str, full_kernel: tuple[Model, Kernel]) -> None:
+def test_sensitivities_are_derivatives_at_zero_and_nonzero_amplitudes(
+    name: str, full_kernel: tuple[Model, Kernel]
+) -> None:
     model, kernel = full_kernel
     attached = next(each for each in model.effects if each.name == name)
-    # What straight-line inputs do where a delay moves a switch within a step is the kernel's affair.
+    # Smooth inputs with a delay that moves a switch within a step are a matter of the kernel's own tests.
     segment, initial = _segment(model, moving=name != "input_delay"), _initial(kernel)
     for size in (0.0, 1.0):
         present = {p.name: size * p.scale for p in attached.parameters if p.name in attached.amplitudes}
-        values = kernel.vector({**SEEN_SOON, **present})
-        asked = [p for p in attached.parameters if size or p.name in attached.amplitudes]
-        active = [kernel.index(parameter.name) for parameter in asked]
+        values = kernel.vector({**FAST_SHAPES, **present})
+        tested = [p for p in attached.parameters if size or p.name in attached.amplitudes]
+        active = [kernel.index(parameter.name) for parameter in tested]
         exact = kernel.run(segment, values, initial, active=active).sensitivity
-        for column, parameter in enumerate(asked):
+        for column, parameter in enumerate(tested):
             step = 1e-4 * parameter.scale
 
             def shifted(by: float, place: int = active[column], values: Array = values) -> Array:
@@ -442,7 +444,7 @@ def test_sensitivities_are_derivatives_at_zero_and_elsewhere(name: str, full_ker
             assert np.max(np.abs(exact[:, :, column] - slope)) < 1e-5 * largest, parameter.name
 
 
-# --- the user's own
+# --- user-defined effects
 
 GOOD = """
 name = "rail_bump"
@@ -474,7 +476,7 @@ def _file(folder: Path, text: str, name: str = "own.toml") -> Path:
     return path
 
 
-def test_an_effect_from_a_toml_file_joins_the_others(tmp_path: Path) -> None:
+def test_effect_from_a_toml_file_works_beside_the_catalogues(tmp_path: Path) -> None:
     effect = load_effect(_file(tmp_path, GOOD))
     assert effect.equation == "force = -torque * exp(-(coordinate / width) ** 2)"
     model = MONOCAB.add(effect).add("coulomb_friction")
@@ -485,16 +487,16 @@ def test_an_effect_from_a_toml_file_joins_the_others(tmp_path: Path) -> None:
     assert load_effect(tmp_path / "own.toml") == effect
 
 
-def test_a_key_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+def test_key_of_an_earlier_version_is_accepted(tmp_path: Path) -> None:
     assert load_effect(_file(tmp_path, "strikes = true\n" + GOOD)).impacts
 
 
-def test_the_example_in_the_manual_is_one(tmp_path: Path) -> None:
+def test_example_in_the_manual_is_a_valid_effect(tmp_path: Path) -> None:
     example = markdown().split("```toml\n")[1].split("```")[0]
     assert load_effect(_file(tmp_path, example)).name == "rail_bump"
 
 
-def test_states_may_be_given_in_a_toml_file(tmp_path: Path) -> None:
+def test_effect_from_a_toml_file_can_have_states(tmp_path: Path) -> None:
     memory = GOOD.replace("coordinate / width", "z / width") + (
         '[[states]]\nname = "z"\nunit = "{coordinate}"\nderivative = "(coordinate - z) / 0.5 + 0 * force"\n'
     )
@@ -514,7 +516,7 @@ EFFECT = Effect(
 """
 
 
-def test_an_effect_from_a_python_file_joins_the_others(tmp_path: Path) -> None:
+def test_effect_from_a_python_file_can_be_attached(tmp_path: Path) -> None:
     effect = load_effect(_file(tmp_path, PYTHON, "wind.py"))
     assert MONOCAB.add(effect).effects[0].amplitudes == ("wind.torque",)
 
@@ -551,7 +553,7 @@ def test_an_effect_from_a_python_file_joins_the_others(tmp_path: Path) -> None:
         ('place = "joint"', 'place = "joint"\nin_radians = ["roll"]', "in_radians", "there is no 'roll' on joints"),
     ],
 )
-def test_a_wrong_effect_file_is_refused_with_file_key_and_remedy(
+def test_invalid_effect_file_is_refused_with_file_key_and_remedy(
     tmp_path: Path, old: str, new: str, where: str, what: str
 ) -> None:
     assert old in GOOD
@@ -563,7 +565,7 @@ def test_a_wrong_effect_file_is_refused_with_file_key_and_remedy(
     assert caught.value.remedy
 
 
-def test_parameters_that_are_no_list_of_tables_are_refused(tmp_path: Path) -> None:
+def test_parameters_that_are_not_a_list_of_tables_are_refused(tmp_path: Path) -> None:
     text = GOOD.split("[[parameters]]")[0] + 'parameters = ["torque"]\n'
     with pytest.raises(ModelError, match="is not a list of tables"):
         load_effect(_file(tmp_path, text))
@@ -579,7 +581,7 @@ def test_parameters_that_are_no_list_of_tables_are_refused(tmp_path: Path) -> No
         (PYTHON.replace("torque * sin", "sin"), "is not 0 if torque is 0"),
     ],
 )
-def test_a_wrong_python_file_is_refused(tmp_path: Path, text: str, what: str) -> None:
+def test_invalid_python_file_is_refused(tmp_path: Path, text: str, what: str) -> None:
     path = _file(tmp_path, text, "own.py")
     with pytest.raises(ModelError, match=what) as caught:
         load_effect(path)
@@ -590,6 +592,6 @@ def test_a_wrong_python_file_is_refused(tmp_path: Path, text: str, what: str) ->
 @pytest.mark.parametrize(
     ("name", "what"), [("none.toml", "cannot be read"), ("none.py", "cannot be read"), ("x", "ending")]
 )
-def test_a_file_that_is_not_there_or_of_no_kind_is_refused(tmp_path: Path, name: str, what: str) -> None:
+def test_missing_file_or_unknown_suffix_is_refused(tmp_path: Path, name: str, what: str) -> None:
     with pytest.raises(ModelError, match=what):
         load_effect(tmp_path / name)
