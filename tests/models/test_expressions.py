@@ -1,4 +1,4 @@
-"""Equations as text: what is allowed means the same as in Python, and nothing else gets through or takes long."""
+"""Equations as text: allowed ones mean the same as in Python, and all others are refused without delay."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from models.parts import ModelError
 X, Y = sympy.symbols("x y", real=True)
 SYMBOLS = {"x": X, "y": Y, "drag.size": sympy.Symbol("drag.size", real=True)}
 
-# Nothing here takes a second; a number worked out to its last digit would take for ever.
+# No test takes a second; computing a huge power to its last digit would take for ever.
 pytestmark = pytest.mark.timeout(20)
 
 
@@ -44,7 +44,7 @@ pytestmark = pytest.mark.timeout(20)
         ("+x", 3.0),
     ],
 )
-def test_an_equation_means_what_it_means_in_python(text: str, value: float) -> None:
+def test_equation_has_the_same_value_as_in_python(text: str, value: float) -> None:
     values = {"x": 3.0, "y": 0.5, "drag.size": 7.0}
     check(text, values)
     assert number(text, values) == pytest.approx(value, rel=1e-14)
@@ -137,19 +137,19 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE.keys())
-def test_anything_else_is_refused_before_it_is_worked_out(text: str) -> None:
+def test_anything_else_is_refused_before_it_is_evaluated(text: str) -> None:
     for read in (lambda: check(text, SYMBOLS, "here"), lambda: parse(text, SYMBOLS, "here")):
         with pytest.raises(ModelError) as caught:
             read()
         assert caught.value.where == "here"
         assert caught.value.remedy
-        assert len(str(caught.value)) < 600  # a message does not repeat 4000 characters
+        assert len(str(caught.value)) < 600  # the message does not repeat 4000 characters
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        "(x - x + 9) ** (10 ** 9 + x - x)",  # SymPy makes numbers of it only while it builds
+        "(x - x + 9) ** (10 ** 9 + x - x)",  # becomes a number only while SymPy builds the expression
         "x ** (y - y + 10 ** 10)",
         "((((x - x + 9) ** 16) ** 16) ** 16) ** 16",
         "((((9 * x) ** 16) ** 16) ** 16) ** 16",
@@ -162,13 +162,13 @@ def test_anything_else_is_refused_before_it_is_worked_out(text: str) -> None:
         "log(x - x)",
     ],
 )
-def test_what_becomes_a_number_only_in_sympy_is_refused_there(text: str) -> None:
+def test_invalid_number_that_arises_only_in_sympy_is_refused(text: str) -> None:
     with pytest.raises(ModelError) as caught:
         parse(text, SYMBOLS, "here")
     assert caught.value.where == "here"
 
 
-def test_numbers_do_not_grow_from_definition_to_definition() -> None:
+def test_huge_number_built_up_over_several_definitions_is_refused() -> None:
     symbols = {"d1": parse("9 ** 16", {})}
     symbols["d2"] = parse("d1 ** 16", symbols)
     with pytest.raises(ModelError, match="too large"):
@@ -177,7 +177,7 @@ def test_numbers_do_not_grow_from_definition_to_definition() -> None:
 
 @given(st.text(alphabet="xy01. +-*/(),\n'\"[]:=#sinmaxpe_{}@\\", max_size=60))
 @settings(max_examples=400, derandomize=True, deadline=None)
-def test_whatever_is_typed_is_an_expression_or_a_model_error(text: str) -> None:
+def test_any_text_is_a_valid_expression_or_a_model_error(text: str) -> None:
     names = {"x": 0.5, "y": 2.0}
     try:
         check(text, names)
@@ -190,12 +190,12 @@ def test_whatever_is_typed_is_an_expression_or_a_model_error(text: str) -> None:
     try:
         value = number(text, names)
     except ModelError:
-        return  # as 1 / (x - 0.5)
+        return  # for example 1 / (x - 0.5)
     assert math.isfinite(value)
     assert number(renamed(text, {"x": "1 - y / 4"}), {"y": 2.0}) == pytest.approx(value, rel=1e-9, abs=1e-9)
 
 
-def test_the_remedy_names_what_was_meant() -> None:
+def test_error_message_suggests_a_correction() -> None:
     with pytest.raises(ModelError, match=r"there is no 'roll_rte'.*did you mean 'roll_rate'\?.*use one of: roll"):
         check("2 * roll_rte", ["roll", "roll_rate"])
     with pytest.raises(ModelError, match=r"no function sinn\(\).*did you mean 'sin'"):
@@ -206,11 +206,11 @@ def test_the_remedy_names_what_was_meant() -> None:
         check("roll", [])
 
 
-def test_names_in_leaves_functions_and_constants_out() -> None:
+def test_names_in_omits_functions_and_constants() -> None:
     assert names_in("sin(pi * x) + drag.size - max(y, 2)") == {"x", "y", "drag.size"}
 
 
-def test_a_number_is_finite_or_an_error() -> None:
+def test_value_is_finite_or_an_error() -> None:
     assert number(3, {}) == 3.0
     with pytest.raises(ModelError, match="has no value"):
         number("1 / x", {"x": 0.0})
@@ -233,29 +233,29 @@ def test_a_number_is_finite_or_an_error() -> None:
         ("x\n  + y", {"z": "a"}, "x + y"),
     ],
 )
-def test_renamed_keeps_the_meaning(text: str, replacements: dict[str, str], wanted: str) -> None:
+def test_renaming_preserves_the_meaning(text: str, replacements: dict[str, str], wanted: str) -> None:
     assert renamed(text, replacements) == wanted
 
 
-def test_length_counts_what_definitions_stand_for() -> None:
+def test_length_counts_terms_with_the_definitions_substituted() -> None:
     assert length("x + sin(y)", {}) == 4
     lengths: dict[str, int] = {}
     for step in range(60):
         lengths[f"d{step + 1}"] = length(f"d{step} * d{step}", lengths)
-    assert lengths["d60"] > 10**18  # counted, not worked out
+    assert lengths["d60"] > 10**18  # counted without being expanded
 
 
 @pytest.mark.parametrize("name", ["time", "pi", "sin", "max", "lambda", "None", "2x", "x y", "x-y", "", "größe", "x.y"])
-def test_names_that_cannot_be_used_are_told_why(name: str) -> None:
+def test_name_problem_describes_invalid_names(name: str) -> None:
     assert name_problem(name)
 
 
 @pytest.mark.parametrize("name", ["x", "roll_rate", "_", "Time", "pi2", "sinus", "e"])
-def test_other_names_can(name: str) -> None:
+def test_name_problem_is_empty_for_valid_names(name: str) -> None:
     assert not name_problem(name)
 
 
-def test_every_function_is_one_of_sympys_too() -> None:
+def test_every_function_has_the_same_value_in_sympy() -> None:
     for name, (arity, function) in expressions.FUNCTIONS.items():
         arguments = ["x", "y"][:arity]
         text = f"{name}({', '.join(arguments)})"
@@ -264,8 +264,8 @@ def test_every_function_is_one_of_sympys_too() -> None:
 
 
 @pytest.fixture
-def garbage_often() -> Iterator[None]:
-    """Python collects garbage after every few objects, and lets another thread run as it does."""
+def frequent_garbage_collection() -> Iterator[None]:
+    """Python collects garbage after every few objects, and each time lets another thread run."""
     before = gc.get_threshold()
 
     def other_thread(phase: str, info: object) -> None:
@@ -280,8 +280,8 @@ def garbage_often() -> Iterator[None]:
         gc.callbacks.remove(other_thread)
 
 
-def test_equations_are_read_by_two_threads_at_once(garbage_often: None) -> None:
-    """Without the lock, some of 2000 end in Python 3.11.7's "AST constructor recursion depth mismatch"."""
+def test_equations_can_be_read_by_two_threads_at_once(frequent_garbage_collection: None) -> None:
+    """Without the lock, some of 2000 calls fail with Python 3.11.7's "AST constructor recursion depth mismatch"."""
     text = "x / (1 - x) * (y + drag.size * ((2 * pi * x) ** 2 * y + 4 * pi * x * y * drag.size))"
     with ThreadPoolExecutor(2) as pool:
         read = set(pool.map(lambda _: names_in(text), range(2000)))

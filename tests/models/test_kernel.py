@@ -1,7 +1,7 @@
-"""Compiled models: what a pass returns is right, and its sensitivities are the derivatives of it.
+"""Compiled models: a pass predicts correctly, and its sensitivities are the derivatives of its predictions.
 
-Central differences of a pass in float64 are good to about 1e-9 of the largest slope at the steps used
-here; the bound of 1e-6 leaves room for curvature.
+At the steps used here, central differences of a pass in float64 are accurate to about 1e-9 of the largest slope; the
+bound of 1e-6 leaves room for curvature.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def plant() -> Kernel:
 
 
 def predicted(kernel: Kernel, data: Segment, unknowns: Array, substeps: int = 1) -> Array:
-    """A pass with `unknowns`: parameters, initial state and gain in one row."""
+    """A pass with `unknowns`: parameters, initial state and gain in one vector."""
     values, initial, gain = np.split(unknowns, np.cumsum([len(kernel.parameters), len(kernel.states)]))
     return kernel.run(data, values, initial, gain=gain.reshape(GAIN.shape), substeps=substeps).predicted
 
 
 def assert_exact(kernel: Kernel, data: Segment, sided: Sequence[str] = (), substeps: int = 1, **given: float) -> None:
-    """Every sensitivity equals a difference of second order; one from above for the parameters in `sided`."""
+    """Every sensitivity equals a second-order difference, one-sided (from above) for the parameters in `sided`."""
     values = kernel.vector(given)
     everything = np.concatenate((values, INITIAL, GAIN.ravel()))
     active = range(len(everything))
@@ -74,7 +74,7 @@ SHIFTED |= {"motor_lag": 0.013, "wind_lag": 0.021}
 
 
 @pytest.mark.parametrize("substeps", [1, 3])
-def test_sensitivities_with_everything_shifted(plant: Kernel, substeps: int) -> None:
+def test_sensitivities_with_all_delays_and_lags(plant: Kernel, substeps: int) -> None:
     assert_exact(plant, segment(), substeps=substeps, **SHIFTED)
 
 
@@ -84,20 +84,20 @@ def test_sensitivities_at_negative_delays_without_lags(plant: Kernel) -> None:
     assert_exact(plant, segment(), sided=lags, **moved)
 
 
-def test_sensitivities_where_held_inputs_change_exactly_on_a_row(plant: Kernel) -> None:
-    # At delay 0 a change at a row acts from there on; to a delay below 0 the row's prediction answers otherwise.
+def test_sensitivities_where_held_inputs_change_exactly_at_a_sample(plant: Kernel) -> None:
+    # At delay 0 a change at a sample acts from there on; at a negative delay it also affects that sample's prediction.
     delays, lags = ("push_delay", "both_delay"), ("motor_lag", "wind_lag")
     moved = {"wind_delay": 0.003, "seen_delay": 0.003}
     assert_exact(plant, segment(regular=True), sided=(*delays, *lags), **moved)
     assert_exact(plant, segment(regular=True), sided=delays, motor_lag=0.02, wind_lag=0.03, **moved)
 
 
-def test_sensitivities_where_a_delay_is_a_whole_row(plant: Kernel) -> None:
+def test_sensitivities_where_a_delay_is_a_whole_sampling_interval(plant: Kernel) -> None:
     delays = {"push_delay": 0.0, "both_delay": 1.0 / 128.0}
     assert_exact(plant, segment(regular=True), sided=tuple(delays), **{**SHIFTED, **delays})
 
 
-def test_only_active_columns_are_computed_and_they_are_the_same(plant: Kernel) -> None:
+def test_active_columns_equal_those_of_the_full_sensitivity(plant: Kernel) -> None:
     values, size = plant.vector(SHIFTED), len(plant.parameters) + len(INITIAL) + GAIN.size
     whole = plant.run(segment(), values, INITIAL, gain=GAIN, active=range(size)).sensitivity
     some = [3, size - 1, 0, len(plant.parameters) + 1, 5]
@@ -118,8 +118,8 @@ EXPRESSIONS = (
 )
 
 
-def test_every_operation_has_its_value_and_its_derivatives() -> None:
-    """Against the interpreter of models.expressions, which shares nothing with the compiler."""
+def test_every_operation_has_the_right_value_and_derivatives() -> None:
+    """Compared with the interpreter of models.expressions, which shares nothing with the compiler."""
     names = ("a", "b")
     model = Model(
         name="test-operations",
@@ -145,7 +145,7 @@ def test_every_operation_has_its_value_and_its_derivatives() -> None:
 # --- values
 
 
-def test_lags_and_delays_of_zero_change_no_bit(plant: Kernel) -> None:
+def test_zero_lags_and_delays_give_bit_identical_results(plant: Kernel) -> None:
     bare = compile_model(NEUTRAL)
     for data in (segment(), segment(regular=True)):
         with_them = plant.run(data, plant.vector(), INITIAL, gain=GAIN, active=range(4))
@@ -155,7 +155,7 @@ def test_lags_and_delays_of_zero_change_no_bit(plant: Kernel) -> None:
 
 
 def cart(hold: Hold, *, lag: float = 0.0, delay: float = 0.0) -> tuple[Kernel, Array]:
-    """A free mass of 1 kg: position and rate are integrals of the force."""
+    """A free mass of 1 kg: rate and position are the integrals of the force."""
     force = Input("force", "N", hold, delays=("delay",), lag="lag")
     model = Model(
         name="test-cart",
@@ -174,7 +174,7 @@ FORCES = np.array([1.0, -2.0, 3.0, 0.5, -1.0])
 
 
 def cart_segment(knots: Array, forces: Array) -> Segment:
-    """Rows beyond the last knot carry on with it."""
+    """Beyond the last knot its force is held."""
     later = TIME[-1] + 1.0 + np.arange(len(TIME) - len(knots))
     column = np.concatenate((knots, later))[:, None]
     filled = np.concatenate((forces, np.full(len(later), forces[-1])))[:, None]
@@ -182,7 +182,7 @@ def cart_segment(knots: Array, forces: Array) -> Segment:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.123])
-def test_a_held_force_is_integrated_exactly(delay: float) -> None:
+def test_held_force_is_integrated_exactly(delay: float) -> None:
     kernel, values = cart(Hold.ZERO_ORDER, delay=delay)
     run = kernel.run(cart_segment(KNOTS, FORCES), values, np.array([0.3, -0.2]))
     jumps = np.diff(FORCES)
@@ -194,8 +194,8 @@ def test_a_held_force_is_integrated_exactly(delay: float) -> None:
 
 @pytest.mark.parametrize("hold", Hold)
 @pytest.mark.parametrize("delay", [-0.05, 0.123, 0.9])
-def test_what_acted_before_the_first_row_still_acts(hold: Hold, delay: float) -> None:
-    """A stretch that begins later goes on as the whole one does, from the state that this one has there."""
+def test_inputs_before_the_first_sample_still_act(hold: Hold, delay: float) -> None:
+    """A segment that begins later, from the state of the whole one at that time, continues identically."""
     kernel, values = cart(hold, delay=delay)
     whole = cart_segment(KNOTS, FORCES)
     expected = kernel.run(whole, values, np.array([0.3, -0.2])).predicted[15:]
@@ -206,12 +206,12 @@ def test_what_acted_before_the_first_row_still_acts(hold: Hold, delay: float) ->
 
 
 def sampled_cart_segment(knots: Array, forces: Array) -> Segment:
-    """A sample of the force a row."""
+    """One sample of the force for each sample of the segment."""
     return Segment(TIME, knots[:, None].copy(), forces[:, None].copy(), np.zeros((len(TIME), 2)))
 
 
-def test_a_measured_force_is_integrated_along_the_curve_through_its_samples() -> None:
-    """Which SciPy draws from the slopes of parabolas; Simpson's rule is exact for its cubics."""
+def test_measured_force_is_integrated_along_its_interpolating_curve() -> None:
+    """SciPy makes this curve from the slopes of parabolas; Simpson's rule is exact for its cubics."""
     forces = np.sin(TIME) + np.cos(3.0 * TIME)
     kernel, values = cart(Hold.CUBIC)
     run = kernel.run(sampled_cart_segment(TIME, forces), values, np.zeros(2))
@@ -219,26 +219,26 @@ def test_a_measured_force_is_integrated_along_the_curve_through_its_samples() ->
     slopes = np.concatenate((chords[:1], 0.5 * (chords[1:] + chords[:-1]), chords[-1:]))
     rate = CubicHermiteSpline(TIME, forces, slopes).antiderivative()
     assert run.predicted[:, 1] == pytest.approx(rate(TIME), abs=1e-13)
-    # Twice integrated it is of the fifth degree, of which Runge-Kutta misses h^5 / 720 of the force's third derivative
-    # a step. Of the force that is 28 at most, of these cubics thrice that.
+    # Integrated twice, it has fifth degree; per step, Runge-Kutta misses h^5 / 720 times the force's third derivative.
+    # That is 28 at most for the force, and three times as much for these cubics.
     assert run.predicted[:, 0] == pytest.approx(rate.antiderivative()(TIME), abs=len(TIME) * 0.1**5 / 720 * 84.0)
 
 
 @pytest.mark.parametrize("before", [0.0, 0.25, 0.5, 0.9])
-def test_a_force_sampled_a_part_of_a_row_before_is_as_good(before: float) -> None:
-    """A sine of 31 samples a period. Straight lines would be off by (w h)^2 / 24, 0.17 %, half a row before."""
+def test_force_sampled_a_fraction_of_an_interval_earlier_is_as_accurate(before: float) -> None:
+    """A sine with 31 samples per period. Half an interval earlier, straight lines would err by (w h)^2 / 24, 0.17 %."""
     kernel, values = cart(Hold.CUBIC)
     w = 2.0
     knots = TIME - 0.1 * before
     rate = kernel.run(sampled_cart_segment(knots, np.sin(w * knots)), values, np.zeros(2)).predicted[:, 1]
-    inner = slice(2, -3)  # at either end the curve has no parabola
+    inner = slice(2, -3)  # at either end there is no parabola for the slope
     expected = (1.0 - np.cos(w * TIME)) / w
     error = rate - expected
     assert np.ptp(error[inner]) < 0.5 * (0.1 * w) ** 3 / 24.0 / w
 
 
-def test_a_curve_is_the_one_that_a_pass_reads() -> None:
-    """Also at knots that do not come at equal intervals."""
+def test_pass_integrates_the_curve_of_the_interpolation() -> None:
+    """Also for unequally spaced knots."""
     kernel, values = cart(Hold.CUBIC)
     source = np.random.default_rng(4)
     knots = TIME + source.uniform(0.0, 0.08, len(TIME))
@@ -249,13 +249,13 @@ def test_a_curve_is_the_one_that_a_pass_reads() -> None:
     through = np.concatenate(([0.0], np.cumsum(0.5 * (drawn[1:] + drawn[:-1]) * np.diff(fine))))
     inside = (knots[0] < TIME) & (knots[-1] > TIME)
     expected = forces[0] * knots[0] + np.interp(TIME, fine, through)
-    # Trapezoids of a thousandth of a second, and lines between them: a second derivative of some hundreds by h^2 / 8.
+    # Trapezoids of one millisecond and linear interpolation: a second derivative of some hundreds times h^2 / 8.
     assert rate[inside] == pytest.approx(expected[inside], abs=1e-4)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
-def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
-    """What a lag lets through is, in the mean, the force less lag times the rise of what came through."""
+def test_lag_responds_exactly_to_steps(lag: float) -> None:
+    """The integral of the lagged force is that of the force, less lag times the rise of the lagged force."""
     kernel, values = cart(Hold.ZERO_ORDER, lag=lag)
     rate = kernel.run(cart_segment(KNOTS, FORCES), values, np.zeros(2)).predicted[:, 1]
     since = np.maximum(TIME[:, None] - KNOTS[1:], 0.0)
@@ -265,8 +265,8 @@ def test_a_lag_is_the_exact_response_to_steps(lag: float) -> None:
 
 
 @pytest.mark.parametrize("lag", [0.004, 0.25, 3.0])
-def test_a_lag_moves_the_position_as_its_exact_response_does(lag: float) -> None:
-    """Within a step it is the straight line of the same mean and the same first moment."""
+def test_position_driven_through_a_lag_is_exact(lag: float) -> None:
+    """Within a step, the lagged force is a straight line of the same mean and the same first moment."""
     kernel, values = cart(Hold.ZERO_ORDER, lag=lag)
     position = kernel.run(cart_segment(KNOTS, FORCES), values, np.zeros(2)).predicted[:, 0]
     since = np.maximum(TIME[:, None] - KNOTS[1:], 0.0)
@@ -277,8 +277,8 @@ def test_a_lag_moves_the_position_as_its_exact_response_does(lag: float) -> None
 
 @pytest.mark.parametrize("delay", [-0.05, 0.123, 0.87])
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
-def test_a_lag_remembers_what_was_held_before_the_first_row(lag: float, delay: float) -> None:
-    """A stretch that begins later goes on as the whole one does, and knows how that depends on lag and delay."""
+def test_lag_includes_the_inputs_held_before_the_first_sample(lag: float, delay: float) -> None:
+    """A segment that begins later continues like the whole one, with the right sensitivities to lag and delay."""
     kernel, values = cart(Hold.ZERO_ORDER, lag=lag, delay=delay)
     whole = cart_segment(KNOTS, FORCES)
     expected = kernel.run(whole, values, np.array([0.3, -0.2])).predicted[15:]
@@ -294,8 +294,8 @@ def test_a_lag_remembers_what_was_held_before_the_first_row(lag: float, delay: f
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.004, 0.25, 3.0])
-def test_a_lag_is_the_exact_response_to_ramps(lag: float) -> None:
-    """One that begins with the first sample and goes up to the last."""
+def test_lag_responds_exactly_to_ramps(lag: float) -> None:
+    """The ramp lasts from the first sample to the last."""
     kernel, values = cart(Hold.CUBIC, lag=lag)
     rate = kernel.run(sampled_cart_segment(TIME, 1.0 - 3.0 * TIME), values, np.zeros(2)).predicted[:, 1]
     through = TIME - lag * (1.0 - np.exp(-TIME / lag)) if lag else TIME
@@ -303,7 +303,7 @@ def test_a_lag_is_the_exact_response_to_ramps(lag: float) -> None:
     assert rate == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_error_of_the_integration_is_of_fourth_order(plant: Kernel) -> None:
+def test_integration_error_is_of_fourth_order(plant: Kernel) -> None:
     data = segment(regular=True, rows=40)
     data = replace(data, time=8.0 * data.time, knots=8.0 * data.knots)
     values = plant.vector()
@@ -312,7 +312,7 @@ def test_the_error_of_the_integration_is_of_fourth_order(plant: Kernel) -> None:
     assert 12.0 < errors[0] / errors[1] < 20.0  # 16 in the limit of small steps
 
 
-def test_a_row_that_is_not_measured_corrects_nothing(plant: Kernel) -> None:
+def test_unmeasured_sample_corrects_nothing(plant: Kernel) -> None:
     data = segment(rows=3)
     unknown = replace(data, measured=np.array([[math.nan, math.nan], [0.1, math.nan], [0.0, 0.0]]))
     run = plant.run(unknown, plant.vector(), INITIAL, gain=GAIN, active=(0, 9))
@@ -324,7 +324,7 @@ def test_a_row_that_is_not_measured_corrects_nothing(plant: Kernel) -> None:
 
 
 @pytest.mark.parametrize("given", [{}, SHIFTED], ids=["plain", "shifted"])
-def test_a_pass_in_parts_gives_the_same_bits(plant: Kernel, given: Mapping[str, float]) -> None:
+def test_pass_in_parts_gives_bit_identical_results(plant: Kernel, given: Mapping[str, float]) -> None:
     data, values, active = segment(), plant.vector(given), (0, 3, 4, 5, 6, 7, 8, 9, 12, 14)
     whole = plant.run(data, values, INITIAL, gain=GAIN, active=active)
     memory = plant.memory(INITIAL, active)
@@ -338,7 +338,7 @@ def test_a_pass_in_parts_gives_the_same_bits(plant: Kernel, given: Mapping[str, 
     assert np.array_equal(memory.x, whole.final)
 
 
-def test_a_state_that_runs_away_is_no_error() -> None:
+def test_diverging_state_raises_no_error() -> None:
     model = Model(
         name="test-runaway",
         title="",
@@ -354,10 +354,10 @@ def test_a_state_that_runs_away_is_no_error() -> None:
     assert not np.isfinite(run.predicted[-1, 0])
 
 
-# --- what is refused
+# --- refused arguments
 
 
-def test_arrays_that_do_not_fit_are_refused(plant: Kernel) -> None:
+def test_unsuitable_arrays_columns_and_samples_are_refused(plant: Kernel) -> None:
     data, values = segment(rows=10), plant.vector()
     for wrong in (
         replace(data, time=data.time[:-1]),
@@ -381,6 +381,6 @@ def test_arrays_that_do_not_fit_are_refused(plant: Kernel) -> None:
         plant.proceed(data, values, memory, None, (), np.empty((10, 2)), np.empty((10, 2, 0)), last=10)
 
 
-def test_an_unknown_parameter_is_named(plant: Kernel) -> None:
+def test_unknown_parameter_error_lists_the_parameters(plant: Kernel) -> None:
     with pytest.raises(ModelError, match=r"parameter mass.*use one of: m, k"):
         plant.vector({"mass": 1.0})

@@ -1,5 +1,4 @@
-"""The cache of compiled models: what was compiled is found again, by other processes too, and what is damaged is made
-again."""
+"""The cache of compiled models: compiled code is reused, by other processes too, and damaged files are rebuilt."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ def plant() -> Kernel:
 
 @pytest.fixture
 def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: Kernel) -> Path:
-    """A cache directory with nothing in it but the loops, and a process that knows nothing but these."""
+    """A cache directory that contains only the loops, for a process that has loaded only these."""
     loops = _files(machine_code.cache_directory(), "loops-")[-1]
     folder = tmp_path / "kernels"
     folder.mkdir()
@@ -45,20 +44,20 @@ def _final(kernel: Kernel) -> list[float]:
     return kernel.run(segment(), kernel.vector(SHIFTED), INITIAL, gain=GAIN).final.tolist()
 
 
-def test_what_was_compiled_is_found_again(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    assert _final(compile_model(PLANT, progress=told.append)) == _final(plant)
-    assert told == ["model test-plant: compiling"]
+def test_compiled_model_is_found_in_the_cache(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    messages: list[str] = []
+    assert _final(compile_model(PLANT, progress=messages.append)) == _final(plant)
+    assert messages == ["model test-plant: compiling"]
     monkeypatch.setattr(kernels, "_loaded", {LOOPS: kernels._loaded[LOOPS]})
-    other = PLANT.change({"m": 5.0})  # values are no part of it
-    again = compile_model(other, progress=told.append)
-    assert len(told) == 1
+    other = PLANT.change({"m": 5.0})  # values are not part of the compiled code
+    again = compile_model(other, progress=messages.append)
+    assert len(messages) == 1
     assert again.vector()[0] == 5.0
     assert _final(compile_model(PLANT)) == _final(plant)
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "changed", "foreign"])
-def test_a_damaged_file_is_made_again(plant: Kernel, empty: Path, damage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_file_is_rebuilt(plant: Kernel, empty: Path, damage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     compile_model(PLANT)
     (path,) = _files(empty, "test-plant")
     good = path.read_bytes()
@@ -75,21 +74,19 @@ def test_a_damaged_file_is_made_again(plant: Kernel, empty: Path, damage: str, m
     assert machine_code.recall(path.name) is not None
 
 
-def test_without_a_cache_that_can_be_written_all_works(
-    plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_models_compile_without_a_writable_cache(plant: Kernel, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (empty / "file").touch()
-    monkeypatch.setenv("UPRIGHT_CACHE", str(empty / "file"))  # no folder can be made in a file, whoever one is
+    monkeypatch.setenv("UPRIGHT_CACHE", str(empty / "file"))  # no user can create a folder inside a file
     assert _final(compile_model(PLANT)) == _final(plant)
 
 
-def test_code_for_another_processor_is_not_taken(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fingerprint_depends_on_the_processor(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = kernels.fingerprint(PLANT)
     monkeypatch.setattr(machine_code, "processor", lambda: "another")
     assert kernels.fingerprint(PLANT) != name
 
 
-def test_a_change_of_structure_is_another_model(plant: Kernel) -> None:
+def test_fingerprint_depends_on_the_structure_but_not_on_values(plant: Kernel) -> None:
     first, *rest = PLANT.inputs
     for other in (
         replace(PLANT, inputs=(replace(first, hold=Hold.CUBIC), *rest)),
@@ -123,7 +120,7 @@ def _start() -> subprocess.Popen[str]:
 
 
 def test_processes_share_the_cache(empty: Path) -> None:
-    """Two at once both compile, undisturbed; a third finds all, and works without SymPy and numba."""
+    """Two concurrent processes both compile, undisturbed; a third finds all code and needs neither SymPy nor numba."""
     for process in [_start(), _start()]:
         output, _ = process.communicate(timeout=60)
         assert process.returncode == 0

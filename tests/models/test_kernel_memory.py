@@ -1,4 +1,4 @@
-"""Machine code looks at no sizes: a pass must not write beyond any array that it is given, whatever the model."""
+"""Machine code checks no sizes: a pass must not write beyond any array that it is given, whatever the model."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from models.parts import ModelError
 from models.segment import Segment
 
 GUARD = 64
-"""Numbers behind every array that must stay as they are."""
+"""Number of elements behind every array that must not change."""
 UNTOUCHED = 77.0
 
 
 class Guarded:
-    """Stands for numpy in models.compiler.kernel: what it allocates has a guard behind it."""
+    """Replaces numpy in models.compiler.kernel: every array that it allocates has a guard behind it."""
 
     def __init__(self) -> None:
         self.guards: list[np.ndarray] = []
@@ -51,7 +51,7 @@ def models() -> Iterator[Model]:
         yield whole
 
 
-@pytest.mark.timeout(600)  # each structure is compiled once on a computer
+@pytest.mark.timeout(600)  # each structure is compiled once per computer
 @pytest.mark.parametrize("model", list(models()), ids=lambda model: f"{model.name}+{len(model.effects)}")
 def test_no_pass_writes_beyond_its_arrays(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     kernel = compile_model(model)

@@ -1,4 +1,4 @@
-"""Model files: reading again gives the same model, comments stay, and whatever is wrong is named with a remedy."""
+"""Model files: a written model is read back unchanged, comments are kept, and errors name the key and a remedy."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def based(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_shipped_model_with_values_effects_and_history() -> None:
+def test_file_adds_values_effects_and_history_to_a_shipped_model() -> None:
     file = parse(BASED, "x/mine.toml")
     model = file.model
     assert (model.name, model.title) == ("hall", library.get("monocab_roll").title)
@@ -158,7 +158,7 @@ def test_a_shipped_model_with_values_effects_and_history() -> None:
     assert entry["who"] == "me"
 
 
-def test_equations_of_ones_own() -> None:
+def test_file_can_define_its_own_equations() -> None:
     model = parse(OWN, "folder/my pendulum.toml").model
     assert model.name == "my_pendulum"
     assert model.title == "Pendulum on a motor"
@@ -182,11 +182,11 @@ def test_equations_of_ones_own() -> None:
         (model_sections.SensorSection, Sensor),
     ],
 )
-def test_a_file_can_say_all_that_a_model_has(section: Any, kind: Any) -> None:
+def test_sections_of_a_file_have_all_fields_of_the_model_parts(section: Any, kind: Any) -> None:
     assert {"name", *section.model_fields} == {each.name for each in dataclasses.fields(kind)}
 
 
-def test_load_model_takes_names_and_paths(based: Path) -> None:
+def test_load_model_accepts_names_and_paths(based: Path) -> None:
     assert load_model("axis") is library.get("axis")
     assert load_model(str(based)).name == load_model(based).name == "hall"
     with pytest.raises(ModelError, match=r"there is no such model.*monocab_roll"):
@@ -265,7 +265,7 @@ WRONG_OWN = [
 
 
 @pytest.mark.parametrize(("old", "new", "key", "said"), WRONG_OWN, ids=lambda text: str(text)[:30])
-def test_what_is_wrong_with_own_equations_is_named(old: str, new: str, key: str, said: str) -> None:
+def test_error_in_own_equations_names_the_key(old: str, new: str, key: str, said: str) -> None:
     assert old in OWN
     _wrong(OWN.replace(old, new, 1), key, said)
 
@@ -297,7 +297,7 @@ def test_what_is_wrong_with_own_equations_is_named(old: str, new: str, key: str,
         ("[[history]]", "[history]", "history", "is not a list"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_shipped_models_values_is_named(old: str, new: str, key: str, said: str) -> None:
+def test_error_in_the_values_of_a_shipped_model_names_the_key(old: str, new: str, key: str, said: str) -> None:
     assert old in BASED
     _wrong(BASED.replace(old, new, 1), key, said)
 
@@ -310,7 +310,7 @@ def _wrong(text: str, key: str, said: str) -> None:
     assert caught.value.remedy
 
 
-def test_an_effect_needs_a_place_in_the_model() -> None:
+def test_effect_needs_a_suitable_place_in_the_model() -> None:
     without = OWN[: OWN.index("[joints.pivot]")].replace("pivot_force", "torque")
     parse(without, "mine.toml")
     _wrong(f'{without}\n[[effects]]\nname = "coulomb_friction"', "effects.0", "needs a joint, but the model has none")
@@ -318,7 +318,7 @@ def test_an_effect_needs_a_place_in_the_model() -> None:
 
 
 @pytest.mark.parametrize("key", ["states", "outputs"])
-def test_a_model_needs_states_and_outputs(key: str) -> None:
+def test_model_needs_states_and_outputs(key: str) -> None:
     table = tomllib.loads(OWN)
     del table[key]
     with pytest.raises(ModelError, match=f"{key}: there are none"):
@@ -331,7 +331,7 @@ def _as_toml(table: Mapping[str, Any]) -> str:
     return tomlkit.dumps(table)
 
 
-def test_definitions_that_explode_are_refused_at_once() -> None:
+def test_exponentially_growing_definitions_are_refused() -> None:
     bombs = '\nd0 = "mass"\n' + "\n".join(f'd{i + 1} = "d{i} * d{i} * d{i}"' for i in range(60))
     _wrong(
         OWN.replace("[definitions]", f"[definitions]{bombs}"),
@@ -340,11 +340,11 @@ def test_definitions_that_explode_are_refused_at_once() -> None:
     )
 
 
-def test_an_unused_input_is_fine() -> None:
+def test_unused_input_is_allowed() -> None:
     assert len(parse(f'{OWN}\n[inputs.temperature]\nunit = "K"', "mine.toml").model.inputs) == 2
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_unreadable_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"nowhere\.toml: cannot be read: No such file.*axis"):
         read(tmp_path / "nowhere.toml")
     (tmp_path / "latin.toml").write_bytes("title = 'Größe'".encode("latin-1"))
@@ -360,24 +360,24 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", library.MODELS)
-def test_a_shipped_model_with_every_effect_is_read_again_as_it_was(tmp_path: Path, name: str) -> None:
+def test_shipped_model_with_every_effect_survives_writing_and_reading(tmp_path: Path, name: str) -> None:
     model = library.get(name)
     for effect in CATALOGUE.values():
         try:
             model = model.add(effect)
         except ModelError:
-            # The axis has no gimbals, and its coordinate is no angle; the gimbals' measured motion takes no command.
-            # Gimbals alone have a command and nothing else.
+            # The axis has no gimbals, and its coordinate is not an angle. Where the gimbals' motion is measured, there
+            # is no command. The model of the gimbals alone has a command and nothing else.
             assert name == "axis" or (effect.place is Place.ACTUATOR) == (name == "monocab_roll")
     draw = random.Random(1)
     values = {p.name: max(p.lower, min(p.upper, p.value * draw.uniform(0.9, 1.1) + 1e-3)) for p in model.parameters}
     model = model.change(values, deviations={name: draw.random() for name in values}, estimated=list(values)[::2])
-    _written(
+    _round_trip(
         ModelFile(model, ({"action": "x", "date": NOW, "recording": ["a", "b"], "note": 'a "b" \\ c\n'},)), tmp_path
     )
 
 
-def _written(file: ModelFile, folder: Path) -> str:
+def _round_trip(file: ModelFile, folder: Path) -> str:
     path = folder / "written.toml"
     write(file, path)
     assert read(path) == file
@@ -386,23 +386,23 @@ def _written(file: ModelFile, folder: Path) -> str:
 
 
 @pytest.mark.parametrize("text", [OWN, BASED], ids=["own", "based"])
-def test_a_file_is_written_anew_as_it_was_read(tmp_path: Path, text: str) -> None:
+def test_file_survives_writing_and_reading_with_or_without_a_base(tmp_path: Path, text: str) -> None:
     file = parse(text, "mine.toml")
-    written = _written(file, tmp_path)
+    written = _round_trip(file, tmp_path)
     assert ("base =" in written) == (text is BASED)
 
 
 @pytest.mark.parametrize("name", library.MODELS)
-def test_a_model_that_is_no_shipped_one_is_written_in_full(tmp_path: Path, name: str) -> None:
+def test_model_that_differs_from_the_shipped_ones_is_written_in_full(tmp_path: Path, name: str) -> None:
     model = library.get(name)
     sharper = tuple(dataclasses.replace(output, noise=output.noise / 2) for output in model.outputs)
-    written = _written(ModelFile(dataclasses.replace(model, outputs=sharper, name="mine")), tmp_path)
+    written = _round_trip(ModelFile(dataclasses.replace(model, outputs=sharper, name="mine")), tmp_path)
     assert "base =" not in written
 
 
-def test_written_files_say_units_and_keep_to_what_differs(tmp_path: Path) -> None:
+def test_written_file_states_units_and_omits_bounds_and_title_of_the_base(tmp_path: Path) -> None:
     model = dataclasses.replace(library.get("monocab_reduced").add("coulomb_friction"), name="mine")
-    text = _written(ModelFile(model), tmp_path)
+    text = _round_trip(ModelFile(model), tmp_path)
     assert "inertia = { value = 1450.0, std = 200.0 }" in text
     assert "# kg m^2, about the rail head" in text
     assert "torque = { value = 0.0 }  # N m" in text
@@ -410,7 +410,7 @@ def test_written_files_say_units_and_keep_to_what_differs(tmp_path: Path) -> Non
     assert "title" not in text
 
 
-def test_an_edit_changes_its_lines_and_no_others(based: Path) -> None:
+def test_edit_changes_only_the_affected_lines(based: Path) -> None:
     file = read(based)
     model = file.model.remove("coulomb_friction").add("viscous_friction").change({"inertia": 1600.0})
     write(ModelFile(model, (*file.history, {"action": "refit", "date": NOW})), based)
@@ -447,7 +447,7 @@ date = 2026-05-06T07:08:09Z
     assert read(based).model == model
 
 
-def test_values_are_put_where_the_file_has_none_yet(based: Path) -> None:
+def test_new_values_are_added_to_the_file_and_comments_are_kept(based: Path) -> None:
     file = read(based)
     model = file.model.change(
         {"trim_height": 0.5, "static_torque.torque": 7.0}, deviations={"static_torque.torque": 2.0}
@@ -470,7 +470,7 @@ def test_values_are_put_where_the_file_has_none_yet(based: Path) -> None:
         "this is = no model file",
     ],
 )
-def test_an_unusual_file_is_rewritten_rather_than_broken(tmp_path: Path, text: str) -> None:
+def test_unusually_formatted_file_is_rewritten_rather_than_broken(tmp_path: Path, text: str) -> None:
     path = tmp_path / "written.toml"
     path.write_text(text)
     try:
@@ -481,14 +481,14 @@ def test_an_unusual_file_is_rewritten_rather_than_broken(tmp_path: Path, text: s
     if model.effects[0].name == "static_torque":
         model = model.change({"static_torque.torque": 5.0})
     file = ModelFile(model, (*file.history, {"action": "add"}))
-    _written(file, tmp_path)
+    _round_trip(file, tmp_path)
     path.write_text(text)
     for effect in model.effects:
         file = dataclasses.replace(file, model=file.model.remove(effect.name))
-        _written(file, tmp_path)
+        _round_trip(file, tmp_path)
 
 
-def test_a_file_is_replaced_at_once_or_not_at_all(based: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_is_replaced_atomically(based: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = read(based)
     based.chmod(0o640)
     link = based.with_name("link.toml")
@@ -510,7 +510,7 @@ def test_a_file_is_replaced_at_once_or_not_at_all(based: Path, monkeypatch: pyte
         write(file, based.parent / "nowhere" / "x.toml")
 
 
-def test_effects_of_ones_own_are_found_from_the_model_files_folder(tmp_path: Path) -> None:
+def test_own_effect_files_are_relative_to_the_folder_of_the_model_file(tmp_path: Path) -> None:
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / "bump.toml").write_text(BUMP)
     path = tmp_path / "mine.toml"
@@ -518,7 +518,7 @@ def test_effects_of_ones_own_are_found_from_the_model_files_folder(tmp_path: Pat
     file = read(path)
     assert file.model.values["rail_bump.torque"] == 3.0
     assert file.effect_files == {"rail_bump": "effects/bump.toml"}
-    _written(file, tmp_path)
+    _round_trip(file, tmp_path)
     without = dataclasses.replace(file, effect_files={})
     with pytest.raises(ModelError, match=r"effect rail_bump: is not in the catalogue, and no file is known"):
         write(without, tmp_path / "other.toml")
@@ -535,7 +535,7 @@ def test_effects_of_ones_own_are_found_from_the_model_files_folder(tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def crowded() -> Model:
-    """Effects at every kind of place, with memory, one that asks for the load, and one twice."""
+    """A model with effects at every kind of place, also with states, and one that uses the load."""
     model = parse(OWN, "mine.toml").model
     for effect in (
         "flexible_mode", "static_torque", "coulomb_friction", "hysteresis", "cubic_stiffness",
@@ -545,7 +545,7 @@ def crowded() -> Model:
     return model
 
 
-def test_the_lines_compute_what_the_kernel_computes(crowded: Model) -> None:
+def test_rendered_lines_compute_the_same_values_as_the_composed_equations(crowded: Model) -> None:
     from models.compiler.equations import Magnitude, Signum, compose
 
     draw = random.Random(2)
@@ -572,7 +572,7 @@ def test_the_lines_compute_what_the_kernel_computes(crowded: Model) -> None:
     assert delay.expression == " + ".join(composed.delays[0])
 
 
-def test_sensors_on_an_actuator_show_how_far_it_is_ahead_of_its_joint() -> None:
+def test_sensors_on_an_actuator_include_the_backlash_twist() -> None:
     from models.compiler.equations import compose
 
     robot = library.get("twsbr").add("backlash")
@@ -591,14 +591,14 @@ def test_sensors_on_an_actuator_show_how_far_it_is_ahead_of_its_joint() -> None:
     assert r"\dot{\mathrm{backlash}_{\mathrm{twist}}}" in rendering.latex(robot)
 
 
-def test_no_other_sensor_shows_it_and_a_model_has_code_of_its_own() -> None:
+def test_sensors_without_an_actuator_omit_the_twist_and_change_the_fingerprint() -> None:
     robot = library.get("twsbr").add("backlash")
     loose = dataclasses.replace(robot, sensors=tuple(dataclasses.replace(each, actuator="") for each in robot.sensors))
     assert "backlash_twist" not in rendering.text(loose)
     assert fingerprint(loose) != fingerprint(robot)
 
 
-def test_text_names_each_effect(crowded: Model) -> None:
+def test_rendered_text_names_each_effect(crowded: Model) -> None:
     text = _squeezed(rendering.text(crowded))
     assert "pivot_force = pivot_load + static_torque + coulomb_friction" in text
     assert "coulomb_friction = -coulomb_friction.torque * tanh(rate / 0.001)" in text
@@ -612,7 +612,7 @@ def _squeezed(text: str) -> str:
     return re.sub(" +", " ", text)
 
 
-def test_a_model_without_effects_is_printed_as_it_was_written() -> None:
+def test_model_without_effects_is_rendered_as_written() -> None:
     assert rendering.text(library.get("axis")).splitlines() == [
         "axis_force        = force_gain * force",
         "position'         = rate",
@@ -621,7 +621,7 @@ def test_a_model_without_effects_is_printed_as_it_was_written() -> None:
     ]
 
 
-def test_an_effect_at_a_second_place_keeps_its_name(crowded: Model) -> None:
+def test_effect_at_a_second_place_is_rendered_with_its_place(crowded: Model) -> None:
     second = dataclasses.replace(crowded.joints[0], name="elbow", load="0")
     model = dataclasses.replace(crowded, joints=(*crowded.joints, second)).add("coulomb_friction", "elbow")
     line = "coulomb_friction@elbow = -coulomb_friction@elbow.torque * tanh(rate / 0.001)"
@@ -629,7 +629,7 @@ def test_an_effect_at_a_second_place_keeps_its_name(crowded: Model) -> None:
     assert r"\mathrm{torque}_{\mathrm{coulomb\,friction\,at\,elbow}}" in rendering.latex(model)
 
 
-def test_latex(crowded: Model) -> None:
+def test_latex_is_well_formed(crowded: Model) -> None:
     latex = rendering.latex(crowded)
     assert latex.startswith("\\begin{align*}\n")
     assert latex.endswith("\n\\end{align*}")
@@ -644,7 +644,7 @@ def test_latex(crowded: Model) -> None:
     assert latex.count(r"\left(") == latex.count(r"\right)")
 
 
-def test_latex_of_a_sensor_that_is_late_uses_dots() -> None:
+def test_delayed_sensor_is_rendered_with_time_derivatives() -> None:
     late = library.get("monocab_reduced").add("sensor_delay")
     assert r"\ddot{\mathrm{roll}_{\mathrm{measured}}}" in rendering.latex(late)
     assert "roll_measured''" in rendering.text(late)
@@ -654,14 +654,14 @@ def test_latex_of_a_sensor_that_is_late_uses_dots() -> None:
 
 
 def upright(*arguments: object) -> str:
-    """What the command prints on stdout; errors come out as they are."""
+    """The stdout of the command; exceptions are raised unchanged."""
     result = CliRunner().invoke(cli.app, ["model", *map(str, arguments)])
     if result.exception is not None:
         raise result.exception
     return result.stdout
 
 
-def test_new_takes_a_vehicles_values_and_overwrites_nothing(tmp_path: Path) -> None:
+def test_new_uses_the_vehicles_values_and_overwrites_nothing(tmp_path: Path) -> None:
     path = tmp_path / "my hall.toml"
     vehicle = tmp_path / "heavy.toml"
     shipped = Path(load("monocab").path).read_text()
@@ -685,7 +685,7 @@ def test_new_takes_a_vehicles_values_and_overwrites_nothing(tmp_path: Path) -> N
     assert not (tmp_path / "other.toml").exists()
 
 
-def test_add_and_remove(based: Path) -> None:
+def test_add_and_remove_update_effects_and_history(based: Path) -> None:
     assert "coefficient" in upright("add", based, "viscous_friction", "--at", "roll")
     file = read(based)
     assert file.model.effects[-1].name == "viscous_friction"
@@ -710,7 +710,7 @@ def test_add_and_remove(based: Path) -> None:
         assert based.read_text() == before
 
 
-def test_add_takes_an_effect_file_from_anywhere(based: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_add_stores_an_effect_file_relative_to_the_model_file(based: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = based.parent / "effects"
     folder.mkdir()
     (folder / "bump.toml").write_text(BUMP)
@@ -723,7 +723,7 @@ def test_add_takes_an_effect_file_from_anywhere(based: Path, monkeypatch: pytest
     assert read(based).effect_files == {}
 
 
-def test_show_for_people_papers_and_programs(based: Path) -> None:
+def test_show_prints_text_latex_and_json(based: Path) -> None:
     text = upright("show", based, "--effect", "quadratic_drag@roll")
     for part in ("coulomb_friction.torque", "12.5", "sweep.arrow", "who me", "mass x g x"):
         assert part in text
@@ -745,7 +745,7 @@ def test_show_for_people_papers_and_programs(based: Path) -> None:
         upright("show", "axis", "--effect", "static_torqe")
 
 
-def test_list_effects() -> None:
+def test_list_effects_prints_the_catalogue_or_one_family() -> None:
     document = json.loads(upright("list-effects", "--json"))
     assert [each["name"] for each in document["effects"]] == list(CATALOGUE)
     assert all(each["equation"] and each["parameters"] and each["separated_by"] for each in document["effects"])
@@ -756,7 +756,7 @@ def test_list_effects() -> None:
     assert result.exit_code == 2
 
 
-def test_a_mistake_ends_in_a_sentence_and_exit_code_1(
+def test_error_is_printed_as_a_sentence_with_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["upright", "model", "show", "nowhere.toml"])
@@ -773,7 +773,7 @@ def _blocks(page: str, marker: str) -> list[str]:
     return re.findall(rf"```{marker}\n(.*?)```", (REPOSITORY / "docs" / page).read_text(), re.S)
 
 
-def test_the_manuals_examples_are_models(tmp_path: Path) -> None:
+def test_examples_in_the_manual_are_valid_models(tmp_path: Path) -> None:
     pendulum, dent = _blocks("how-to/write-your-own-model.md", "toml")
     (tmp_path / "pendulum.toml").write_text(pendulum)
     (tmp_path / "bump.toml").write_text(dent)
@@ -788,7 +788,7 @@ def test_the_manuals_examples_are_models(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("section", model_sections.Section.__subclasses__(), ids=lambda section: section.__name__)
-def test_every_key_of_a_model_file_is_explained(section: Any) -> None:
+def test_every_key_of_a_model_file_is_documented(section: Any) -> None:
     page = (REPOSITORY / "docs" / "reference" / "model-file.md").read_text()
     keys = set(section.model_fields)
     assert keys
@@ -796,7 +796,7 @@ def test_every_key_of_a_model_file_is_explained(section: Any) -> None:
 
 
 class TestDisturbance:
-    """`[joints.NAME.disturbance]`, in equations of one's own and beside a base."""
+    """`[joints.NAME.disturbance]` in a file with a base."""
 
     BASED = 'base = "monocab_roll"\n'
 
@@ -816,7 +816,9 @@ class TestDisturbance:
             ),
         ],
     )
-    def test_a_file_states_it(self, tmp_path: Path, text: str, stated: Disturbance | None) -> None:
+    def test_stated_disturbance_is_read_and_survives_writing(
+        self, tmp_path: Path, text: str, stated: Disturbance | None
+    ) -> None:
         path = tmp_path / "mine.toml"
         file = parse(self.BASED + text, path)
         assert file.model.joints[0].disturbance == stated
@@ -838,6 +840,6 @@ class TestDisturbance:
             ("[joints.roll.disturbance]\ncorrelation_time = 3.0\nlongest = 1.0\n", "outside its bounds"),
         ],
     )
-    def test_what_is_wrong_is_named(self, tmp_path: Path, text: str, said: str) -> None:
+    def test_invalid_disturbance_is_refused(self, tmp_path: Path, text: str, said: str) -> None:
         with pytest.raises(ModelError, match=said):
             parse(self.BASED + text, tmp_path / "mine.toml")
