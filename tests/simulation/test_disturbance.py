@@ -1,4 +1,4 @@
-"""The random disturbance of a virtual vehicle: its statistics, its own random numbers, and how it is asked for."""
+"""The random disturbance of a virtual vehicle: its statistics, its own random numbers, and how it is requested."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ from vehicles.registry import nominal_model
 
 STEP = 1.0 / 3000.0
 """s, the plant's at 250 Hz."""
-MOST = 4.0
-"""Standard deviations of an estimate that a test allows: 6 of 100,000 seeds are beyond."""
+MAX_SIGMAS = 4.0
+"""Tolerance of an estimate, in its standard deviations: 6 of 100,000 seeds exceed it."""
 
 
 def realisation(disturbance: Disturbance, seconds: float, *, step: float = STEP, seed: int = 5) -> np.ndarray:
@@ -54,37 +54,37 @@ def realisation(disturbance: Disturbance, seconds: float, *, step: float = STEP,
 
 
 @pytest.mark.parametrize(("rms", "correlation_time"), [(2.0, 0.05), (8.0, 0.3), (20.0, 0.3)])
-def test_it_has_its_rms_and_its_correlation_time(rms: float, correlation_time: float) -> None:
-    """The variances of the estimates are those of a Gaussian process of this autocorrelation over the duration D:
+def test_disturbance_has_the_given_rms_and_correlation_time(rms: float, correlation_time: float) -> None:
+    """The variances of the estimates are those of a Gaussian process with this autocorrelation over the duration D:
     T / (2 D) of the relative RMS, Bartlett's (1 - 3 exp(-2)) T / D of the autocorrelation at the lag T, and
     2 T / D of the mean over the RMS; T is the correlation time."""
     duration = 1000.0 * correlation_time
     torque = realisation(Disturbance(rms, correlation_time), duration)
     samples = duration / correlation_time
     measured = math.sqrt(float(np.mean(torque**2)))
-    assert measured == pytest.approx(rms, rel=MOST * math.sqrt(0.5 / samples))
-    assert abs(float(np.mean(torque))) < MOST * rms * math.sqrt(2.0 / samples)
+    assert measured == pytest.approx(rms, rel=MAX_SIGMAS * math.sqrt(0.5 / samples))
+    assert abs(float(np.mean(torque))) < MAX_SIGMAS * rms * math.sqrt(2.0 / samples)
     lag = round(correlation_time / STEP)
     correlation = float(np.mean(torque[lag:] * torque[:-lag])) / measured**2
-    within = MOST * math.sqrt((1.0 - 3.0 * math.exp(-2.0)) / samples)
+    within = MAX_SIGMAS * math.sqrt((1.0 - 3.0 * math.exp(-2.0)) / samples)
     assert correlation == pytest.approx(math.exp(-1.0), abs=within)
 
 
-def test_it_is_stationary_from_the_first_step_on() -> None:
-    """The first values of many seeds scatter by the RMS already."""
+def test_disturbance_is_stationary_from_the_first_step() -> None:
+    """The first values of many seeds already have the given RMS."""
     first = [RandomTorque(Disturbance(8.0, 3.0), STEP, seed).torque(0.0) for seed in range(400)]
-    assert math.sqrt(float(np.mean(np.square(first)))) == pytest.approx(8.0, rel=MOST * math.sqrt(0.5 / 400))
+    assert math.sqrt(float(np.mean(np.square(first)))) == pytest.approx(8.0, rel=MAX_SIGMAS * math.sqrt(0.5 / 400))
 
 
-def test_a_coarse_step_changes_nothing_of_the_rms() -> None:
-    """The discretisation is exact: even where a step is twice the correlation time."""
+def test_coarse_step_preserves_rms_and_autocorrelation() -> None:
+    """The discretisation is exact, even if a step is twice the correlation time."""
     coarse = realisation(Disturbance(8.0, 0.3), 3000.0, step=0.6)
-    assert math.sqrt(float(np.mean(coarse**2))) == pytest.approx(8.0, rel=MOST * math.sqrt(0.5 / len(coarse)))
+    assert math.sqrt(float(np.mean(coarse**2))) == pytest.approx(8.0, rel=MAX_SIGMAS * math.sqrt(0.5 / len(coarse)))
     correlation = float(np.mean(coarse[1:] * coarse[:-1])) / 64.0
-    assert correlation == pytest.approx(math.exp(-2.0), abs=MOST / math.sqrt(len(coarse)))
+    assert correlation == pytest.approx(math.exp(-2.0), abs=MAX_SIGMAS / math.sqrt(len(coarse)))
 
 
-def test_a_seed_gives_the_same_torque_and_another_one_another() -> None:
+def test_same_seed_repeats_the_torque_and_another_seed_changes_it() -> None:
     one, again, other = (realisation(Disturbance(8.0, 0.3), 1.0, seed=seed) for seed in (5, 5, 6))
     assert np.array_equal(one, again)
     assert not np.any(one == other)
@@ -94,7 +94,7 @@ def test_a_seed_gives_the_same_torque_and_another_one_another() -> None:
 
 
 def hold(measured: Measured) -> tuple[float, float]:
-    """Balances by the measured values alone; the angle of the specific force is good enough for half a second."""
+    """Balances with measured values alone; the angle of the specific force is accurate enough for half a second."""
     _, y, z = measured.sample.acceleration
     return min(1.0, max(-1.0, -18.0 * math.atan2(y, z) - 5.0 * measured.sample.angular_rate[0])), 0.0
 
@@ -105,21 +105,21 @@ def run(disturbance: Disturbance | None, seconds: float = 1.0) -> ClosedLoopRun:
     )
 
 
-def test_it_turns_the_monocab_as_a_torque_does() -> None:
-    """Upright with its brakes closed, within the first 20 ms: the roll rate is the torque's integral over inertia."""
+def test_disturbance_accelerates_the_monocab_as_a_torque_does() -> None:
+    """Upright with closed brakes, over the first 20 ms: the roll rate is the integral of torque over inertia."""
     disturbance = Disturbance(8.0, 0.3)
     config = SimulationConfig(PlantTruth(), disturbance=disturbance, seed=9)
     plant = Plant(config)
     plant.place(0.0)
     plant.advance(60)
     torque = RandomTorque(disturbance, config.step, 9)
-    # The first value went into the acceleration that `place` sets; velocity Verlet takes the mean of the two ends.
+    # The first value is in the acceleration that `place` sets; velocity Verlet uses the mean of both ends of a step.
     values = np.array([torque.torque(0.0) for _ in range(61)])
     expected = config.step * float(np.sum(0.5 * (values[1:] + values[:-1]))) / 1650.0
     assert plant.roll_rate == pytest.approx(expected, rel=2e-3)
 
 
-def test_the_noise_of_the_sensors_is_the_same_with_and_without_it() -> None:
+def test_sensor_noise_is_the_same_with_and_without_a_disturbance() -> None:
     still, shaken = run(None), run(Disturbance(8.0, 0.3))
     assert np.abs(shaken.true_roll - still.true_roll)[-1] > 1e-5
     noise = [each.angular_rate[:, 0] - each.true_roll_rate for each in (still, shaken)]
@@ -127,14 +127,14 @@ def test_the_noise_of_the_sensors_is_the_same_with_and_without_it() -> None:
     assert np.array_equal(still.angular_rate[:, 1:], shaken.angular_rate[:, 1:])
 
 
-def test_one_that_sets_in_later_changes_nothing_before() -> None:
+def test_disturbance_changes_nothing_before_its_onset() -> None:
     still, late = run(None), run(Disturbance(8.0, 0.3, onset=0.5))
     changed = np.flatnonzero(late.true_roll != still.true_roll)[0] / 250.0
     assert 0.49 < changed < 0.52
 
 
-def test_switched_off_a_record_is_what_it_was() -> None:
-    """Bit for bit, from the command line's own words to the recorded values."""
+def test_record_with_the_disturbance_switched_off_is_unchanged() -> None:
+    """Bit for bit, from the arguments of the command line to the recorded values."""
     off, none, on = (
         record("monocab", "hold", hide=hide, seed=3, duration=5.0)
         for hide in (["disturbance=0"], [], ["disturbance=8,0.3"])
@@ -145,8 +145,8 @@ def test_switched_off_a_record_is_what_it_was() -> None:
     assert "disturbance=8,0.3" in on.source
 
 
-def test_on_the_bus_it_begins_again_with_the_first_sync() -> None:
-    """What a record holds depends on the seed alone, not on how long the drives took to be set up."""
+def test_restarted_disturbance_does_not_depend_on_the_time_before() -> None:
+    """On the bus, a record depends on the seed alone, not on how long the set-up of the drives took."""
     plants = [Plant(SimulationConfig(PlantTruth(), disturbance=Disturbance(8.0, 0.3))) for _ in range(2)]
     for plant, before in zip(plants, (10, 137), strict=True):
         plant.advance(before)
@@ -157,8 +157,8 @@ def test_on_the_bus_it_begins_again_with_the_first_sync() -> None:
     assert plants[0].roll == plants[1].roll
 
 
-def test_it_tilts_the_robot_as_a_torque_does() -> None:
-    """Upright with open bridges, after 10 ms, against the same robot with the torque's mean as a static one."""
+def test_disturbance_tilts_the_robot_as_a_torque_does() -> None:
+    """Upright with open bridges, after 10 ms, compared with the same robot under the mean torque as a static one."""
     disturbance = Disturbance(0.01, 3.0)
     shaken = TwsbrPlant(SimulationConfig(plant=TwsbrTruth(), disturbance=disturbance, seed=4))
     torque = RandomTorque(disturbance, shaken.step_size, 4)
@@ -172,12 +172,12 @@ def test_it_tilts_the_robot_as_a_torque_does() -> None:
     assert shaken.tilt_rate == pytest.approx(pushed.tilt_rate, rel=0.01)
 
 
-def test_the_robot_balances_with_its_own() -> None:
+def test_default_disturbance_of_the_robot_changes_its_tilt() -> None:
     shaken, still = (record("twsbr", "hold", hide=hide, seed=3, duration=6.0) for hide in (["disturbance"], []))
     assert not np.array_equal(shaken.values["tilt"], still.values["tilt"])
 
 
-# --- how it is asked for
+# --- how it is requested
 
 
 @pytest.mark.parametrize(
@@ -192,13 +192,13 @@ def test_the_robot_balances_with_its_own() -> None:
         ("disturbance=0,1", None),
     ],
 )
-def test_it_is_asked_for_as_an_effect_is(argument: str, expected: Disturbance | None) -> None:
+def test_disturbance_is_requested_like_an_effect(argument: str, expected: Disturbance | None) -> None:
     others, found = parse_disturbance(["coulomb_friction=2", argument], MONOCAB, Disturbance(1.0, 1.0))
     assert found == expected
     assert parse_hidden(others, MONOCAB) == ({"coulomb_friction": 2.0}, {})
 
 
-def test_where_nothing_is_said_of_it_the_default_holds() -> None:
+def test_default_disturbance_applies_unless_one_is_requested() -> None:
     usual = Disturbance(1.0, 1.0)
     assert parse_disturbance(["coulomb_friction"], MONOCAB, usual) == (["coulomb_friction"], usual)
     assert parse_disturbance([], MONOCAB) == ([], None)
@@ -220,19 +220,19 @@ def test_where_nothing_is_said_of_it_the_default_holds() -> None:
         ("disturbance@soon", "is not a disturbance"),
     ],
 )
-def test_one_that_cannot_be_is_refused_with_the_remedy(argument: str, what: str) -> None:
+def test_invalid_disturbance_is_refused_with_the_remedy(argument: str, what: str) -> None:
     with pytest.raises(UnknownEffectError, match=r"disturbance=8,0\.3.*disturbance=0 switches it off") as caught:
         parse_disturbance([argument], MONOCAB)
     assert what in str(caught.value)
     assert caught.value.name == "disturbance"
 
 
-def test_an_unknown_effect_names_it_among_those_there_are() -> None:
+def test_unknown_effect_error_lists_the_disturbance_too() -> None:
     with pytest.raises(UnknownEffectError, match="sensor_scale, disturbance"):
         parse_hidden(["disturbances"], MONOCAB)
 
 
-def test_programs_have_none_unless_they_ask() -> None:
+def test_configuration_has_no_disturbance_unless_requested() -> None:
     vehicle = load("monocab")
     assert virtual_vehicle.configuration(vehicle, [], 1).disturbance is None
     assert virtual_vehicle.configuration(vehicle, ["disturbance"], 1).disturbance == MONOCAB.disturbance
@@ -242,7 +242,7 @@ def test_programs_have_none_unless_they_ask() -> None:
 
 
 @pytest.mark.parametrize("vehicle", ["monocab", "twsbr"])
-def test_a_vehicle_that_a_person_starts_is_shaken(vehicle: str) -> None:
+def test_vehicle_started_by_a_user_has_the_default_disturbance(vehicle: str) -> None:
     file = load(vehicle)
     registry = vehicles_registry.of(vehicle).twin().truth.registry
     assert any(joint.disturbance is not None for joint in nominal_model(vehicle).joints)
@@ -253,10 +253,10 @@ def test_a_vehicle_that_a_person_starts_is_shaken(vehicle: str) -> None:
 
 
 @pytest.mark.parametrize("words", [["demo"], ["serve", "monocab", "--virtual"], ["simulate", "monocab"]])
-def test_the_commands_refuse_one_that_cannot_be(words: list[str]) -> None:
-    said = CliRunner().invoke(app, [*words, "--hide", "disturbance=8,x"])
-    assert said.exit_code != 0
-    assert isinstance(said.exception, UnknownEffectError) or "is not a disturbance" in said.output
+def test_commands_refuse_an_invalid_disturbance(words: list[str]) -> None:
+    result = CliRunner().invoke(app, [*words, "--hide", "disturbance=8,x"])
+    assert result.exit_code != 0
+    assert isinstance(result.exception, UnknownEffectError) or "is not a disturbance" in result.output
 
 
 # --- in the benchmark
@@ -267,7 +267,7 @@ def floor(correlation_time: float) -> float:
 
 
 @pytest.mark.parametrize("truth", [PlantTruth(), TwsbrTruth()])
-def test_the_sensor_floor_is_what_the_gyro_alone_makes(truth: PlantTruth | TwsbrTruth) -> None:
+def test_sensor_floor_is_the_rms_torque_due_to_gyro_noise_alone(truth: PlantTruth | TwsbrTruth) -> None:
     """The slope of its white noise by least squares, over many windows of one correlation time each."""
     imu, correlation_time, count = ImuNode(), 0.4, 4000
     time = np.arange(100) * correlation_time / 100
@@ -276,11 +276,11 @@ def test_the_sensor_floor_is_what_the_gyro_alone_makes(truth: PlantTruth | Twsbr
     centred = time - time.mean()
     torques = truth.falling_inertia * noise @ centred / float(centred @ centred)
     expected = sensor_floor(truth, imu, correlation_time)
-    assert float(np.std(torques)) == pytest.approx(expected, rel=MOST * math.sqrt(0.5 / count))
+    assert float(np.std(torques)) == pytest.approx(expected, rel=MAX_SIGMAS * math.sqrt(0.5 / count))
 
 
-def test_the_inertia_that_a_torque_on_the_tilt_accelerates() -> None:
-    """Against the robot itself, let go upright with open bridges."""
+def test_falling_inertia_is_the_one_that_a_tilt_torque_accelerates() -> None:
+    """Compared with the robot itself, released upright with open bridges."""
     level = 1.0e-3 / TWSBR.listed["static_torque"].size
     plant = TwsbrPlant(SimulationConfig(plant=TwsbrTruth(), hidden={"static_torque": level}))
     plant.place(0.0)
@@ -288,7 +288,7 @@ def test_the_inertia_that_a_torque_on_the_tilt_accelerates() -> None:
     assert 1.0e-3 * plant.time / plant.tilt_rate == pytest.approx(TwsbrTruth().falling_inertia, rel=0.01)
 
 
-def test_a_drawn_one_is_log_uniform_and_follows_from_the_seed() -> None:
+def test_drawn_disturbances_are_log_uniform_and_determined_by_the_seed() -> None:
     found = [Drawn().of(seed, floor) for seed in range(400)]
     assert found[7] == Drawn().of(7, floor)
     for values, (low, high) in (
@@ -298,24 +298,24 @@ def test_a_drawn_one_is_log_uniform_and_follows_from_the_seed() -> None:
         shares = np.log(np.array(values) / low) / math.log(high / low)
         assert shares.min() >= -1e-5
         assert shares.max() <= 1.0 + 1e-5
-        # Kolmogorov and Smirnov: beyond 1.95 / sqrt(n) are 0.1 % of uniform samples.
+        # Kolmogorov-Smirnov: the distance exceeds 1.95 / sqrt(n) for 0.1 % of uniform samples.
         ranks = (np.arange(len(shares)) + 0.5) / len(shares)
         assert float(np.max(np.abs(np.sort(shares) - ranks))) < 1.95 / math.sqrt(len(shares))
     middle = Drawn().of(None, floor)
     assert (middle.rms, middle.correlation_time) == pytest.approx((math.sqrt(40.0), math.sqrt(0.15)), rel=1e-5)
 
 
-def test_a_multiple_of_the_floor_is_the_same_in_every_record() -> None:
-    asked = parse_disturbances("10,0.3", Drawn())
-    assert asked == Multiple(10.0, 0.3)
-    assert asked.of(1, floor) == asked.of(None, floor)
-    assert asked.of(1, floor).rms == pytest.approx(10.0 * 1650.0 * 3.5e-5 * math.sqrt(6.0 / 0.3**3), rel=1e-5)
+def test_multiple_of_the_sensor_floor_is_the_same_in_every_record() -> None:
+    requested = parse_disturbances("10,0.3", Drawn())
+    assert requested == Multiple(10.0, 0.3)
+    assert requested.of(1, floor) == requested.of(None, floor)
+    assert requested.of(1, floor).rms == pytest.approx(10.0 * 1650.0 * 3.5e-5 * math.sqrt(6.0 / 0.3**3), rel=1e-5)
     assert parse_disturbances("none", Drawn()) is None
     assert parse_disturbances(None, Drawn()) == Drawn()
 
 
 @pytest.mark.parametrize("text", ["", "10", "10,0", "-1,0.3", "a,b", "10,0.3,1", "nan,1"])
-def test_a_multiple_that_cannot_be_is_refused(text: str) -> None:
+def test_invalid_multiple_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"RMS,CORRELATION_TIME, both above 0, .* as in 10,0\.3, nor none"):
         parse_disturbances(text, Drawn())
     shown = CliRunner().invoke(
@@ -328,45 +328,45 @@ def test_a_multiple_that_cannot_be_is_refused(text: str) -> None:
 CASES = [Case(("coulomb_friction",), 2.0, noise, "multisine", number) for noise in (1.0, 3.0) for number in range(2)]
 
 
-def test_the_line_of_a_case_says_what_shook_it() -> None:
-    """Another one in each case, the same in both records of a case, and a floor that goes with the sensors' noise."""
-    asked: list[str] = []
+def test_line_of_a_case_reports_its_disturbance() -> None:
+    """It differs between cases, is the same in both records of a case, and its floor scales with the sensor noise."""
+    requested: list[str] = []
 
     def keep(*case: Any) -> Recording:
-        asked.append(stand_in.labelled(*case).metadata["disturbance"])
+        requested.append(stand_in.labelled(*case).metadata["disturbance"])
         return stand_in.labelled(*case)
 
     bench = Bench(methods={}, record=keep, disturbances=Drawn())
     lines = [run_case(case, bench, {"coulomb_friction": 1.0}) for case in CASES]
-    told = [line["disturbance"] for line in lines]
-    assert len({each["rms"] for each in told}) == len(CASES)
-    assert asked[0::2] == asked[1::2]
-    assert asked[::2] == [str(Disturbance(each["rms"], each["correlation_time"])) for each in told]
-    for case, each in zip(CASES, told, strict=True):
+    reported = [line["disturbance"] for line in lines]
+    assert len({each["rms"] for each in reported}) == len(CASES)
+    assert requested[0::2] == requested[1::2]
+    assert requested[::2] == [str(Disturbance(each["rms"], each["correlation_time"])) for each in reported]
+    for case, each in zip(CASES, reported, strict=True):
         least = case.noise * floor(each["correlation_time"])
         assert each["over_floor"] == pytest.approx(each["rms"] / least)
     reference = run_case(CASES[0].reference, bench, {})
     assert reference["disturbance"]["rms"] == pytest.approx(math.sqrt(40.0), rel=1e-5)
 
 
-def test_sizes_are_multiples_of_what_shows_beside_the_record_s_own_disturbance() -> None:
+def test_amplitudes_are_multiples_of_those_detectable_under_the_disturbance() -> None:
     hidden_in: list[dict[str, float]] = []
 
     def keep(*case: Any) -> Recording:
         hidden_in.append(dict(case[1]))
         return stand_in.labelled(*case)
 
-    def sees_little(*_: Any, **__: Any) -> Answer:
+    def detecting_method(*_: Any, **__: Any) -> Answer:
         return Answer(ADEQUATE, detectable={"coulomb_friction": 0.5}, disturbance={"rms": (1e6, 1.0)})
 
-    bench = Bench(methods={SUBJECT: sees_little}, record=keep, disturbances=Drawn())
+    bench = Bench(methods={SUBJECT: detecting_method}, record=keep, disturbances=Drawn())
     line = run_case(CASES[0], bench, {"coulomb_friction": 1e3})
     assert hidden_in[0] == {}
     assert abs(line["sizes"]["coulomb_friction"]) == pytest.approx(2.0 * 0.5)
     assert line["methods"][SUBJECT]["disturbance_covered"] == {"rms": False}
 
 
-def test_with_none_the_conditions_and_records_are_those_of_before() -> None:
+def test_without_a_disturbance_conditions_and_records_are_unchanged() -> None:
     still = Bench(methods={}, record=stand_in.labelled)
     assert still.conditions == "monocab_roll, 30 s, vehicles as far off as their file says"
     assert "2 to 20 N m RMS and 0.05 to 3 s" in replace(still, disturbances=Drawn()).conditions
@@ -383,15 +383,15 @@ def test_with_none_the_conditions_and_records_are_those_of_before() -> None:
 
 
 def line_of(rms: float | None, verdict: str, **changes: Any) -> dict[str, Any]:
-    told = {"verdict": verdict, "found": [], "covered": {}, "seconds": 1.0, "error": ""}
+    reported = {"verdict": verdict, "found": [], "covered": {}, "seconds": 1.0, "error": ""}
     line = {"key": f"{rms}", "kind": "nothing", "effects": [], "size": 0.0, "noise": 1.0, "excitation": "hold"}
-    line |= {"status": "ok", "conditions": "x", "methods": {"m": told}}
+    line |= {"status": "ok", "conditions": "x", "methods": {"m": reported}}
     if rms is not None:
         line["disturbance"] = {"rms": rms, "correlation_time": 0.3, "over_floor": 1.0}
     return {**line, **changes}
 
 
-def test_the_figures_are_shown_by_thirds_of_the_rms() -> None:
+def test_false_alarms_are_summarised_by_thirds_of_the_rms() -> None:
     lines = [line_of(rms, "unknown" if rms > 12.0 else "adequate") for rms in (20.0, 2.0, 3.0, 6.0, 9.0, 18.0)]
     summary = summarise(lines)
     alarms = summary.methods["m"].false_alarms_by_disturbance
@@ -404,7 +404,7 @@ def test_the_figures_are_shown_by_thirds_of_the_rms() -> None:
     assert list(thirds([line_of(8.6, "adequate"), line_of(None, "adequate")])) == ["none", "8.6 N m"]
 
 
-def test_a_file_of_before_is_read_and_shown_as_ever(tmp_path: Path) -> None:
+def test_results_file_without_disturbances_is_shown_without_them(tmp_path: Path) -> None:
     old = line_of(None, "adequate")
     path = tmp_path / "old.jsonl"
     path.write_text(json.dumps(old) + "\n")

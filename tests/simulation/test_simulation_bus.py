@@ -1,4 +1,4 @@
-"""The virtual vehicle on a python-can bus with a plain canopen master: in lock-step, in real time, and in trouble."""
+"""The virtual vehicle on a python-can bus with a plain canopen master: in lock-step, in real time, and with faults."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def virtual_bus(channel: str) -> can.BusABC:
 
 @contextmanager
 def running(bus: can.BusABC, config: SimulationConfig = CONFIG, **options: Any) -> Iterator[Runner]:
-    """A vehicle that runs in a thread; what it raises there is raised here."""
+    """A vehicle that runs in a thread; an exception in it fails the test."""
     stop = threading.Event()
     runner = Runner(config, bus, stop=stop, **options)
     failures: list[BaseException] = []
@@ -56,7 +56,7 @@ def running(bus: can.BusABC, config: SimulationConfig = CONFIG, **options: Any) 
 
 
 class Master:
-    """A canopen master of the plainest kind; every frame it has seen is in `frames`."""
+    """A minimal canopen master; `frames` holds every frame that it has received."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self.bus = bus
@@ -102,7 +102,7 @@ class Master:
             self.sets.get(timeout=5.0)
             self.answer(controlword, rpm)
 
-    def forget_sets(self) -> None:
+    def discard_sets(self) -> None:
         while not self.sets.empty():
             self.sets.get()
 
@@ -120,7 +120,7 @@ def buses(channel: str) -> Iterator[tuple[can.BusABC, Master]]:
     bus.shutdown()
 
 
-def test_a_plain_canopen_master_sets_up_and_runs_the_drives(buses: tuple[can.BusABC, Master]) -> None:
+def test_plain_canopen_master_sets_up_and_runs_the_drives(buses: tuple[can.BusABC, Master]) -> None:
     bus, master = buses
     with running(bus, lock_step=True) as runner:
         node = master.nodes[0]
@@ -132,7 +132,7 @@ def test_a_plain_canopen_master_sets_up_and_runs_the_drives(buses: tuple[can.Bus
         node.rpdo.read()
         assert [variable.index for variable in node.rpdo[1].map] == [0x6040, 0x6042, 0x2F15]
         assert [variable.index for variable in node.tpdo[1].map] == [0x6041, 0x606C, 0x6077]
-        master.forget_sets()
+        master.discard_sets()
         master.cycles(20, 0)
         master.cycles(20, SHUTDOWN)
         master.cycles(20, SWITCH_ON)
@@ -141,18 +141,18 @@ def test_a_plain_canopen_master_sets_up_and_runs_the_drives(buses: tuple[can.Bus
         assert all(drive.state is PowerState.OPERATION_ENABLED for drive in runner.vehicle.drives.values())
         assert runner.vehicle.plant.precession_rate > 0.2
         assert node.sdo[0x6041].raw & 0x6F == 0x27
-        # No answer any more: after the wait the vehicle's time goes on, and its drives stop by themselves.
+        # The master no longer answers: after a wait, simulated time goes on, and the drives stop by themselves.
         deadline = time.monotonic() + 5.0
         while not node.emcy.log and time.monotonic() < deadline:
             time.sleep(0.02)
         assert [emergency.code for emergency in node.emcy.log] == [0x8130]
 
 
-def test_lock_step_gives_every_set_its_time_and_waits_for_the_answer(buses: tuple[can.BusABC, Master]) -> None:
+def test_lock_step_stamps_every_imu_set_and_waits_for_the_answer(buses: tuple[can.BusABC, Master]) -> None:
     bus, master = buses
     with running(bus, lock_step=True):
         master.set_up()
-        master.forget_sets()
+        master.discard_sets()
         master.cycles(50, 0)
         first = master.sets.get(timeout=5.0)
         time.sleep(0.2)
@@ -166,7 +166,7 @@ def test_lock_step_gives_every_set_its_time_and_waits_for_the_answer(buses: tupl
 
 
 def lock_step_frames(channel: str, seed: int) -> list[tuple[int, bytes]]:
-    """What the vehicle sends from its first SYNC on, with times relative to it."""
+    """Identifiers and data of the vehicle's frames from its answer to the first SYNC on, without heartbeats."""
     bus, master = virtual_bus(channel), Master(virtual_bus(channel))
     try:
         config = replace(CONFIG, seed=seed, hidden={"hysteresis": None})
@@ -176,11 +176,11 @@ def lock_step_frames(channel: str, seed: int) -> list[tuple[int, bytes]]:
                 node.sdo[0x1017].raw = 0
                 while node.sdo[0x6041].raw & 0x4F != 0x40:
                     time.sleep(0.01)
-            master.forget_sets()
+            master.discard_sets()
             master.sets.get(timeout=5.0)
             start = len(master.frames)
             master.answer(0)
-            master.forget_sets()
+            master.discard_sets()
             for controlword in (0, SHUTDOWN, SWITCH_ON, ENABLE):
                 master.cycles(20, controlword, -300.0)
             master.cycles(150, ENABLE, -300.0)
@@ -192,8 +192,8 @@ def lock_step_frames(channel: str, seed: int) -> list[tuple[int, bytes]]:
     return frames[begin : begin + 2000]
 
 
-def test_lock_step_repeats_itself_from_the_first_sync_on(channel: str) -> None:
-    """However long set-up took: same seed, identical frames; another seed, other noise."""
+def test_lock_step_run_is_reproducible_from_the_first_sync_on(channel: str) -> None:
+    """However long the set-up takes, the same seed gives identical frames, another seed other noise."""
     first = lock_step_frames(channel, seed=7)
     assert len(first) > 1500
     assert lock_step_frames(channel, seed=7) == first
@@ -203,7 +203,7 @@ def test_lock_step_repeats_itself_from_the_first_sync_on(channel: str) -> None:
 
 
 def test_real_time_keeps_the_schedule_on_two_buses(channel: str) -> None:
-    """Sets are counted over a wait: a slow machine may be late, but what it owes comes, or is counted as skipped."""
+    """IMU sets are counted over a wait: on a slow machine they may be late, but each is sent or counted as skipped."""
     buses = [virtual_bus(channel + suffix) for suffix in ("drives", "drives", "imu", "imu")]
     try:
         with running(buses[0], imu_bus=buses[2]) as runner:
@@ -223,7 +223,7 @@ def test_real_time_keeps_the_schedule_on_two_buses(channel: str) -> None:
             bus.shutdown()
 
 
-def test_a_vehicle_that_was_held_up_says_so(channel: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_delayed_vehicle_counts_and_logs_its_late_cycles(channel: str, caplog: pytest.LogCaptureFixture) -> None:
     bus = virtual_bus(channel)
     with running(bus) as runner:
         while runner.statistics.cycles < 20:
@@ -246,12 +246,12 @@ def test_a_vehicle_that_was_held_up_says_so(channel: str, caplog: pytest.LogCapt
     bus.shutdown()
 
 
-def test_faults_come_by_the_command_line_names(buses: tuple[can.BusABC, Master]) -> None:
+def test_faults_are_injected_by_their_command_line_names(buses: tuple[can.BusABC, Master]) -> None:
     bus, master = buses
     faults = parse_faults(["drive_fault:gimbal_right@0.2"], [node.name for node in CONFIG.drives])
     with running(bus, lock_step=True, faults=faults):
         master.set_up()
-        master.forget_sets()
+        master.discard_sets()
         master.cycles(100, 0)
         assert [emergency.code for emergency in master.nodes[1].emcy.log] == [0x2310]
         assert master.nodes[0].emcy.log == []
@@ -270,8 +270,8 @@ class DeadBus(can.BusABC):
         raise can.CanOperationError("network is down", 100)
 
 
-def test_a_bus_that_is_down_stops_neither_the_vehicle_nor_its_processor() -> None:
-    """Every frame is counted as lost; reading pauses, so there are far fewer tries than a busy loop would make."""
+def test_bus_that_is_down_neither_stops_the_vehicle_nor_causes_a_busy_loop() -> None:
+    """Every frame is counted as lost; reading pauses, so there are far fewer errors than with a busy loop."""
     bus = DeadBus()
     with running(bus) as runner:
         time.sleep(0.4)
@@ -283,7 +283,7 @@ def test_a_bus_that_is_down_stops_neither_the_vehicle_nor_its_processor() -> Non
     bus.shutdown()
 
 
-def test_frames_that_are_not_for_the_nodes_are_passed_over(buses: tuple[can.BusABC, Master]) -> None:
+def test_extended_remote_and_error_frames_are_ignored(buses: tuple[can.BusABC, Master]) -> None:
     bus, master = buses
     with running(bus, lock_step=True):
         master.bus.send(can.Message(arbitration_id=0x601, is_extended_id=True, data=bytes(8)))
@@ -295,14 +295,14 @@ def test_frames_that_are_not_for_the_nodes_are_passed_over(buses: tuple[can.BusA
 
 
 @pytest.mark.vcan
-def test_on_socketcan_the_drives_stop_when_the_master_is_gone() -> None:
-    """Real time, real sockets: enable, turn, fall silent."""
+def test_drives_on_socketcan_stop_when_the_master_goes_silent() -> None:
+    """Real time and real sockets: the master enables and turns the drives, then goes silent."""
     bus = can.Bus(interface="socketcan", channel="vcan0")
     master = Master(can.Bus(interface="socketcan", channel="vcan0"))
     try:
         with running(bus) as runner:
             master.set_up()
-            master.forget_sets()
+            master.discard_sets()
             for controlword in (0, SHUTDOWN, SWITCH_ON, ENABLE):
                 master.cycles(25, controlword)
             master.cycles(60, ENABLE, 200.0)

@@ -1,4 +1,4 @@
-"""The virtual cube on its edge: its motion against energies and closed formulas; its torque drive on the bus."""
+"""The virtual cube on its edge: its motion compared with energies and closed-form solutions; its drive on the bus."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RATE = 250
 TRUTH = CubeTruth()
 IMU = ImuNode(position=(0.0, 0.0, 0.08))
 LOSSLESS = replace(TRUTH, edge_friction=0.0, wheel_friction=0.0, support_angle=100.0, torque_noise=0.0)
-"""Without friction, and without supports to stop at."""
+"""Without friction, torque noise and supports."""
 EVERY = (*CUBE_HIDDEN, *CUBE_UNLISTED)
 ENABLE = 0x0F
 RATED = 0.083
@@ -71,8 +71,8 @@ def test_upright_is_unstable_with_the_pole_of_the_pendulum() -> None:
     assert pole == pytest.approx(9.7, rel=0.02)
 
 
-def test_what_the_wheel_gets_the_body_loses() -> None:
-    """A torque changes no momentum of the two together: only gravity does, of which there is little near upright."""
+def test_wheel_torque_transfers_momentum_between_body_and_wheel() -> None:
+    """A torque between the two does not change their total momentum: only gravity does, which is small near upright."""
     plant = cube(LOSSLESS)
     plant.place(0.0)
     plant.wheel.powered, plant.wheel.target = True, 0.05
@@ -86,7 +86,7 @@ def test_what_the_wheel_gets_the_body_loses() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_let_go_it_falls_and_lies_on_a_support(side: float) -> None:
+def test_released_cube_falls_and_rests_on_a_support(side: float) -> None:
     plant = cube()
     plant.place(side * 0.01)
     run_for(plant, 2.0)
@@ -95,7 +95,7 @@ def test_let_go_it_falls_and_lies_on_a_support(side: float) -> None:
     assert abs(plant.tilt_rate) < 1e-3
 
 
-def test_it_starts_at_rest_on_its_front_support() -> None:
+def test_cube_starts_at_rest_on_its_front_support() -> None:
     plant = cube()
     begin = plant.tilt
     run_for(plant, 1.0)
@@ -105,7 +105,7 @@ def test_it_starts_at_rest_on_its_front_support() -> None:
 
 
 def moved(hide: Sequence[str]) -> np.ndarray:
-    """Tilt and wheel over 12 s while a torque shakes it on its support; (rows, 3) with what the IMU would show."""
+    """Tilt, tilt rate and wheel rate over 12 s while a wheel torque shakes the cube on its support, (n, 3)."""
     plant = cube(hide=hide)
     plant.event_origin = 0.0
     plant.wheel.powered = True
@@ -133,7 +133,7 @@ def test_each_hidden_effect_changes_the_motion(name: str, bare: np.ndarray) -> N
     assert np.array_equal(moved((f"{name}=0",)), bare)
 
 
-def test_each_effect_of_the_wheel_is_one_of_the_catalogues() -> None:
+def test_listed_effects_are_in_the_catalogue_and_unlisted_ones_are_not() -> None:
     from models.effects.catalogue import CATALOGUE
 
     assert {name for name in CUBE_HIDDEN if name.startswith("wheel_")} == set(AT_THE_WHEEL)
@@ -142,7 +142,7 @@ def test_each_effect_of_the_wheel_is_one_of_the_catalogues() -> None:
     assert not set(CUBE_UNLISTED) & set(CATALOGUE)
 
 
-def test_friction_of_the_wheel_acts_on_the_body_as_well() -> None:
+def test_wheel_friction_reacts_on_the_body() -> None:
     plant = cube(LOSSLESS, ["wheel_viscous_friction=5"])
     plant.place(0.0)
     plant.wheel_rate = 50.0
@@ -153,10 +153,10 @@ def test_friction_of_the_wheel_acts_on_the_body_as_well() -> None:
     assert LOSSLESS.inertia * plant.tilt_rate == pytest.approx(begin - wheel, rel=0.05)
 
 
-def test_the_accelerometer_feels_gravity_and_what_its_place_does() -> None:
+def test_accelerometer_measures_gravity_and_the_acceleration_of_its_position() -> None:
     plant = cube()
     (x, y, z), rates = plant.felt((0.1, 0.5, 3.0), (0.02, 0.0, 0.08), 9.81)
-    # Specific force in body axes of a point at (0.02, 0.08) on a body that turns by 0.1 rad, 0.5 rad/s, 3 rad/s^2.
+    # Specific force in body axes, at (0.02, 0.08) on a body with a tilt of 0.1 rad, 0.5 rad/s, 3 rad/s^2.
     assert (x, y, z) == pytest.approx(
         (3.0 * 0.08 - 0.25 * 0.02 - 9.81 * math.sin(0.1), 0.0, 9.81 * math.cos(0.1) - 3.0 * 0.02 - 0.25 * 0.08)
     )
@@ -185,7 +185,7 @@ def node(**changes: object) -> DriveNode:
 
 
 class Bus(Harness):
-    """The master of the other tests, with N m for rpm and one node."""
+    """The master of the other tests, with N m instead of rpm and with one node."""
 
     def __init__(self, **changes: object) -> None:
         super().__init__(SimulationConfig(plant=TRUTH, drives=(node(**changes),), rate=RATE, imu=IMU))
@@ -218,12 +218,12 @@ class Bus(Harness):
         return self.vehicle.drives["wheel"].state
 
     def actual(self) -> tuple[int, int, int, int]:
-        """Statusword, position, velocity and torque that the drive sent last."""
+        """Statusword, position, velocity and torque as last sent by the drive."""
         word, position = struct.unpack("<Hi", self.frames(0x181)[-1])
         return word, position, *struct.unpack("<ih", self.frames(0x281)[-1])
 
 
-def test_the_master_enables_the_drive_in_torque_mode() -> None:
+def test_master_enables_the_drive_in_torque_mode() -> None:
     bus = Bus()
     bus.enable()
     assert bus.state is PowerState.OPERATION_ENABLED
@@ -233,7 +233,7 @@ def test_the_master_enables_the_drive_in_torque_mode() -> None:
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_a_target_torque_turns_the_wheel_its_way(direction: int) -> None:
+def test_target_torque_turns_the_wheel_in_the_drives_direction(direction: int) -> None:
     bus = Bus(direction=direction)
     bus.enable()
     bus.cycles(0.2, ENABLE, 0.02)
@@ -246,7 +246,7 @@ def test_a_target_torque_turns_the_wheel_its_way(direction: int) -> None:
     assert velocity / 8192.0 * 2.0 * math.pi / 60.0 == pytest.approx(abs(bus.cube.wheel_rate), abs=1.0)
 
 
-def test_more_than_the_current_limit_is_limited_and_said() -> None:
+def test_torque_beyond_the_current_limit_is_limited_and_reported() -> None:
     bus = Bus()
     bus.enable()
     bus.cycles(0.02, ENABLE, 0.2)
@@ -256,7 +256,7 @@ def test_more_than_the_current_limit_is_limited_and_said() -> None:
 
 
 @pytest.mark.parametrize("controlword", [ENABLE | 0x100, SWITCH_ON])
-def test_halt_and_disable_take_the_torque_away(controlword: int) -> None:
+def test_halt_and_disable_remove_the_torque(controlword: int) -> None:
     bus = Bus()
     bus.enable()
     bus.cycles(0.05, ENABLE, 0.02)
@@ -264,8 +264,8 @@ def test_halt_and_disable_take_the_torque_away(controlword: int) -> None:
     assert bus.cube.wheel.target == 0.0
 
 
-def test_after_a_quick_stop_the_wheel_runs_down_freely_and_the_cube_lies() -> None:
-    """A brake would throw the cube over: 605Ah is 0."""
+def test_after_a_quick_stop_the_wheel_coasts_and_the_cube_stays_on_its_support() -> None:
+    """Braking would throw the cube over, so object 605Ah is 0."""
     bus = Bus()
     bus.enable()
     bus.cycles(0.3, ENABLE, 0.03)
@@ -277,7 +277,7 @@ def test_after_a_quick_stop_the_wheel_runs_down_freely_and_the_cube_lies() -> No
     assert bus.cube.tilt == pytest.approx(TRUTH.support_angle, abs=3e-3)
 
 
-def test_a_drive_whose_quick_stop_brakes_stops_the_wheel() -> None:
+def test_drive_with_a_braking_quick_stop_stops_the_wheel() -> None:
     bus = Bus()
     assert bus.sdo(1, 0x605A, 0, 2, 2) >= 0
     bus.enable()
@@ -286,7 +286,7 @@ def test_a_drive_whose_quick_stop_brakes_stops_the_wheel() -> None:
     assert abs(bus.cube.wheel_rate) < 1.0
 
 
-def test_without_the_masters_heartbeat_the_wheel_loses_its_torque() -> None:
+def test_loss_of_the_masters_heartbeat_removes_the_torque() -> None:
     bus = Bus()
     bus.enable()
     bus.cycles(0.135, ENABLE, 0.02, heartbeat=False)

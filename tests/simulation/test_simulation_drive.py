@@ -1,4 +1,4 @@
-"""The simulated servo inverter as a CiA 402 slave: states, PDOs, deadlines and what happens when the master is gone."""
+"""The simulated servo inverter as a CiA 402 slave: states, PDOs, deadlines and the loss of the master."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def moving(harness: Harness) -> Harness:
 
 
 def statuswords(harness: Harness) -> list[int]:
-    """The different state patterns that the left gimbal has reported, in order."""
+    """The sequence of states that the left gimbal has reported in its statusword."""
     words = [struct.unpack_from("<H", data)[0] & 0x6F for data in harness.frames(0x181)]
     return [word for i, word in enumerate(words) if i == 0 or word != words[i - 1]]
 
 
-def test_it_boots_into_preoperational_and_says_so() -> None:
+def test_drive_boots_into_preoperational_and_sends_a_boot_up_message() -> None:
     harness = Harness()
     assert [harness.frames(0x700 + node) for node in (1, 2, 3)] == [[b"\x00"]] * 3
     assert harness.left.nmt_state == "PRE-OPERATIONAL"
@@ -61,7 +61,7 @@ def test_it_boots_into_preoperational_and_says_so() -> None:
     assert harness.left.state is PowerState.SWITCH_ON_DISABLED
 
 
-def test_enabling_passes_every_state(harness: Harness) -> None:
+def test_enabling_passes_through_every_state(harness: Harness) -> None:
     harness.enable()
     assert statuswords(harness) == [0x00, 0x40, 0x21, 0x23, 0x27]
     assert harness.statusword() & 0x210 == 0x210
@@ -81,7 +81,7 @@ def test_transitions_take_the_time_of_a_power_stage(harness: Harness) -> None:
 
 
 def test_velocity_mode_turns_both_gimbals_the_same_way(moving: Harness) -> None:
-    """Directions +1 and -1 with mirrored motor speeds; actual values come back in the drive's own units."""
+    """Directions +1 and -1 with mirrored motor speeds; actual values are in the drive's own units."""
     gimbals = moving.vehicle.plant.gimbals
     assert gimbals[1].rate == pytest.approx(gimbals[0].rate, rel=1e-3)
     for node, sign in ((1, 1), (2, -1)):
@@ -93,7 +93,7 @@ def test_velocity_mode_turns_both_gimbals_the_same_way(moving: Harness) -> None:
     assert moving.statusword() & 0x400
 
 
-def test_the_fine_part_adds_fractions_of_an_rpm(harness: Harness) -> None:
+def test_fine_part_of_the_setpoint_adds_fractions_of_an_rpm(harness: Harness) -> None:
     harness.enable()
     harness.cycles(0.5, ENABLE, 0.25)
     assert harness.left.servo.axis.rate == pytest.approx(GIMBAL_PER_TURN * 0.25 / 60.0, rel=0.05)
@@ -109,7 +109,7 @@ def test_setpoints_are_latched_by_the_sync(harness: Harness) -> None:
     assert harness.left.servo.axis.setpoint == pytest.approx(RATE)
 
 
-def test_event_driven_pdos_act_and_answer_at_once(harness: Harness) -> None:
+def test_event_driven_pdos_act_at_once_and_are_answered_without_sync(harness: Harness) -> None:
     for index in (0x1400, 0x1800):
         assert harness.sdo(1, index, 2, 255, 1) >= 0
     harness.enable()
@@ -122,7 +122,7 @@ def test_event_driven_pdos_act_and_answer_at_once(harness: Harness) -> None:
 
 
 @pytest.mark.parametrize(("ramp_bits", "turns"), [(True, False), (False, True)])
-def test_controlword_bits_4_to_6_count_where_the_drive_honours_them(ramp_bits: bool, turns: bool) -> None:
+def test_controlword_bits_4_to_6_matter_only_to_drives_that_use_them(ramp_bits: bool, turns: bool) -> None:
     harness = Harness(SimulationConfig(PlantTruth(), drives=drive_nodes(ramp_bits=ramp_bits)))
     harness.set_up()
     harness.enable()
@@ -130,14 +130,14 @@ def test_controlword_bits_4_to_6_count_where_the_drive_honours_them(ramp_bits: b
     assert (abs(harness.left.servo.axis.rate) > 0.5 * RATE) is turns
 
 
-def test_halt_stops_and_releases(moving: Harness) -> None:
+def test_halt_stops_the_drive_until_it_is_cleared(moving: Harness) -> None:
     moving.cycles(0.4, ENABLE | 0x100, RPM)
     assert abs(moving.left.servo.axis.rate) < 0.01 * RATE
     moving.cycles(0.4, ENABLE, RPM)
     assert moving.left.servo.axis.rate == pytest.approx(RATE, rel=0.02)
 
 
-def test_cyclic_synchronous_velocity_mode() -> None:
+def test_drive_follows_setpoints_in_cyclic_synchronous_velocity_mode() -> None:
     rpdo = (("controlword", "target_velocity"),)
     harness = Harness(SimulationConfig(PlantTruth(), drives=drive_nodes(mode=9, rpdo=rpdo)))
     harness.set_up(mode=9)
@@ -152,7 +152,7 @@ def test_cyclic_synchronous_velocity_mode() -> None:
     assert harness.statusword() & 0x100
 
 
-def test_a_drive_without_a_mode_stands_still(harness: Harness) -> None:
+def test_drive_without_a_mode_stands_still(harness: Harness) -> None:
     harness = Harness()
     harness.nmt(1)
     harness.enable()
@@ -162,7 +162,7 @@ def test_a_drive_without_a_mode_stands_still(harness: Harness) -> None:
     assert harness.sdo(1, 0x6060, 0, 3, 1) == -0x06090030
 
 
-def test_speed_above_the_limit_is_clamped_and_shown(harness: Harness) -> None:
+def test_speed_above_the_limit_is_clamped_and_reported(harness: Harness) -> None:
     assert harness.sdo(1, 0x6046, 2, 100) >= 0
     harness.enable()
     harness.cycles(0.3, ENABLE, RPM)
@@ -171,8 +171,8 @@ def test_speed_above_the_limit_is_clamped_and_shown(harness: Harness) -> None:
 
 
 @pytest.mark.parametrize("reaction", [1, 2, 3])
-def test_without_the_masters_heartbeat_the_drives_stop_by_themselves(moving: Harness, reaction: int) -> None:
-    """Setpoints go on, heartbeats do not: within the timeout, a control cycle and the stop nothing turns any more."""
+def test_drives_stop_by_themselves_without_the_masters_heartbeat(moving: Harness, reaction: int) -> None:
+    """Setpoints continue without heartbeats: after the timeout, a control cycle and the stop, all axes stand still."""
     for node in (1, 2, 3):
         moving.sdo(node, 0x6007, 0, reaction, 2)
     moving.cycles(0.116, ENABLE, RPM, heartbeat=False)
@@ -190,7 +190,7 @@ def test_without_the_masters_heartbeat_the_drives_stop_by_themselves(moving: Har
     assert moving.sdo(1, 0x1003, 1) & 0xFFFF == 0x8130
 
 
-def test_reaction_none_only_reports(moving: Harness) -> None:
+def test_heartbeat_reaction_0_only_reports_the_loss(moving: Harness) -> None:
     moving.sdo(1, 0x6007, 0, 0, 2)
     moving.sdo(1, 0x1029, 1, 1, 1)
     moving.cycles(0.3, ENABLE, RPM, heartbeat=False)
@@ -198,13 +198,13 @@ def test_reaction_none_only_reports(moving: Harness) -> None:
     assert moving.left.state is PowerState.OPERATION_ENABLED
 
 
-def test_a_master_never_heard_is_not_missed(harness: Harness) -> None:
+def test_heartbeat_is_not_monitored_before_the_first_one(harness: Harness) -> None:
     """CiA 301: monitoring begins with the first heartbeat."""
     harness.cycles(0.5, SHUTDOWN, heartbeat=False)
     assert harness.emergencies(1) == []
 
 
-def test_late_setpoints_stop_the_drive_where_a_deadline_is_set(moving: Harness) -> None:
+def test_missing_setpoints_stop_a_drive_with_a_deadline(moving: Harness) -> None:
     assert moving.sdo(1, 0x1400, 5, 20, 2) >= 0
     moving.cycles(0.1, ENABLE, RPM)
     moving.cycles(0.3, ENABLE, RPM, rpdo=False)
@@ -213,7 +213,7 @@ def test_late_setpoints_stop_the_drive_where_a_deadline_is_set(moving: Harness) 
     assert moving.left.state is PowerState.FAULT
 
 
-def test_a_fault_is_reset_by_an_edge_alone_and_stays_disabled(moving: Harness) -> None:
+def test_fault_is_reset_only_by_an_edge_and_the_drive_stays_disabled(moving: Harness) -> None:
     moving.cycle(ENABLE | FAULT_RESET, RPM)
     moving.left.fail(0x2310, 0x02)
     assert moving.emergencies(1) == [0x2310]
@@ -237,7 +237,7 @@ def test_quick_stop_ramps_down_and_disables(moving: Harness) -> None:
     assert statuswords(moving)[-2:] == [0x07, 0x40]
 
 
-def test_quick_stop_option_6_waits_at_standstill_and_may_go_on(moving: Harness) -> None:
+def test_quick_stop_option_6_holds_at_standstill_and_can_be_resumed(moving: Harness) -> None:
     moving.sdo(1, 0x605A, 0, 6, 2)
     moving.cycles(0.5, QUICK_STOP, RPM)
     assert moving.left.state is PowerState.QUICK_STOP_ACTIVE
@@ -253,7 +253,7 @@ def test_disabling_operation_ramps_down_first(moving: Harness) -> None:
     assert moving.left.state is PowerState.SWITCHED_ON
 
 
-def test_losing_power_while_turning_coasts_until_the_brake_closes(moving: Harness) -> None:
+def test_axis_coasts_after_losing_power_until_the_brake_closes(moving: Harness) -> None:
     moving.cycle(DISABLE_VOLTAGE, RPM)
     assert moving.left.servo.axis.mode is AxisMode.COASTING
     assert moving.left.servo.axis.rate > 0.5 * RATE
@@ -271,14 +271,14 @@ def test_leaving_operational_stops_the_axis(moving: Harness) -> None:
     assert len(moving.frames(0x181)) == sent
 
 
-def test_a_stopped_node_answers_no_sdo(harness: Harness) -> None:
+def test_stopped_node_answers_no_sdo(harness: Harness) -> None:
     harness.nmt(2, 1)
     before = len(harness.frames(0x581))
     harness.vehicle.receive(0x601, struct.pack("<BHB4x", 0x40, 0x1000, 0))
     assert len(harness.frames(0x581)) == before
 
 
-def test_resets_restore_defaults_and_boot_again(harness: Harness) -> None:
+def test_resets_of_communication_and_node_restore_their_defaults(harness: Harness) -> None:
     harness.sdo(1, 0x1017, 0, 100, 2)
     harness.nmt(130, 1)
     assert harness.frames(0x701)[-1] == b"\x00"
@@ -289,7 +289,7 @@ def test_resets_restore_defaults_and_boot_again(harness: Harness) -> None:
     assert harness.left.state is PowerState.NOT_READY_TO_SWITCH_ON
 
 
-def test_the_heartbeat_comes_at_its_period(harness: Harness) -> None:
+def test_heartbeat_is_sent_at_its_period(harness: Harness) -> None:
     harness.sdo(1, 0x1017, 0, 100, 2)
     start = len(harness.frames(0x701))
     harness.cycles(1.0, DISABLE_VOLTAGE)
@@ -298,7 +298,7 @@ def test_the_heartbeat_comes_at_its_period(harness: Harness) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\x7f", b"\x7f\x00\xc8\x00\x00"])
-def test_a_setpoint_frame_of_the_wrong_length_is_reported_and_ignored(moving: Harness, data: bytes) -> None:
+def test_setpoint_frame_of_the_wrong_length_is_reported_and_ignored(moving: Harness, data: bytes) -> None:
     moving.vehicle.receive(0x201, data)
     assert moving.emergencies(1) == [0x8210]
     moving.cycle(ENABLE, RPM)
@@ -306,7 +306,7 @@ def test_a_setpoint_frame_of_the_wrong_length_is_reported_and_ignored(moving: Ha
 
 
 @pytest.mark.parametrize("data", [b"", b"\x40", b"\xff" * 8, bytes(8), b"\x60" + bytes(7), b"\xc0" * 8])
-def test_nonsense_in_the_sdo_channel_does_no_harm(harness: Harness, data: bytes) -> None:
+def test_malformed_sdo_and_nmt_frames_do_no_harm(harness: Harness, data: bytes) -> None:
     fresh = Harness()
     for target in (fresh, harness):
         target.vehicle.receive(0x601, data)
@@ -314,7 +314,7 @@ def test_nonsense_in_the_sdo_channel_does_no_harm(harness: Harness, data: bytes)
         assert target.sdo(1, 0x1000) == 0x00020192
 
 
-def test_mapping_by_sdo_follows_the_rules(harness: Harness) -> None:
+def test_pdo_mapping_by_sdo_is_validated_and_applied(harness: Harness) -> None:
     harness.nmt(0x80)
     assert harness.sdo(1, 0x1A01, 1, 0x60410010) == -0x08000022
     assert harness.sdo(1, 0x1A01, 0, 0, 1) >= 0
@@ -331,14 +331,14 @@ def test_mapping_by_sdo_follows_the_rules(harness: Harness) -> None:
     assert harness.frames(0x281)[-1] == struct.pack("<hb", 0, 2)
 
 
-def test_identity_is_the_eds_or_the_vehicle_files(harness: Harness) -> None:
+def test_identity_comes_from_the_eds_unless_the_vehicle_file_states_it(harness: Harness) -> None:
     assert harness.sdo(1, 0x1018, 1) == 0x00555052
     other = Harness(SimulationConfig(PlantTruth(), drives=drive_nodes(vendor_id=0x14, product_code=0x99)))
     assert other.sdo(2, 0x1018, 1) == 0x14
     assert other.sdo(2, 0x1018, 2) == 0x99
 
 
-def test_a_command_pattern_for_every_controlword() -> None:
+def test_controlwords_are_decoded_into_commands() -> None:
     assert [command_of(word) for word in (0x00, 0x02, 0x06, 0x07, 0x0F, 0x80)] == [
         Command.DISABLE_VOLTAGE,
         Command.QUICK_STOP,
@@ -359,7 +359,7 @@ def with_fault(argument: str) -> Harness:
     return harness
 
 
-def test_fault_overcurrent() -> None:
+def test_injected_overcurrent_puts_the_drive_into_fault() -> None:
     harness = with_fault("drive_fault:gimbal_left@0.4")
     assert harness.emergencies(1) == []
     harness.cycles(0.2, ENABLE)
@@ -367,7 +367,7 @@ def test_fault_overcurrent() -> None:
     assert harness.left.state is PowerState.FAULT
 
 
-def test_fault_drive_off_the_bus_stops_itself() -> None:
+def test_silent_drive_stops_itself() -> None:
     harness = with_fault("drive_silent:gimbal_left@0.4")
     harness.cycles(0.1, ENABLE, RPM)
     before = len(harness.sent)
@@ -378,7 +378,7 @@ def test_fault_drive_off_the_bus_stops_itself() -> None:
     assert harness.vehicle.drives["gimbal_right"].state is PowerState.OPERATION_ENABLED
 
 
-def test_fault_drive_restart_boots_again_disabled() -> None:
+def test_restarted_drive_boots_again_disabled() -> None:
     harness = with_fault("drive_restart:gimbal_left@0.4")
     harness.cycles(1.0, ENABLE, RPM)
     assert harness.frames(0x701).count(b"\x00") == 2
@@ -386,7 +386,7 @@ def test_fault_drive_restart_boots_again_disabled() -> None:
     assert harness.left.state is PowerState.SWITCH_ON_DISABLED
 
 
-def test_fault_lost_heartbeat_leaves_the_pdos() -> None:
+def test_drive_with_a_lost_heartbeat_still_sends_pdos() -> None:
     harness = Harness(faults=parse_faults(["drive_heartbeat_lost:trim@0.5"], NAMES))
     harness.set_up()
     harness.sdo(3, 0x1017, 0, 50, 2)
@@ -408,8 +408,8 @@ IMU_FAULTS = {
 
 
 @pytest.mark.parametrize("name", IMU_FAULTS)
-def test_faults_of_the_imu(name: str) -> None:
-    """Seen on the last frame of each set: 16-bit sets are one frame shorter, so it is gone in the wrong format too."""
+def test_imu_faults_have_the_intended_effect_on_the_frames(name: str) -> None:
+    """Seen in the last frame of each set; in the wrong format it is missing, too: 16-bit sets are one frame shorter."""
     harness = Harness(faults=parse_faults([f"{name}@0.4"], NAMES))
     harness.cycles(0.39, DISABLE_VOLTAGE)
     first = harness.frames(0x38A)
@@ -419,7 +419,7 @@ def test_faults_of_the_imu(name: str) -> None:
     assert IMU_FAULTS[name](first, harness.frames(0x38A)[start:])
 
 
-def test_a_fault_at_zero_is_there_before_any_sync() -> None:
+def test_fault_at_time_zero_acts_before_any_sync() -> None:
     harness = Harness(faults=parse_faults(["imu_silent@0"], NAMES))
     harness.vehicle.advance_steps(12)
     harness.vehicle.begin_cycle()
@@ -438,14 +438,14 @@ def test_a_fault_at_zero_is_there_before_any_sync() -> None:
         ("imu_silent:trim@3", "imu_silent@3"),
     ],
 )
-def test_a_fault_that_makes_no_sense_says_how_to_write_it(argument: str, remedy: str) -> None:
+def test_invalid_fault_is_refused_with_the_correct_form(argument: str, remedy: str) -> None:
     with pytest.raises(UnknownFaultError) as caught:
         parse_faults([argument], NAMES)
     assert remedy in caught.value.remedy
     assert caught.value.fault == argument
 
 
-def test_a_missing_or_foreign_eds_is_named() -> None:
+def test_missing_or_unsuitable_eds_is_refused() -> None:
     nodes = drive_nodes()
     with pytest.raises(SimulationError, match=r"nowhere\.eds.*gimbal_left.*does not exist"):
         Harness(SimulationConfig(PlantTruth(), drives=(replace(nodes[0], eds="nowhere.eds"),)))
@@ -453,7 +453,7 @@ def test_a_missing_or_foreign_eds_is_named() -> None:
         Harness(SimulationConfig(PlantTruth(), drives=(replace(nodes[0], eds=__file__),)))
 
 
-def test_drives_a_monocab_does_not_have_are_refused() -> None:
+def test_drives_that_do_not_suit_a_monocab_are_refused() -> None:
     nodes = drive_nodes()
     with pytest.raises(SimulationError, match="3 gimbal drives"):
         Harness(SimulationConfig(PlantTruth(), drives=tuple(replace(node, role="gimbal") for node in nodes)))
@@ -463,7 +463,7 @@ def test_drives_a_monocab_does_not_have_are_refused() -> None:
         Harness(SimulationConfig(PlantTruth(), drives=(replace(nodes[0], rpdo=(("speed",),)),)))
 
 
-def test_imu_heartbeat_in_canopen_mode_only() -> None:
+def test_imu_has_a_canopen_heartbeat_or_sequential_identifiers() -> None:
     harness = Harness()
     harness.cycles(2.0, DISABLE_VOLTAGE)
     assert len(harness.frames(0x70A)) == pytest.approx(3, abs=1)
@@ -473,6 +473,6 @@ def test_imu_heartbeat_in_canopen_mode_only() -> None:
     assert {can_id for _, can_id, _ in sequential.sent if can_id >= 0x500 and can_id < 0x700} == {0x514, 0x515, 0x516}
 
 
-def test_roll_is_on_the_support_while_the_drives_are_off(harness: Harness) -> None:
+def test_vehicle_rests_on_its_support_while_the_drives_are_off(harness: Harness) -> None:
     harness.cycles(0.5, DISABLE_VOLTAGE)
     assert math.degrees(harness.vehicle.plant.roll) == pytest.approx(4.03, abs=0.01)

@@ -1,4 +1,4 @@
-"""The virtual vehicle's mechanics and sensors against closed formulas, each hidden effect against the bare vehicle."""
+"""The virtual vehicle: mechanics and sensors against closed-form solutions, hidden effects against their absence."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run_for(plant: Plant, seconds: float) -> None:
 
 
 class Balancer:
-    """A small balancing controller of the tests' own: complementary filter, state feedback, square wave on the roll."""
+    """A small balancing controller for these tests: complementary filter, state feedback, square wave on the roll."""
 
     def __init__(self, amplitude: float = math.radians(0.7)) -> None:
         self.roll: float | None = None
@@ -59,27 +59,27 @@ class Balancer:
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_the_step_fits_the_period_and_the_sync(rate: int) -> None:
-    """A whole number of steps up to the SYNC at 1 ms and to the next IMU set, at least ten a period."""
+def test_step_divides_the_period_and_the_time_of_the_sync(rate: int) -> None:
+    """A whole number of steps up to the SYNC at 1 ms and to the next IMU set, at least ten per period."""
     config = SimulationConfig(PlantTruth(), rate=rate)
     assert config.steps_per_period * config.step == pytest.approx(1.0 / rate, rel=1e-12)
     assert config.steps_per_ms * config.step == pytest.approx(1e-3, rel=1e-12)
     assert config.steps_per_period >= 10
 
 
-def test_it_falls_with_the_pole_of_gravity_over_inertia() -> None:
-    """With the gimbals on their brakes roll grows as cosh(pole t); the sine bends that by 1e-5 at these angles."""
+def test_fall_has_the_pole_of_gravity_stiffness_over_inertia() -> None:
+    """With braked gimbals, roll grows as cosh(pole t); the sine changes that by 1e-5 at these angles."""
     plant = plant_at(1e-4)
     run_for(plant, 1.0)
     assert plant.roll == pytest.approx(1e-4 * math.cosh(POLE * plant.time), rel=2e-5)
     assert pytest.approx(2.964, abs=1e-3) == POLE
 
 
-def test_time_to_fall_from_one_degree_to_the_support() -> None:
+def test_time_to_fall_to_the_support_is_that_of_the_linear_model() -> None:
     plant = plant_at(math.radians(1.0))
     while plant.roll < TRUTH.support_angle:
         plant.step()
-    # The restoring sine at 4 deg is 0.08 % below its tangent, so the linear time is right to half a percent.
+    # The sine at 4 deg is 0.08 % below its tangent, so the linear model's time is correct to half a percent.
     assert plant.time == pytest.approx(math.acosh(4.0) / POLE, rel=5e-3)
 
 
@@ -105,8 +105,8 @@ def test_energy_is_conserved_while_flywheels_and_roll_exchange_it() -> None:
     assert worst < 0.01 * exchanged
 
 
-def test_a_soft_speed_loop_looks_like_more_inertia() -> None:
-    """The paper: I + 8 tau^2 L^2 / I_G. Held at zero speed the gimbals slow the fall by just that much."""
+def test_soft_speed_loop_increases_the_apparent_inertia() -> None:
+    """The paper: I + 8 tau^2 L^2 / I_G. Held at zero speed, the gimbals slow the fall by just that much."""
     plant = plant_at(5e-3)
     for gimbal in plant.gimbals:
         gimbal.axis.power()
@@ -118,7 +118,7 @@ def test_a_soft_speed_loop_looks_like_more_inertia() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_fall_ends_at_rest_on_the_support(side: float) -> None:
+def test_fall_ends_at_rest_on_the_support(side: float) -> None:
     plant = plant_at(side * 1e-3)
     highest = 0.0
     for _ in range(round(6.0 / plant.step_size)):
@@ -129,7 +129,7 @@ def test_a_fall_ends_at_rest_on_the_support(side: float) -> None:
     assert highest < math.radians(5.0)
 
 
-def test_it_starts_at_rest_on_the_right_hand_support() -> None:
+def test_vehicle_starts_at_rest_on_the_right_hand_support() -> None:
     plant = Plant(SimulationConfig(PlantTruth()))
     start = plant.roll
     run_for(plant, 1.0)
@@ -138,7 +138,7 @@ def test_it_starts_at_rest_on_the_right_hand_support() -> None:
 
 
 @given(st.floats(-0.2, 0.2), st.floats(-5.0, 5.0))
-def test_supports_press_and_never_pull(roll: float, roll_rate: float) -> None:
+def test_supports_push_and_never_pull(roll: float, roll_rate: float) -> None:
     torque = Supports(TRUTH.support_angle, TRUTH.support_stiffness, TRUTH.support_damping).torque(roll, roll_rate)
     if abs(roll) <= TRUTH.support_angle:
         assert torque == 0.0
@@ -146,8 +146,8 @@ def test_supports_press_and_never_pull(roll: float, roll_rate: float) -> None:
         assert torque * roll <= 0.0
 
 
-def test_the_speed_loop_lags_by_four_small_time_constants() -> None:
-    """A ramp of setpoint comes out delayed by the loop's lag of 4 tau, once it has settled."""
+def test_speed_loop_lags_by_four_of_its_time_constants() -> None:
+    """Once it has settled, a ramp of the setpoint is followed with the loop's lag of 4 tau."""
     plant = plant_at(0.0, SimulationConfig(plant=replace(TRUTH, angular_momentum=0.0)))
     axis = plant.gimbals[0].axis
     axis.power()
@@ -157,7 +157,7 @@ def test_the_speed_loop_lags_by_four_small_time_constants() -> None:
     assert plant.time - axis.rate / 0.2 == pytest.approx(4.0 * TRUTH.gimbal_time_constant, rel=0.03)
 
 
-def test_the_torque_limit_holds_and_does_not_wind_up() -> None:
+def test_torque_limit_holds_without_integrator_windup() -> None:
     plant = plant_at(0.0, SimulationConfig(plant=replace(TRUTH, angular_momentum=0.0, gimbal_torque_limit=100.0)))
     axis = plant.gimbals[0].axis
     axis.power()
@@ -171,13 +171,13 @@ def test_the_torque_limit_holds_and_does_not_wind_up() -> None:
     assert highest < 1.15
 
 
-def test_a_braked_gimbal_stands_against_the_gyroscopic_reaction() -> None:
+def test_braked_gimbal_withstands_the_gyroscopic_reaction() -> None:
     plant = plant_at(0.01)
     run_for(plant, 1.5)
     assert plant.precession == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_trim_mass_to_the_right_gives_a_positive_roll_torque_and_its_push_the_opposite() -> None:
+def test_trim_mass_on_the_right_rolls_right_and_its_acceleration_rolls_left() -> None:
     plant = plant_at(0.0)
     plant.trim.position = 0.05
     plant.step()
@@ -191,14 +191,14 @@ def test_the_trim_mass_to_the_right_gives_a_positive_roll_torque_and_its_push_th
     assert plant.roll_acceleration < 0.0
 
 
-def test_a_person_on_the_side_needs_a_precession_of_torque_over_momentum() -> None:
-    """Held upright, 550 N m cost 550 / 3300 rad/s of precession rate: the truth obeys the torque balance."""
+def test_side_load_requires_a_precession_of_torque_over_angular_momentum() -> None:
+    """Held upright, 550 N m require a precession rate of 550 / 3300 rad/s: the plant obeys the torque balance."""
     config = SimulationConfig(PlantTruth(), hidden={"torque_step": None}, onsets={"torque_step": 1.0})
     run = simulate_closed_loop(config, Balancer(amplitude=0.0), 6.0, roll=0.0)
     tail = run.precession_rate[-250:]
     lean = run.true_roll[-250:].mean()
-    wanted = -(550.0 + TRUTH.gravity_stiffness * lean + TRUTH.trim_mass * 9.81 * run.trim_position[-250:].mean())
-    assert tail.mean() == pytest.approx(wanted / TRUTH.angular_momentum, rel=0.03)
+    expected = -(550.0 + TRUTH.gravity_stiffness * lean + TRUTH.trim_mass * 9.81 * run.trim_position[-250:].mean())
+    assert tail.mean() == pytest.approx(expected / TRUTH.angular_momentum, rel=0.03)
 
 
 def balanced(hidden: dict[str, float | None], seed: int = 1) -> ClosedLoopRun:
@@ -211,7 +211,7 @@ def bare() -> ClosedLoopRun:
     return balanced({})
 
 
-def test_nothing_is_hidden_by_default_and_level_zero_hides_nothing(bare: ClosedLoopRun) -> None:
+def test_level_zero_equals_no_hidden_effects(bare: ClosedLoopRun) -> None:
     again = balanced(dict.fromkeys(HIDDEN, 0.0))
     assert np.array_equal(again.true_roll, bare.true_roll)
     assert np.array_equal(again.angular_rate, bare.angular_rate)
@@ -219,8 +219,8 @@ def test_nothing_is_hidden_by_default_and_level_zero_hides_nothing(bare: ClosedL
 
 
 @pytest.mark.parametrize("name", HIDDEN)
-def test_each_hidden_effect_changes_the_motion_and_leaves_it_in_balance(name: str, bare: ClosedLoopRun) -> None:
-    """Beyond one noise-free digit of the sensor (1e-5 rad), with the same noise; twice the level changes more."""
+def test_each_hidden_effect_changes_the_motion_and_keeps_the_balance(name: str, bare: ClosedLoopRun) -> None:
+    """By more than a noise-free digit of the sensor (1e-5 rad), with the same noise; twice the level changes more."""
     once, twice = balanced({name: None}), balanced({name: 2.0})
     change = float(np.abs(once.true_roll - bare.true_roll).max())
     assert change > 1e-5
@@ -228,7 +228,7 @@ def test_each_hidden_effect_changes_the_motion_and_leaves_it_in_balance(name: st
     assert float(np.abs(once.true_roll).max()) < math.radians(3.5)
 
 
-def test_the_gimbal_turns_while_the_motor_crosses_the_play() -> None:
+def test_gimbal_turns_only_after_the_motor_has_crossed_the_backlash() -> None:
     plant = plant_at(0.0, SimulationConfig(hidden={"backlash": None}, plant=replace(TRUTH, angular_momentum=0.0)))
     gimbal = plant.gimbals[0]
     gimbal.axis.power()
@@ -240,8 +240,8 @@ def test_the_gimbal_turns_while_the_motor_crosses_the_play() -> None:
     assert gimbal.angle > 0.02
 
 
-def test_dry_friction_holds_what_is_below_its_breakaway_torque() -> None:
-    """40 N m on an upright vehicle move it off; against 60 N m of dry friction it stays within the bristles' bend."""
+def test_dry_friction_holds_against_less_than_its_breakaway_torque() -> None:
+    """40 N m move an upright vehicle; with 60 N m of dry friction it stays within the deflection of the bristles."""
     loose = plant_at(0.0, SimulationConfig(PlantTruth(), hidden={"static_torque": 1.0 / 3.0}))
     stuck = plant_at(0.0, SimulationConfig(PlantTruth(), hidden={"static_torque": 1.0 / 3.0, "coulomb_friction": None}))
     for plant in (loose, stuck):
@@ -250,7 +250,7 @@ def test_dry_friction_holds_what_is_below_its_breakaway_torque() -> None:
     assert stuck.roll < 3e-4
 
 
-def test_an_unknown_effect_names_those_there_are() -> None:
+def test_unknown_effect_error_lists_the_available_effects() -> None:
     with pytest.raises(UnknownEffectError, match="coulomb_friction") as caught:
         SimulationConfig(PlantTruth(), hidden={}) and parse_hidden(["friction"], MONOCAB)
     assert caught.value.name == "friction"
@@ -258,7 +258,7 @@ def test_an_unknown_effect_names_those_there_are() -> None:
         Plant(SimulationConfig(PlantTruth(), hidden={"no_such": None}))
 
 
-def test_levels_scale_the_default_size() -> None:
+def test_levels_scale_the_default_amplitude() -> None:
     assert sizes_of(parse_hidden(["static_torque=2", "input_delay"], MONOCAB)[0], MONOCAB) == {
         "static_torque": 240.0,
         "input_delay": 0.012,
@@ -270,14 +270,14 @@ def test_levels_scale_the_default_size() -> None:
 @pytest.mark.parametrize(
     "argument", ["input_delay=-1", "actuator_lag=-0.5", "flexible_mode=9", "backlash=nan", "static_torque=inf"]
 )
-def test_a_level_that_cannot_be_is_refused_with_the_range(argument: str) -> None:
+def test_level_out_of_range_is_refused_with_the_range(argument: str) -> None:
     with pytest.raises(UnknownEffectError, match="Use a level from"):
         parse_hidden([argument], MONOCAB)
     assert sizes_of({"static_torque": -1.0}, MONOCAB) == {"static_torque": -120.0}
 
 
-def test_an_effect_that_sets_in_later_changes_nothing_before() -> None:
-    """Bit for bit the same until then; friction shows within a second of it."""
+def test_effect_changes_nothing_before_its_onset() -> None:
+    """Until then, the motion is bit-identical; after it, friction shows within a second."""
     hidden, onsets = parse_hidden(["viscous_friction=2@1.5"], MONOCAB)
     late = simulate_closed_loop(SimulationConfig(PlantTruth(), hidden=hidden, onsets=onsets), Balancer(), 3.0, roll=0.0)
     never = simulate_closed_loop(SimulationConfig(PlantTruth()), Balancer(), 3.0, roll=0.0)
@@ -291,7 +291,7 @@ def test_an_effect_that_sets_in_later_changes_nothing_before() -> None:
     ("argument", "match"),
     [("sensor_lag=1@5", "from the beginning"), ("viscous_friction@-1", "0 or more"), ("viscous_friction@x", "numbers")],
 )
-def test_an_onset_that_cannot_be_is_refused(argument: str, match: str) -> None:
+def test_invalid_onset_is_refused(argument: str, match: str) -> None:
     with pytest.raises(UnknownEffectError, match=match):
         parse_hidden([argument], MONOCAB)
 
@@ -305,7 +305,7 @@ def resting_samples(imu: ImuNode, rate: int = 250, count: int = 20_000) -> tuple
 
 
 @pytest.mark.parametrize("rate", [100, 500])
-def test_sensor_noise_has_the_data_sheets_size(rate: int) -> None:
+def test_sensor_noise_has_the_data_sheets_standard_deviation(rate: int) -> None:
     """20,000 samples: the standard deviation of a standard deviation is 0.5 %, so 2 % is four of them."""
     node = ImuNode(bias_random_walk=0.0)
     acceleration, angular_rate = resting_samples(node, rate)
@@ -315,14 +315,14 @@ def test_sensor_noise_has_the_data_sheets_size(rate: int) -> None:
     assert acceleration.mean(axis=0) == pytest.approx([0.0, 0.0, 9.81], abs=5e-4)
 
 
-def test_the_gyro_bias_walks_slowly() -> None:
-    """2e-6 rad/s/sqrt(s) over 80 s: a standard deviation of 1.8e-5 rad/s; the walk stays below five of it."""
+def test_gyro_bias_is_a_slow_random_walk() -> None:
+    """2e-6 rad/s/sqrt(s) over 80 s: a standard deviation of 1.8e-5 rad/s; the walk stays below five of these."""
     _, angular_rate = resting_samples(ImuNode(angular_rate_density=0.0))
     travel = angular_rate - angular_rate[0]
     assert 0.0 < np.abs(travel).max() < 5.0 * 2e-6 * math.sqrt(80.0)
 
 
-def test_sixteen_bit_readings_are_steps_of_the_format() -> None:
+def test_int16_readings_are_multiples_of_the_resolution() -> None:
     acceleration, angular_rate = resting_samples(ImuNode(precision="int16"), count=500)
     steps = angular_rate / math.radians(0.1)
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
@@ -330,7 +330,7 @@ def test_sixteen_bit_readings_are_steps_of_the_format() -> None:
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
-def test_the_accelerometer_feels_gravity_and_its_lever_arm() -> None:
+def test_accelerometer_measures_gravity_and_the_acceleration_of_its_lever_arm() -> None:
     node = ImuNode(acceleration_std=0.0, position=(0.0, 0.2, 0.9))
     plant = plant_at(0.03)
     plant.roll_rate, plant.roll_acceleration = 0.5, 2.0
@@ -353,8 +353,8 @@ def delayed(sizes: dict[str, float], signal: Callable[[float], float]) -> list[f
     return seen
 
 
-def test_hidden_delay_and_lag_of_the_sensor() -> None:
-    """Of a ramp of rate both report the past: the delay exactly, the lag by its time constant (and half a sample)."""
+def test_hidden_sensor_delay_and_lag_shift_a_ramp() -> None:
+    """A ramp of the rate is late by exactly the delay, or by the lag's time constant (and half a sample)."""
     late = delayed({"sensor_delay": 0.010}, lambda time: time)
     assert late[50] == pytest.approx(0.2 - 0.010, abs=1e-12)
     lagged = delayed({"sensor_lag": 0.020}, lambda time: time)
@@ -385,8 +385,8 @@ MOUNTINGS = [
 
 
 @pytest.mark.parametrize("node", MOUNTINGS)
-def test_the_drivers_read_what_the_imu_felt(node: ImuNode) -> None:
-    """Both sides are written apart from the vendor's table; they must agree on every layout and mounting."""
+def test_imu_driver_decodes_what_the_virtual_imu_measured(node: ImuNode) -> None:
+    """Both are written independently from the vendor's table and must agree on every layout and mounting."""
     reader = Imu(
         ImuConfig(
             protocol=node.protocol,

@@ -39,7 +39,7 @@ RATE = 200
 TRUTH = TwsbrTruth()
 IMU = ImuNode(position=(0.01, 0.0, 0.06))
 LOSSLESS = replace(TRUTH, motor_friction=0.0, wheel_friction=0.0, floor_angle=100.0)
-"""Without friction, and with a floor that lets the body through to hang."""
+"""Without friction, and without a floor, so that the body can hang."""
 EVERY = (*TWSBR_HIDDEN, *TWSBR_UNLISTED)
 PITCH = 2.0 * math.pi / TRUTH.encoder_counts_per_turn
 FLOOR_DEG = math.degrees(TRUTH.floor_angle)
@@ -74,7 +74,7 @@ def mass_matrix(truth: TwsbrTruth, tilt: float) -> np.ndarray:
 
 
 def energy(plant: TwsbrPlant, truth: TwsbrTruth) -> float:
-    """J, from the paper's matrix, the body's height above the axle counting up."""
+    """J, from the paper's matrix and the height of the body above the axle."""
     state = plant.state
     forward, swing, tip = state[PLACES : PLACES + 3]
     rates = np.array([forward - swing, forward + swing, tip])
@@ -86,9 +86,9 @@ def energy(plant: TwsbrPlant, truth: TwsbrTruth) -> float:
 
 
 def test_energy_is_conserved_without_friction_and_with_open_bridges() -> None:
-    """Four seconds of falling through the floor and swinging below the axle while it spins; an order-four integrator.
+    """Four seconds of falling and swinging below the axle, without a floor, while it spins; a fourth-order integrator.
 
-    Its error per step is below 1e-9 of the energy that swings at 0.5 ms and rates of 20 rad/s; 8000 steps are allowed.
+    At 0.5 ms and rates of 20 rad/s its error per step is below 1e-9 of the oscillating energy; 8000 steps are allowed.
     """
     plant = robot(LOSSLESS)
     plant.place(0.4)
@@ -104,8 +104,8 @@ def test_energy_is_conserved_without_friction_and_with_open_bridges() -> None:
     assert worst < 1e-5 * 2.0 * plant.mechanics.gravity_stiffness
 
 
-def test_upright_is_unstable_with_the_paper_matrices_pole() -> None:
-    """Let go at 1e-4 rad it falls as cosh(pole t), pole^2 from M^-1 and gravity; the sine bends that by 1e-6."""
+def test_upright_is_unstable_with_the_pole_of_the_papers_matrices() -> None:
+    """Released at 1e-4 rad it falls as cosh(pole t), pole^2 from M^-1 and gravity; the sine changes that by 1e-6."""
     plant = robot(LOSSLESS)
     plant.place(1e-4)
     run_for(plant, 0.5)
@@ -115,7 +115,7 @@ def test_upright_is_unstable_with_the_paper_matrices_pole() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_let_go_it_falls_and_lies_on_a_bumper(side: float) -> None:
+def test_released_robot_falls_and_rests_on_a_bumper(side: float) -> None:
     plant = robot()
     plant.place(side * math.radians(0.5))
     run_for(plant, 6.0)
@@ -126,7 +126,7 @@ def test_let_go_it_falls_and_lies_on_a_bumper(side: float) -> None:
     assert math.degrees(abs(plant.tilt)) == pytest.approx(FLOOR_DEG, abs=0.1)
 
 
-def test_it_starts_at_rest_on_its_front_bumper() -> None:
+def test_robot_starts_at_rest_on_its_front_bumper() -> None:
     plant = robot()
     start = plant.tilt
     run_for(plant, 1.0)
@@ -135,8 +135,8 @@ def test_it_starts_at_rest_on_its_front_bumper() -> None:
     assert [motor.measured_position for motor in plant.motors] == [0.0, 0.0]
 
 
-def test_a_held_robot_drives_at_the_speed_that_the_motor_equation_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """n K / R (U - n K w) = (b + f_v) w, U as the bridge gives it; a time constant of 0.45 s, eleven of them."""
+def test_held_robot_reaches_the_speed_given_by_the_motor_equation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """n K / R (U - n K w) = (b + f_v) w, with the bridge's U; after eleven time constants of 0.45 s."""
     plant = robot(replace(TRUTH, start="held"))
     monkeypatch.setattr("simulation.twsbr.plant.RELEASE_DELAY", math.inf)
     drive(plant, 6.0)
@@ -149,7 +149,7 @@ def test_a_held_robot_drives_at_the_speed_that_the_motor_equation_says(monkeypat
     assert volts == pytest.approx(6.0, abs=0.5 * 12.0 / 255)
 
 
-def test_the_stand_lets_go_when_the_motors_have_power() -> None:
+def test_stand_releases_the_robot_once_the_motors_are_powered() -> None:
     plant = robot(replace(TRUTH, start="held"))
     run_for(plant, 0.5)
     assert plant.tilt == 0.0
@@ -161,7 +161,7 @@ def test_the_stand_lets_go_when_the_motors_have_power() -> None:
     assert not plant.mechanics.held_upright
 
 
-def test_the_faster_right_wheel_turns_it_left() -> None:
+def test_faster_right_wheel_turns_the_robot_left() -> None:
     plant = robot()
     plant.hold()
     drive(plant, 2.0, 4.0)
@@ -197,7 +197,7 @@ def test_open_bridges_carry_no_current_and_a_shorted_motor_brakes() -> None:
 # --- motor, bridge, encoder
 
 
-def test_the_bridge_gives_no_more_than_the_supply_and_in_steps() -> None:
+def test_bridge_voltage_is_limited_to_the_supply_and_quantised() -> None:
     plant = robot()
     motor = plant.motors[0]
     for target in np.linspace(-15.0, 15.0, 1001):
@@ -210,8 +210,8 @@ def test_the_bridge_gives_no_more_than_the_supply_and_in_steps() -> None:
         assert motor.demand == pytest.approx(max(-12.0, min(12.0, target)), abs=0.5 * 12.0 / 255 + 1e-9)
 
 
-def test_the_encoder_counts_and_times_its_edges() -> None:
-    """At a steady speed the rate is exact once two edges have passed; at rest it fades: one count in the time since."""
+def test_encoder_counts_and_times_its_edges() -> None:
+    """At a steady speed the rate is exact after two edges; at rest it decays as one count per time since the last."""
     for rate in (0.3, -2.0, 25.0, -60.0):
         encoder = Encoder(PITCH, 5e-4)
         for step in range(1, 400):
@@ -223,7 +223,7 @@ def test_the_encoder_counts_and_times_its_edges() -> None:
         assert abs(encoder.rate) <= PITCH / 0.5
 
 
-def test_a_reversal_across_one_edge_is_no_speed() -> None:
+def test_reversals_across_one_edge_give_no_speed() -> None:
     encoder = Encoder(1.0, 1.0)
     for angle in (0.2, 0.7, 0.3, 0.6, 0.4):
         encoder.read(angle)
@@ -234,7 +234,7 @@ def test_a_reversal_across_one_edge_is_no_speed() -> None:
 
 
 class Balancer:
-    """PD on the tilt in degrees, and the paper's square wave on the voltage, from 1 s on; `measured` is the IMU's."""
+    """PD control of the tilt in degrees, and from 1 s on the paper's square wave on the voltage; `measured`: by IMU."""
 
     def __init__(self, amplitude: float) -> None:
         self.amplitude = amplitude
@@ -248,7 +248,7 @@ class Balancer:
         return max(-12.0, min(12.0, volts)) + square
 
     def measured(self, acceleration: Sequence[float], angular_rate: Sequence[float]) -> float:
-        """The tilt from a complementary filter of 5 s: the axle's acceleration would mislead a faster one."""
+        """V, for the tilt from a complementary filter of 5 s: the axle's acceleration would disturb a faster one."""
         lean = math.atan2(-acceleration[0], acceleration[2])
         turned = angular_rate[1] / RATE
         self.tilt = lean if self.tilt is None else self.tilt + turned + 0.001 * (lean - self.tilt)
@@ -271,15 +271,15 @@ def balanced(hide: Sequence[str] = (), *, seconds: float, tilt_deg: float | None
     return np.array(rows)
 
 
-def test_an_ideal_pd_balances_it_through_the_square_wave() -> None:
-    """8 V at 5 rad/s on the motor voltage, 200 Hz: within 3 deg, and moved by half of what 8 V are to 25 V/deg."""
+def test_pd_control_balances_the_robot_through_the_square_wave() -> None:
+    """8 V at 5 rad/s on the motor voltage, 200 Hz: within 3 deg, and more than half of 8 V / (25 V/deg)."""
     run = balanced(seconds=6.0, tilt_deg=0.5)
     excited = np.degrees(np.abs(run[RATE:, 0]))
     assert excited.max() < 3.0
     assert excited.max() > 0.5 * 8.0 / 25.0
 
 
-def test_without_control_the_same_square_wave_throws_it_on_the_floor() -> None:
+def test_robot_falls_under_the_square_wave_without_control() -> None:
     plant = robot()
     plant.place(0.0)
     for cycle in range(3 * RATE):
@@ -288,7 +288,7 @@ def test_without_control_the_same_square_wave_throws_it_on_the_floor() -> None:
     assert abs(math.degrees(plant.tilt)) > 5.0
 
 
-def test_it_rises_from_either_bumper() -> None:
+def test_robot_rises_from_either_bumper() -> None:
     for start in (None, -FLOOR_DEG):
         run = balanced(seconds=2.0, tilt_deg=start, amplitude=0.0)
         assert math.degrees(abs(run[0, 0])) > 11.9
@@ -299,7 +299,7 @@ def test_it_rises_from_either_bumper() -> None:
 
 
 def with_imu(hidden: dict[str, float | None]) -> np.ndarray:
-    """True tilt by cycle, (n,): two seconds from 3 deg, so that the wheels turn, balanced by what the IMU says."""
+    """True tilt by cycle, (n,): two seconds from 3 deg, so that the wheels turn, balanced with the IMU."""
     onsets = {"torque_step": 0.5} if "torque_step" in hidden else {}
     config = SimulationConfig(plant=TRUTH, rate=RATE, imu=IMU, hidden=hidden, onsets=onsets)
     plant = machine(config)
@@ -322,16 +322,16 @@ def bare() -> np.ndarray:
     return with_imu({})
 
 
-def test_level_zero_hides_nothing(bare: np.ndarray) -> None:
+def test_level_zero_equals_no_hidden_effects(bare: np.ndarray) -> None:
     assert np.array_equal(with_imu(dict.fromkeys(EVERY, 0.0)), bare)
     assert math.degrees(np.abs(bare[RATE:]).max()) < 1.0
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_each_hidden_effect_changes_the_motion_and_leaves_it_in_balance(name: str, bare: np.ndarray) -> None:
-    """Beyond 1e-5 rad, with the same noise.
+def test_each_hidden_effect_changes_the_motion_and_keeps_the_balance(name: str, bare: np.ndarray) -> None:
+    """By more than 1e-5 rad, with the same noise.
 
-    More of an effect need not change the motion more: with Stribeck friction the RMS difference of the tilt was
+    A larger effect need not change the motion more: with Stribeck friction the RMS difference of the tilt was
     0.45 deg here at level 1 and 0.43 deg at level 2. What must grow is the torque, see below.
     """
     hidden = with_imu({name: None})
@@ -347,7 +347,7 @@ TORQUES = [
 
 
 @pytest.mark.parametrize("name", TORQUES)
-def test_at_the_same_motion_twice_the_level_is_twice_the_torque(name: str) -> None:
+def test_torque_at_the_same_motion_is_proportional_to_the_level(name: str) -> None:
     def torques(level: float) -> list[float]:
         sizes = sizes_of({name: level}, TWSBR)
         on_tilt = tilt_effects(sizes, {})
@@ -367,14 +367,14 @@ def test_at_the_same_motion_twice_the_level_is_twice_the_torque(name: str) -> No
     assert twice == pytest.approx(2.0 * once, rel=1e-9, abs=1e-12)
 
 
-def test_a_cable_that_holds_it_upright_lets_it_lie_on_its_bumper() -> None:
-    """A cubic spring that grew on to 12 deg would lift it off: 1.8 N m against 0.07 N m of gravity."""
+def test_cubic_stiffness_does_not_lift_the_robot_off_its_bumper() -> None:
+    """A torque that grew cubically up to 12 deg would lift it off: 1.8 N m against 0.07 N m of gravity."""
     plant = robot(hide=["cubic_stiffness=2"])
     run_for(plant, 2.0)
     assert math.degrees(plant.tilt) == pytest.approx(FLOOR_DEG, abs=0.1)
 
 
-def test_a_slope_pulls_it_back_by_its_weight() -> None:
+def test_slope_pulls_the_robot_back_by_its_weight() -> None:
     """Held on wheels that turn freely: acceleration r (m_b + 2 m_w) g r sin(slope) over the inertia of travel."""
     plant = robot(replace(LOSSLESS, start="held"), ["slope"])
     run_for(plant, 0.2)
@@ -384,29 +384,29 @@ def test_a_slope_pulls_it_back_by_its_weight() -> None:
     assert plant.travelled == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_motor_crosses_the_play_before_the_wheel_turns() -> None:
+def test_motor_crosses_the_backlash_before_the_wheel_turns() -> None:
     plant = robot(hide=["backlash"])
     plant.hold()
     drive(plant, 1.0)
-    play = TWSBR_HIDDEN["backlash"].size
-    while plant.state[3] < 0.45 * play:
+    backlash_width = TWSBR_HIDDEN["backlash"].size
+    while plant.state[3] < 0.45 * backlash_width:
         plant.step()
         assert plant.motors[0].wheel_angle == 0.0
     run_for(plant, 0.06)
     assert plant.motors[0].wheel_angle > 0.0
-    assert plant.state[3] - plant.motors[0].wheel_angle == pytest.approx(0.5 * play, rel=0.5)
+    assert plant.state[3] - plant.motors[0].wheel_angle == pytest.approx(0.5 * backlash_width, rel=0.5)
 
 
-def test_a_gear_with_hardly_any_play_does_not_swing_against_the_controller() -> None:
-    """With a play of 1e-6 rad its wheels shake from cycle to cycle as without: 0.046 rad/s RMS, and 0.073 where shaft
-    and teeth give four times as much with half the damping."""
+def test_gear_with_little_backlash_does_not_oscillate_against_the_controller() -> None:
+    """With a backlash of 1e-6 rad, its wheels vibrate from cycle to cycle as without: 0.046 rad/s RMS, and 0.073 if
+    shaft and teeth have four times the compliance and half the damping."""
     runs = (balanced(hide=hide, seconds=4.0, tilt_deg=0.5)[RATE:, 1] for hide in ((), ("backlash=1e-3",)))
     stiff, loose = (float(np.std(np.diff(run, 2))) for run in runs)
     assert loose == pytest.approx(stiff, rel=0.1)
 
 
-def test_a_gear_with_hardly_any_play_is_a_stiff_gear() -> None:
-    """Let go with open bridges: a play of 1e-6 rad and the teeth's give change a fall of 4 deg by less than 0.5 %."""
+def test_gear_with_little_backlash_behaves_as_a_stiff_gear() -> None:
+    """With open bridges, a backlash of 1e-6 rad and compliant teeth change a fall of 4 deg by less than 0.5 %."""
     stiff, loose = robot(), robot(hide=["backlash=1e-3"])
     for plant in (stiff, loose):
         plant.place(math.radians(2.0))
@@ -416,7 +416,7 @@ def test_a_gear_with_hardly_any_play_is_a_stiff_gear() -> None:
 
 
 def test_dry_friction_holds_the_wheels_below_its_breakaway_torque() -> None:
-    """0.2 V are 11 mN m at a wheel, friction in its gear 30 mN m: the bristles, which slide from 0.2 mrad on, ring."""
+    """0.2 V give 11 mN m at a wheel, its gear has 30 mN m of friction: bristles, which slide from 0.2 mrad on, ring."""
     loose, stuck = robot(), robot(hide=["coulomb_friction=3"])
     for plant in (loose, stuck):
         plant.hold()
@@ -428,26 +428,26 @@ def test_dry_friction_holds_the_wheels_below_its_breakaway_torque() -> None:
     assert loose.motors[0].wheel_angle > 2.5e-3
 
 
-def test_a_weak_battery_sags_under_both_motors() -> None:
-    """At standstill: current = U / (R + 2 R_battery) in each motor; the wheels are kept from turning by force."""
+def test_weak_battery_sags_under_the_current_of_both_motors() -> None:
+    """At standstill: current = U / (R + 2 R_battery) in each motor; the wheels are kept from turning."""
     plant = robot(hide=["test_battery_sag"])
     plant.hold()
     drive(plant, 12.0)
     for _ in range(50):
         plant.step()
         plant.state = (0.0,) * (2 * PLACES)
-    # The state is put back after each step, so the rotors reach half a millisecond's acceleration: 1 % of the current.
+    # The state is reset after each step, so the rotors accelerate for half a millisecond: 1 % of the current.
     assert plant.motors[0].current == pytest.approx(12.0 / (TRUTH.resistance + 2.0 * 0.6), rel=0.015)
 
 
-def test_an_effect_that_sets_in_later_changes_nothing_before() -> None:
+def test_effect_changes_nothing_before_its_onset() -> None:
     late = balanced(["viscous_friction=2@0.8"], seconds=1.6, tilt_deg=3.0)
     never = balanced(seconds=1.6, tilt_deg=3.0)
     changed = np.flatnonzero(late[:, 0] != never[:, 0])
     assert changed[0] / RATE == pytest.approx(0.8, abs=0.011)
 
 
-def test_the_registry_is_the_robots_own() -> None:
+def test_robot_has_its_own_registry_of_effects() -> None:
     assert all(name.startswith("test_") for name in TWSBR_UNLISTED)
     assert not any(name.startswith("test_") for name in TWSBR_HIDDEN)
     assert set(EVERY) >= TWSBR.late
@@ -463,8 +463,8 @@ def test_the_registry_is_the_robots_own() -> None:
 # --- IMU
 
 
-def test_the_accelerometer_feels_what_its_place_does() -> None:
-    """Against the second difference of the sensor's place in the world, while the robot falls, drives and turns."""
+def test_imu_measures_the_motion_of_its_position() -> None:
+    """Compared with differences of the sensor's pose in the world, while the robot falls, drives and turns."""
     plant = robot()
     plant.place(0.1)
     drive(plant, 2.0, 12.0)
@@ -490,7 +490,7 @@ def test_the_accelerometer_feels_what_its_place_does() -> None:
     assert min(abs(x) for x in angular) > 0.05, "or it would not have turned about every axis"
 
 
-def test_the_hidden_gyro_errors_are_those_of_the_tilt_axis() -> None:
+def test_hidden_gyro_bias_acts_on_the_tilt_axis() -> None:
     quiet = replace(IMU, angular_rate_density=0.0, bias_random_walk=0.0, angular_rate_bias=(0.0, 0.0, 0.0))
     plant = robot()
     imu = VirtualImu(quiet, rate=RATE, seed=1, gravity=9.81, sizes={"gyro_bias": 0.1}, falling_axis=1)
@@ -525,7 +525,7 @@ def configuration(truth: TwsbrTruth = TRUTH) -> SimulationConfig:
 
 
 class Robot(Harness):
-    """The master of the other tests, with volts for rpm and two nodes."""
+    """The master of the other tests, with volts instead of rpm and with two nodes."""
 
     def set_up(self, mode: int = -1, timeout_ms: int = 120, reaction: int = 3) -> None:
         for node in (1, 2):
@@ -560,7 +560,7 @@ class Robot(Harness):
         return [drive.state for drive in self.vehicle.drives.values()]
 
     def actual(self, node: int) -> tuple[int, int, int, int]:
-        """Statusword, position, velocity and torque that the drive sent last."""
+        """Statusword, position, velocity and torque as last sent by the drive."""
         word, position = struct.unpack("<Hi", self.frames(0x180 + node)[-1])
         return word, position, *struct.unpack("<ih", self.frames(0x280 + node)[-1])
 
@@ -572,7 +572,7 @@ def bus() -> Robot:
     return bus
 
 
-def test_the_master_enables_both_motors_in_voltage_mode(bus: Robot) -> None:
+def test_master_enables_both_motors_in_voltage_mode(bus: Robot) -> None:
     bus.enable()
     words = [struct.unpack_from("<H", data)[0] & 0x6F for data in bus.frames(0x181)]
     assert [word for i, word in enumerate(words) if i == 0 or word != words[i - 1]] == [0x00, 0x40, 0x21, 0x23, 0x27]
@@ -582,8 +582,8 @@ def test_the_master_enables_both_motors_in_voltage_mode(bus: Robot) -> None:
     assert bus.sdo(1, 0x6060, 0, 2, 1) == -0x06090030
 
 
-def test_a_target_voltage_turns_both_wheels_forward(bus: Robot) -> None:
-    """2 V lift the robot off its bumper and throw it on the other one; on the way both encoders count forwards."""
+def test_target_voltage_turns_both_wheels_forward(bus: Robot) -> None:
+    """2 V lift the robot off its bumper and throw it onto the other one; on the way both encoders count forwards."""
     bus.enable()
     bus.cycles(0.05, ENABLE, 2.0)
     assert bus.sdo(1, 0x2401) == pytest.approx(2000, abs=24)
@@ -597,7 +597,7 @@ def test_a_target_voltage_turns_both_wheels_forward(bus: Robot) -> None:
     assert bus.robot.motors[0].wheel_rate == pytest.approx(bus.robot.motors[1].wheel_rate, rel=1e-9)
 
 
-def test_more_than_the_supply_is_limited_and_said(bus: Robot) -> None:
+def test_voltage_beyond_the_supply_is_limited_and_reported(bus: Robot) -> None:
     bus.enable()
     bus.cycle(ENABLE, 12.0)
     assert not bus.actual(1)[0] & 0x800
@@ -608,14 +608,14 @@ def test_more_than_the_supply_is_limited_and_said(bus: Robot) -> None:
 
 
 @pytest.mark.parametrize("controlword", [ENABLE | 0x100, SWITCH_ON])
-def test_halt_and_disable_take_the_voltage_away(bus: Robot, controlword: int) -> None:
+def test_halt_and_disable_remove_the_voltage(bus: Robot, controlword: int) -> None:
     bus.enable()
     bus.cycles(0.05, ENABLE, 3.0)
     bus.cycles(0.05, controlword, 3.0)
     assert [motor.target for motor in bus.robot.motors] == [0.0, 0.0]
 
 
-def test_without_a_mode_there_is_no_voltage() -> None:
+def test_motors_without_a_mode_have_no_voltage() -> None:
     bus = Robot(configuration())
     bus.nmt(1)
     bus.enable()
@@ -635,7 +635,7 @@ def test_quick_stop_shorts_the_motors_and_then_opens_the_bridges(bus: Robot) -> 
     assert not any(motor.powered for motor in bus.robot.motors)
 
 
-def test_without_the_masters_heartbeat_the_motors_lose_their_voltage(bus: Robot) -> None:
+def test_loss_of_the_masters_heartbeat_removes_the_voltage(bus: Robot) -> None:
     bus.enable()
     bus.cycles(0.135, ENABLE, 4.0, heartbeat=False)
     assert [bus.emergencies(node) for node in (1, 2)] == [[0x8130]] * 2
@@ -645,7 +645,7 @@ def test_without_the_masters_heartbeat_the_motors_lose_their_voltage(bus: Robot)
     assert math.degrees(abs(bus.robot.tilt)) == pytest.approx(FLOOR_DEG, abs=0.2)
 
 
-def test_a_fault_of_one_motor_opens_its_bridge() -> None:
+def test_fault_of_one_motor_opens_its_bridge() -> None:
     bus = Robot(configuration(), faults=parse_faults(["drive_fault:right_wheel@0.5"], ["left_wheel", "right_wheel"]))
     bus.set_up()
     bus.enable()
@@ -655,8 +655,8 @@ def test_a_fault_of_one_motor_opens_its_bridge() -> None:
     assert bus.robot.yaw < 0.0
 
 
-def test_the_masters_loop_over_the_bus_balances_it(bus: Robot) -> None:
-    """Raised from the bumper by what the IMU's frames and the drivers say, through the square wave, within 3 deg."""
+def test_control_loop_over_the_bus_balances_the_robot(bus: Robot) -> None:
+    """Raised from the bumper with the IMU's frames as decoded by the driver, through the square wave, within 3 deg."""
     imu = Imu(
         ImuConfig(
             protocol=IMU.protocol,
@@ -684,13 +684,13 @@ def test_the_masters_loop_over_the_bus_balances_it(bus: Robot) -> None:
     assert math.degrees(np.abs(tilts[RATE:]).max()) < 3.0
 
 
-def test_lying_the_imu_shows_the_floor_angle(bus: Robot) -> None:
+def test_imu_of_the_resting_robot_shows_the_floor_angle(bus: Robot) -> None:
     bus.cycles(0.1, DISABLE_VOLTAGE)
     (x,) = struct.unpack_from("<f", bus.frames(0x18A)[-1])
     assert math.degrees(math.asin(-x)) == pytest.approx(FLOOR_DEG, abs=0.5)
 
 
-def test_drives_that_a_robot_does_not_have_are_refused() -> None:
+def test_drives_that_do_not_suit_the_robot_are_refused() -> None:
     nodes = wheel_nodes()
     with pytest.raises(SimulationError, match="1 trim drives, a balancing robot has 0"):
         Robot(replace(configuration(), drives=(*nodes, replace(nodes[0], name="trim", role="trim", node=3))))
@@ -698,7 +698,7 @@ def test_drives_that_a_robot_does_not_have_are_refused() -> None:
         Robot(replace(configuration(), drives=wheel_nodes(mode=2, rpdo=(("controlword", "target_velocity"),))))
 
 
-def test_it_runs_on_a_real_bus_with_a_plain_canopen_master(request: pytest.FixtureRequest) -> None:
+def test_plain_canopen_master_runs_the_robot_on_a_python_can_bus(request: pytest.FixtureRequest) -> None:
     channel = request.node.name
     bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
     other = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
