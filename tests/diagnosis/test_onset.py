@@ -1,4 +1,4 @@
-"""Which effect, and since when: on made-up columns whose truth is known."""
+"""Which effect, and from which second on: the search for change points, on synthetic columns of known truth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from diagnosis.live.onset import BEGINNING, Amplitudes, Onset
 from diagnosis.live.products import Products
 
 ROWS = 200
-"""Rows a second."""
+"""Samples per second."""
 NUISANCES = 3
 FREE = (-np.inf, np.inf)
 EFFECTS = (
@@ -25,9 +25,9 @@ EFFECTS = (
 def gathered(
     seed: int, seconds: int, acts: dict[int, tuple[float, float]], *, kept: int = 32, held: tuple[int, ...] = ()
 ) -> Products:
-    """`acts`: column to its amplitude and the time, s, from which on it acts. The noise has unit variance.
+    """`acts`: for each column its amplitude and the time, s, from which on it acts. The noise has unit variance.
 
-    Neighbouring columns correlate by 0.8, and with the nuisances by 0.5, as those of real effects do.
+    Neighbouring columns have a correlation of 0.8, and of 0.5 with the nuisances, like those of real effects.
     """
     rng = np.random.default_rng(seed)
     products = Products(np.full(NUISANCES, 1e-2), np.zeros(NUISANCES), 10, kept)
@@ -36,10 +36,10 @@ def gathered(
         columns = 0.8 * common + 0.6 * rng.standard_normal((ROWS, 9))
         time = second + np.arange(ROWS) / ROWS
         noise = rng.standard_normal(ROWS)
-        told = noise + columns[:, :NUISANCES] @ [1.0, -2.0, 0.5]
+        observed = noise + columns[:, :NUISANCES] @ [1.0, -2.0, 0.5]
         for column, (amplitude, begin) in acts.items():
-            told += amplitude * columns[:, column] * (time >= begin)
-        products.add(np.column_stack((columns, told)))
+            observed += amplitude * columns[:, column] * (time >= begin)
+        products.add(np.column_stack((columns, observed)))
         products.end_second(held)
     return products
 
@@ -49,50 +49,50 @@ def named(products: Products, known: tuple[Onset, ...] = ()) -> list[Onset]:
 
 
 @pytest.mark.parametrize("begin", [12.0, 12.5, 12.9])
-def test_an_effect_is_found_with_its_size_and_the_second_it_sets_in(begin: float) -> None:
+def test_effect_is_found_with_its_amplitude_and_its_change_point(begin: float) -> None:
     found = named(gathered(1, 24, {3: (0.3, begin)}))
     assert found[0].effect.name == "first"
-    # What it does in the second before is free, so one that acts in all of that one may be told a second later.
+    # Amplitudes in the second of the onset are free: an effect that acts throughout it may be dated a second later.
     assert begin - 1.0 < found[0].second < begin + 1.2
-    # Five standard errors: one draw in a million is farther off.
+    # Five standard errors: the error of one draw in a million is larger.
     assert abs(found[0].sizes[0] - 0.3) < 5.0 * found[0].standard_errors[0]
     assert found[0].statistic > 100.0
 
 
-def test_what_was_there_from_the_beginning_has_no_onset() -> None:
+def test_effect_present_from_the_beginning_has_no_change_point() -> None:
     assert named(gathered(2, 24, {4: (0.2, 0.0)}))[0].second == BEGINNING
 
 
-def test_the_second_effect_is_found_with_the_first_one_taken_for_granted() -> None:
+def test_second_effect_is_found_given_the_first_and_no_third_is() -> None:
     products = gathered(3, 30, {3: (0.4, 8.5), 6: (0.2, 0.0), 7: (-0.2, 0.0)})
     first = named(products)[0]
     second = named(products, (first,))[0]
     assert {first.effect.name, second.effect.name} == {"first", "pair"}
     rest = named(products, (first, second))
-    assert not rest or rest[0].statistic < 25.0  # chi squared of one to two: below this 99.9996 % of the time
+    assert not rest or rest[0].statistic < 25.0  # chi-squared, one or two freedoms: below this 99.9996 % of the time
 
 
-def test_friction_that_would_drive_is_no_friction() -> None:
+def test_friction_of_a_driving_sign_is_excluded() -> None:
     found = {each.effect.name: each for each in named(gathered(4, 24, {5: (-0.3, 0.0)}))}
     assert "braking" not in found or found["braking"].sizes[0] == 0.0
 
 
-def test_how_a_vehicle_is_built_does_not_set_in() -> None:
+def test_structural_effect_has_no_change_point() -> None:
     found = {each.effect.name: each for each in named(gathered(5, 24, {8: (0.5, 12.0)}))}
     assert found["built_in"].second == BEGINNING
 
 
-def test_nothing_missing_stays_below_what_bonferroni_asks_for() -> None:
-    """60 records of 40 s: with a level of 1 % in all of them together, none may be named (seeds fixed)."""
+def test_statistics_of_pure_noise_stay_below_the_bonferroni_threshold() -> None:
+    """60 records of 40 s: at a level of 1 % for all of them together, no effect may be named (seeds fixed)."""
     from scipy.stats import chi2
 
-    asked = chi2.isf(0.01 / (60 * len(EFFECTS) * 40), 2)
+    threshold = chi2.isf(0.01 / (60 * len(EFFECTS) * 40), 2)
     most = [max((each.statistic for each in named(gathered(100 + seed, 40, {}))), default=0.0) for seed in range(60)]
-    assert max(most) < asked
+    assert max(most) < threshold
 
 
-def test_an_onset_that_was_found_is_kept_apart_however_long_ago() -> None:
-    """Kept are 16 parts; what set in at 10.5 s is told at 80 s as well, within its standard error."""
+def test_block_boundary_at_a_found_change_point_is_kept() -> None:
+    """16 blocks are kept. After 80 s an effect from 10.5 s on is still found, and its error is as its standard error."""
     products = gathered(6, 80, {3: (0.3, 10.5)}, kept=16, held=(11,))
     blocks, starts = products.latest()
     assert len(blocks) == 16
@@ -103,8 +103,8 @@ def test_an_onset_that_was_found_is_kept_apart_however_long_ago() -> None:
     assert abs(best.sizes[0] - 0.3) < 5.0 * best.standard_errors[0]
 
 
-def test_noise_that_comes_in_bursts_is_less_surprising() -> None:
-    """The innovations of every other second are three times as large: scores scatter more than their information."""
+def test_noise_in_bursts_inflates_the_variance_of_the_score() -> None:
+    """The innovations of every other second are three times as large: scores scatter more than the information says."""
     rng = np.random.default_rng(7)
     products = Products(np.full(NUISANCES, 1e-2), np.zeros(NUISANCES), 10, 32)
     for second in range(30):
@@ -117,7 +117,7 @@ def test_noise_that_comes_in_bursts_is_less_surprising() -> None:
     assert first.inflation > 2.0
 
 
-def test_an_effect_that_nothing_tells_from_the_nuisances_is_left_out() -> None:
+def test_effect_identical_to_a_nuisance_is_left_out() -> None:
     rng = np.random.default_rng(8)
     products = Products(np.zeros(NUISANCES), np.zeros(NUISANCES), 10, 32)
     for _ in range(12):

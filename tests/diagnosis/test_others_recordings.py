@@ -1,8 +1,8 @@
-"""Recordings of a MONOCAB that others made: a noisy gyro, a loop without delay, a speed loop of one lag; from a table.
+"""Tables of a MONOCAB from another simulator: a noisy gyro, a loop without delay, a first-order speed loop.
 
-The drives answer to the gyro's noise before its next row: what is made of that answer has to be told from an effect.
-Sizes are ten times and more what the record would just show. On these seeds nothing was decided; that dry friction and
-the effects of the command were called unknown was seen on another simulator's, which this one resembles.
+The drives respond to the gyro's noise before its next sample: this response must not be taken for an effect.
+Amplitudes are ten or more times the minimum detectable ones. No decision was based on these seeds. That dry friction
+and the effects of the command were called unknown was observed on a third simulator, which this one resembles.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ SIZES: dict[str, dict[str, tuple[float, float]]] = {
     "input_delay": {"delay": (0.02, 5e-4)},
     "input_gain": {"gain": (-0.15, 2e-3)},
     "input_deadband": {"width": (0.02, 2e-4)},
-    # Which of two lags in a row comes first, 40 ms or 50 ms, hardly shows.
+    # The order of two lags in series, 40 ms and 50 ms, is hardly identifiable.
     "actuator_lag": {"lag": (0.045, 7e-3)},
 }
-"""Value and how far off it may be, by parameter."""
+"""Value and tolerance, by parameter."""
 
 
 def diagnosed(path: Path) -> Any:
@@ -50,7 +50,7 @@ def diagnosed(path: Path) -> Any:
 
 
 @pytest.mark.parametrize("effect", of_many(SIZES, "coulomb_friction", "input_delay"))
-def test_what_is_missing_is_found(effect: str, tmp_path: Path) -> None:
+def test_missing_effect_is_found_with_its_parameters(effect: str, tmp_path: Path) -> None:
     found = diagnosed(OthersVehicle(seed=11, **EFFECTS[effect]).write(tmp_path / "theirs.csv"))
     assert found["verdict"] == "missing_effect", found["reason"]
     assert right(effect, found)
@@ -60,14 +60,14 @@ def test_what_is_missing_is_found(effect: str, tmp_path: Path) -> None:
         assert named["parameters"][f"{effect}.{name}"]["value"] == pytest.approx(size, abs=within)
 
 
-def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
+def test_correct_model_is_adequate(tmp_path: Path) -> None:
     found = diagnosed(OthersVehicle(seed=12).write(tmp_path / "theirs.csv"))
     assert found["verdict"] == "adequate", found["reason"]
 
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    """With dry friction hidden, of which play's formula can make the noise of a row ahead."""
+    """With hidden dry friction. On this record the formula of backlash can reproduce the noise of a sample in advance."""
     path = OthersVehicle(seed=13, **EFFECTS["coulomb_friction"]).write(tmp_path_factory.mktemp("theirs") / "theirs.csv")
     recording, vehicle = load_recording(path, "monocab"), load("monocab")
     model = ready(nominal_model("monocab").remove("static_torque"), [recording])
@@ -79,27 +79,25 @@ def base(workspace: Workspace) -> FullFit:
     return full(ready(nominal_model("monocab").remove("static_torque"), workspace.recordings), workspace)
 
 
-class TestForesight:
+class TestLookAhead:
     def fitted(self, base: FullFit, workspace: Workspace, effect: str, begin: Mapping[str, float]) -> FullFit:
         candidate = next(each for each in workspace.candidates if each.name == effect)
         end = replace(base.fit.end, values={**base.fit.end.values, **begin})
         return full(with_effect(base.model, candidate, {}), workspace, candidate, end)
 
-    def test_the_right_effect_foretells_no_noise_and_one_that_reads_ahead_does(
-        self, base: FullFit, workspace: Workspace
-    ) -> None:
+    def test_correct_fit_is_causal_and_a_non_causal_fit_is_detected(self, base: FullFit, workspace: Workspace) -> None:
         right = self.fitted(base, workspace, "coulomb_friction", {"coulomb_friction.torque": 10.0})
         rate = [each.name for each in base.model.outputs].index("roll_rate")
         assert look_ahead_share(right.fit, rate)[0] == pytest.approx(0.0, abs=0.02)
         assert not looks_ahead(right.fit, base.fit)
-        # A row ahead, with a shaft so soft that its twist is all there is.
+        # One sample ahead, with a shaft so soft that there is nothing but its twist.
         soft = {"backlash.width": 2e-4, "backlash.torque": 1.0, "backlash.load_inertia": 30.0}
         wrong = self.fitted(base, workspace, "backlash", {**soft, "drive_offset": -0.005})
         assert wrong.log_likelihood > right.log_likelihood
         assert look_ahead_share(wrong.fit, rate)[0] > 2.0 * LOOKED_AHEAD
         assert looks_ahead(wrong.fit, base.fit)
 
-    def test_too_few_rows_say_nothing(self, base: FullFit) -> None:
+    def test_look_ahead_share_of_too_few_samples_is_undetermined(self, base: FullFit) -> None:
         segment = base.fit.problem.segments[0]
         short = replace(segment, time=segment.time[:60], measured=segment.measured[:60])
         few = replace(base.fit, problem=replace(base.fit.problem, segments=(short,)))

@@ -1,5 +1,5 @@
-"""A table of a balancing robot that others made: its tilt was measured by itself, and no filter takes driving off for a
-lean. As `upright diagnose TABLE --vehicle twsbr` is told it, with a few effects to look for."""
+"""A table of a balancing robot from another simulator: its tilt is measured directly, so no filter takes acceleration
+for tilt. Diagnosed by `upright diagnose TABLE --vehicle twsbr`, with a few effects to look for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.patient
 
 LOOKED_FOR = ("static_torque", "sensor_scale", "input_deadband")
 WITHIN = 3.0
-"""Standard deviations that a size may be off."""
+"""Standard deviations by which an estimate may be off."""
 
 
 def diagnosed(path: Path) -> Any:
@@ -32,8 +32,8 @@ def diagnosed(path: Path) -> Any:
     return json.loads(done.stdout)
 
 
-def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
-    """With the tilt filter in the model a scale of the gyro of 1.3 % was."""
+def test_correct_model_is_adequate(tmp_path: Path) -> None:
+    """With the tilt filter in the model, a scale error of the gyro of 1.3 % was found."""
     found = diagnosed(OthersRobot(seed=41).write(tmp_path / "theirs.csv"))
     assert found["verdict"] == "adequate", found["reason"]
 
@@ -42,17 +42,17 @@ def test_nothing_is_found_where_nothing_is_missing(tmp_path: Path) -> None:
     ("effect", "parameter", "size"),
     [("static_torque@travel", "torque", hill(2.0)), ("input_deadband", "width", 0.6)],
 )
-def test_what_is_missing_is_found(effect: str, parameter: str, size: float, tmp_path: Path) -> None:
+def test_missing_effect_is_found_with_its_amplitude(effect: str, parameter: str, size: float, tmp_path: Path) -> None:
     found = diagnosed(OthersRobot(seed=42, **EFFECTS[effect]).write(tmp_path / "theirs.csv"))
     assert found["verdict"] == "missing_effect", found["reason"]
     (named,) = found["findings"]
     assert named["effect"] == effect
-    told = named["parameters"][f"{effect}.{parameter}"]
-    assert abs(told["value"] - size) < WITHIN * told["std"]
+    estimate = named["parameters"][f"{effect}.{parameter}"]
+    assert abs(estimate["value"] - size) < WITHIN * estimate["std"]
 
 
-def test_the_errors_of_a_filter_fade_where_there_was_none(tmp_path: Path) -> None:
-    """Whether a filter made the tilt is what its white noise says."""
+def test_filter_errors_decay_in_the_model_of_a_directly_measured_tilt(tmp_path: Path) -> None:
+    """The white noise of the tilt shows whether a filter computed it."""
     model = get("twsbr")
     theirs = load_recording(OthersRobot(seed=43).write(tmp_path / "theirs.csv"), "twsbr")
     errors = {each.name for each in model.base_states if each.error_of == "tilt"}

@@ -1,7 +1,7 @@
-"""A machine of one's own: a model file from the manual and a table, no vehicle file; what is missing is found.
+"""A user's own machine: missing effects are found with a model file of the manual and a table, without a vehicle file.
 
-The sizes are what a bench has: friction of a bearing, a buffer, a load that creeps. Many times what the record would
-just show, so that what the model's formula lacks is far above the noise, too.
+The amplitudes are those of a test bench: friction of a bearing, a buffer, a load that creeps. They are many times the
+minimum detectable ones, so that the error of the model's formula is far above the noise, too.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from service.cli import app
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "write-your-own-model.md"
 SEED = 71
-"""Nothing was decided on it."""
+"""No decision was based on it."""
 MISSING: dict[str, tuple[pendulum_plant.Missing, dict[str, float]]] = {
-    # Smoothed otherwise than the model's.
+    # Smoothed differently from the model's.
     "coulomb_friction": (lambda t, angle, rate: -0.25 * rate / math.hypot(rate, 2e-3), {"torque": 0.25}),
     "viscous_friction": (lambda t, angle, rate: -0.25 * rate, {"coefficient": 0.25}),
     "quadratic_drag": (lambda t, angle, rate: -0.2 * rate * abs(rate), {"coefficient": 0.2}),
@@ -34,7 +34,7 @@ MISSING: dict[str, tuple[pendulum_plant.Missing, dict[str, float]]] = {
     ),
     "periodic_disturbance": (lambda t, angle, rate: 0.15 * math.sin(2.0 * math.pi * 2.7 * t + 0.3), {"frequency": 2.7}),
     "torque_step": (lambda t, angle, rate: 0.4 if t > 14.0 else 0.0, {"torque": 0.4}),
-    # Without an end: what it settles at is anything.
+    # It does not end: its final value is arbitrary.
     "torque_drift": (lambda t, angle, rate: t / 60.0, {}),
 }
 UNLISTED: dict[str, pendulum_plant.Missing] = {
@@ -65,32 +65,32 @@ def diagnosed(
 
 
 @pytest.mark.parametrize("effect", of_many(MISSING, "coulomb_friction", "quadratic_drag", "end_stop", "torque_step"))
-def test_what_is_missing_is_found(effect: str, model: Path, tmp_path: Path) -> None:
+def test_missing_effect_is_found_with_its_parameters(effect: str, model: Path, tmp_path: Path) -> None:
     missing, sizes = MISSING[effect]
     found = diagnosed(model, tmp_path, missing)
     assert found["verdict"] == "missing_effect", found["reason"]
     (named,) = found["findings"]
     assert named["effect"] == effect
     for name, size in sizes.items():
-        # Within a hundredth: of records as rich as these the intervals are narrower than what the integration differs.
+        # To 1 %: on records as rich as these the intervals are narrower than the difference between the integrators.
         assert named["parameters"][f"{effect}.{name}"]["value"] == pytest.approx(size, rel=0.01)
 
 
-def test_a_dead_band_of_the_motor_is_found(model: Path, tmp_path: Path) -> None:
+def test_dead_band_of_the_motor_is_found_with_its_width(model: Path, tmp_path: Path) -> None:
     (named,) = diagnosed(model, tmp_path, dead_band=0.6)["findings"]
     assert named["effect"] == "input_deadband"
     assert named["parameters"]["input_deadband.width"]["value"] == pytest.approx(0.6, rel=0.01)
 
 
-def test_a_late_reading_is_found_and_tied_with_a_late_command(model: Path, tmp_path: Path) -> None:
+def test_sensor_delay_is_found_and_tied_with_an_input_delay(model: Path, tmp_path: Path) -> None:
     (named,) = diagnosed(model, tmp_path, late=0.011)["findings"]
     assert {named["effect"], *named["tied_with"]} == {"sensor_delay", "input_delay"}
     assert named["parameters"][f"{named['effect']}.delay"]["value"] == pytest.approx(0.011, rel=0.01)
 
 
 @pytest.mark.parametrize("early", of_many([0.00025, 0.005], 0.005))
-def test_a_command_that_is_early_is_no_effect(early: float, model: Path, tmp_path: Path) -> None:
-    """By a twentieth of a row, and by a whole one."""
+def test_early_command_is_not_reported_as_an_effect(early: float, model: Path, tmp_path: Path) -> None:
+    """By a twentieth of a sampling step, and by a whole one."""
     assert diagnosed(model, tmp_path, early=early)["verdict"] == "adequate"
     missing, sizes = MISSING["coulomb_friction"]
     (named,) = diagnosed(model, tmp_path, missing, early=early)["findings"]
@@ -99,25 +99,25 @@ def test_a_command_that_is_early_is_no_effect(early: float, model: Path, tmp_pat
 
 
 @pytest.mark.parametrize("effect", of_many(UNLISTED, "damping on one side"))
-def test_what_no_catalogue_has_is_unknown(effect: str, model: Path, tmp_path: Path) -> None:
+def test_effect_outside_the_catalogue_is_unknown(effect: str, model: Path, tmp_path: Path) -> None:
     found = diagnosed(model, tmp_path, UNLISTED[effect])
     assert found["verdict"] == "unknown"
     assert "depends on rate" in found["reason"]
 
 
-def test_where_nothing_is_missing_nothing_is_found(model: Path, tmp_path: Path) -> None:
+def test_correct_model_is_adequate(model: Path, tmp_path: Path) -> None:
     assert diagnosed(model, tmp_path)["verdict"] == "adequate"
 
 
 @pytest.mark.thorough
-def test_a_model_of_exact_forces_is_diagnosed_all_the_same(model: Path, tmp_path: Path) -> None:
+def test_missing_effect_is_found_in_a_model_without_process_noise(model: Path, tmp_path: Path) -> None:
     exact = tmp_path / "exact.toml"
     exact.write_text(re.sub(r"process_noise = .*\n", "", model.read_text()))
     found = diagnosed(exact, tmp_path, MISSING["end_stop"][0])
     assert [each["effect"] for each in found["findings"]] == ["end_stop"]
 
 
-def test_what_was_found_is_added_and_the_error_falls(model: Path, tmp_path: Path) -> None:
+def test_added_effect_explains_the_held_out_error(model: Path, tmp_path: Path) -> None:
     recordings = [
         pendulum_plant.write(tmp_path / f"{seed}.csv", MISSING["coulomb_friction"][0], seed=seed)
         for seed in (SEED, SEED + 1)
@@ -130,15 +130,15 @@ def test_what_was_found_is_added_and_the_error_falls(model: Path, tmp_path: Path
     assert budget["effect"] > 0.99 * (budget["effect"] + budget["unexplained"])
 
 
-def test_nothing_of_a_vehicle_is_taken_for_its_own(model: Path, tmp_path: Path) -> None:
+def test_nothing_of_a_vehicle_is_used_for_a_model_file(model: Path, tmp_path: Path) -> None:
     run = pendulum_plant.write(tmp_path / "run.csv", seed=SEED)
     compared = upright("compare", run, "--model", model)["models"]
     assert [each["name"] for each in compared] == ["pendulum"]
     document = upright("identify", run, "--model", model, "-m", "prediction_error")
-    # The model's own, not the CAD values of a cabin of 1450 kg m^2.
+    # The model's own value, not the CAD value of a cabin, 1450 kg m^2.
     assert document["before"]["inertia"] == {"value": 0.5, "std": 0.1, "unit": "kg m^2"}
     inertia = document["methods"]["prediction_error"]["parameters"]["inertia"]
-    # The motor constant is known to 7 %, and so is all that is told in newton metres.
+    # The motor constant is known to 7 %, and so is every estimate in newton metres.
     assert inertia["value"] == pytest.approx(pendulum_plant.INERTIA, abs=2.0 * inertia["std"])
     assert inertia["std"] < 0.1 * inertia["value"]
     # Beyond 5 deg the cabin of the default vehicle would lie on its support.
