@@ -69,7 +69,7 @@ def test_second_effect_is_found_given_the_first_and_no_third_is() -> None:
     second = named(products, (first,))[0]
     assert {first.effect.name, second.effect.name} == {"first", "pair"}
     rest = named(products, (first, second))
-    assert not rest or rest[0].statistic < 25.0  # chi-squared, one or two freedoms: below this 99.9996 % of the time
+    assert not rest or rest[0].statistic < 25.0  # chi-squared with 1 or 2 dof: below this 99.9996 % of the time
 
 
 def test_friction_of_a_driving_sign_is_excluded() -> None:
@@ -92,7 +92,7 @@ def test_statistics_of_pure_noise_stay_below_the_bonferroni_threshold() -> None:
 
 
 def test_block_boundary_at_a_found_change_point_is_kept() -> None:
-    """16 blocks are kept. After 80 s an effect from 10.5 s on is still found, and its error is as its standard error."""
+    """16 blocks are kept. An effect from 10.5 s on is still found after 80 s, within five standard errors."""
     products = gathered(6, 80, {3: (0.3, 10.5)}, kept=16, held=(11,))
     blocks, starts = products.latest()
     assert len(blocks) == 16

@@ -67,7 +67,7 @@ def test_correct_model_is_adequate(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    """With hidden dry friction. On this record the formula of backlash can reproduce the noise of a sample in advance."""
+    """With hidden dry friction. The formula of backlash can reproduce the noise of a sample in advance here."""
     path = OthersVehicle(seed=13, **EFFECTS["coulomb_friction"]).write(tmp_path_factory.mktemp("theirs") / "theirs.csv")
     recording, vehicle = load_recording(path, "monocab"), load("monocab")
     model = ready(nominal_model("monocab").remove("static_torque"), [recording])

@@ -1,4 +1,4 @@
-"""What a command meets on its way to the gimbals is found in the gimbals' own model, whatever their speed loop is."""
+"""Effects between command and gimbals are found in the gimbals' own model, whatever their speed loop is."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COMMANDED = [each for each in CATALOGUE.values() if each.place is Place.ACTUATOR
 
 
 def nominal_vehicle() -> Model:
-    """Without what identification assumes beside the vehicle's own equations."""
+    """The vehicle's own equations, without the static torque that identification assumes as well."""
     bare = nominal_model("monocab").remove("static_torque")
     return with_values(bare, VEHICLE.parameters.values, VEHICLE.parameters.deviations)
 
@@ -42,7 +42,7 @@ def gimbals_of(*hide: str) -> Diagnosis:
 
 
 def plain_servo(lag: float = 0.04, gain: float = 0.0) -> Recording:
-    """40 s of the vehicle whose gimbals are one lag, under a hand-tuned controller; 200 Hz, 1e-4 rad/s of noise."""
+    """40 s of the vehicle with gimbals of one lag, under a hand-tuned controller; 200 Hz, 1e-4 rad/s of noise."""
     rate, step = 200, 1.0 / 200
     noise = np.random.default_rng(4)
     frequencies = np.linspace(0.1, 3.0, 24)
@@ -53,9 +53,9 @@ def plain_servo(lag: float = 0.04, gain: float = 0.0) -> Recording:
     fine, follows = step / inner, -np.expm1(-step / inner / lag)
     roll = roll_rate = precession_rate = precession = 0.0
     rows = np.zeros((len(time), 5))
-    for row, wanted in enumerate(reference.tolist()):
+    for row, target in enumerate(reference.tolist()):
         gyro, seen = roll_rate + noise.normal(0.0, 4e-4), precession_rate + noise.normal(0.0, 1e-4)
-        setpoint = -(30.0 * (roll - wanted) + 9.0 * gyro) + 0.02 * precession
+        setpoint = -(30.0 * (roll - target) + 9.0 * gyro) + 0.02 * precession
         rows[row] = roll, gyro, precession, seen, setpoint
         for _ in range(inner):
             precession_rate += follows * ((1.0 + gain) * setpoint - precession_rate)
@@ -70,15 +70,15 @@ def plain_servo(lag: float = 0.04, gain: float = 0.0) -> Recording:
 
 
 class TestVirtualGimbals:
-    def test_nothing_is_named_where_nothing_is_hidden(self) -> None:
+    def test_gimbals_without_a_hidden_effect_are_adequate(self) -> None:
         found = gimbals_of()
         assert found.verdict is Verdict.ADEQUATE
         assert found.steps[0].model.name == "monocab_gimbals"
 
     @pytest.mark.parametrize(
         ("effect", "times", "within"),
-        # Twice and four times the size that shows. The formula's own error is a part of what is small: a lag may come
-        # out by two milliseconds too large, a gain by two thousandths off.
+        # Two and four times the minimum detectable effect. The error of the formula is a part of a small effect: a lag
+        # may be estimated two milliseconds too long, and a gain may be off by two thousandths.
         of_many(
             [
                 ("input_delay", 2.0, 1e-3),
@@ -91,7 +91,7 @@ class TestVirtualGimbals:
             ("input_gain", 4.0, 2e-3),
         ),
     )
-    def test_an_effect_of_the_command_is_named_and_sized(self, effect: str, times: float, within: float) -> None:
+    def test_effect_of_the_command_is_found_with_its_amplitude(self, effect: str, times: float, within: float) -> None:
         sizes = gimbals_of().minimum_detectable
         assert sizes is not None
         hidden = HIDDEN[effect].size
@@ -101,15 +101,15 @@ class TestVirtualGimbals:
         first = found.findings[0]
         assert first.effect == effect
         assert len(first.tied_with) <= 1
-        told = next(iter(first.parameters.values()))
-        assert told.value == pytest.approx(level * hidden, abs=within)
+        estimate = next(iter(first.parameters.values()))
+        assert estimate.value == pytest.approx(level * hidden, abs=within)
         if effect == "actuator_lag":
-            # The formula's own error is in what is said of it: of 2.4 ms, two of its standard deviations.
-            assert told.std == pytest.approx(1.2e-3, rel=0.1)
-            assert abs(told.value - level * hidden) < 2.0 * told.std
+            # The standard deviation contains the error of the formula: two standard deviations are 2.4 ms.
+            assert estimate.std == pytest.approx(1.2e-3, rel=0.1)
+            assert abs(estimate.value - level * hidden) < 2.0 * estimate.std
 
-    def test_two_rows_of_delay_are_found_where_they_make_the_vehicle_swing(self) -> None:
-        """Setpoints of 1 rad/s at 5 Hz, which the drives' ramp of 31.4 rad/s^2 follows for several rows."""
+    def test_delay_is_found_although_it_makes_the_vehicle_swing(self) -> None:
+        """Setpoints of 1 rad/s at 5 Hz, which the drives, with a ramp of 31.4 rad/s^2, follow over several samples."""
         found = gimbals_of("input_delay=2.0")
         assert found.verdict is Verdict.MISSING_EFFECT
         assert found.steps[0].model.name == "monocab_gimbals"
@@ -117,10 +117,10 @@ class TestVirtualGimbals:
         (finding,) = found.findings
         assert finding.effect == "input_delay"
         assert finding.tied_with == ()
-        # 24 ms, and the bus: one of its cycles of 1 ms at most.
+        # 24 ms, and at most one bus cycle of 1 ms.
         assert finding.parameters["input_delay.delay"].value == pytest.approx(0.0245, abs=5e-4)
 
-    def test_a_second_effect_is_not_made_up(self) -> None:
+    def test_no_second_effect_is_found_beside_a_lag(self) -> None:
         assert [each.effect for each in gimbals_of("actuator_lag=0.5333").findings] == ["actuator_lag"]
 
 
@@ -130,60 +130,62 @@ class TestUnknown:
     ADEQUATE = Diagnosis(Verdict.ADEQUATE, "nothing is missing")
     UNKNOWN = Diagnosis(Verdict.UNKNOWN, "3 times the floor")
 
-    def test_the_whole_is_unknown(self) -> None:
+    def test_unknown_actuators_make_the_whole_unknown(self) -> None:
         found = merged(self.ADEQUATE, self.UNKNOWN, COMMANDED)
         assert found.verdict is Verdict.UNKNOWN
         assert "3 times the floor" in found.reason
         assert set(found.left_out or {}) == {each.name for each in COMMANDED}
 
-    def test_a_command_has_no_name_where_the_speed_loop_has_none(self) -> None:
+    def test_no_effect_of_the_command_is_named_if_the_speed_loop_is_unknown(self) -> None:
         one = gimbals_of("input_delay=2.0")
         found = merged(self.ADEQUATE, replace(one, verdict=Verdict.UNKNOWN, reason="3 times the floor"), COMMANDED)
         assert found.verdict is Verdict.UNKNOWN
         assert not found.findings
 
-    def test_play_that_the_vehicle_shows_explains_it(self) -> None:
+    def test_backlash_found_in_the_vehicle_explains_unknown_actuators(self) -> None:
         (finding,) = gimbals_of("input_delay=2.0").findings
-        play = replace(self.ADEQUATE, verdict=Verdict.MISSING_EFFECT, findings=(replace(finding, effect="backlash"),))
-        assert merged(play, self.UNKNOWN, COMMANDED).verdict is Verdict.MISSING_EFFECT
+        backlash = replace(
+            self.ADEQUATE, verdict=Verdict.MISSING_EFFECT, findings=(replace(finding, effect="backlash"),)
+        )
+        assert merged(backlash, self.UNKNOWN, COMMANDED).verdict is Verdict.MISSING_EFFECT
 
-    def test_too_little_data_for_the_gimbals_say_nothing_against_the_vehicle(self) -> None:
+    def test_insufficient_data_of_the_gimbals_leave_the_vehicle_adequate(self) -> None:
         short = Diagnosis(Verdict.INSUFFICIENT_DATA, "10 s are too short")
         assert merged(self.ADEQUATE, short, COMMANDED).verdict is Verdict.ADEQUATE
 
     @pytest.mark.thorough
     @pytest.mark.timeout(400)
-    def test_process_noise_does_not_excuse_innovations_far_above_the_sensors_noise(self) -> None:
+    def test_process_noise_does_not_hide_innovations_far_above_the_sensor_noise(self) -> None:
         assert gimbals_of("backlash=0.0353").verdict is Verdict.UNKNOWN
         clean = gimbals_of()
         assert quiet(clean) is clean
 
 
 class TestPlainServo:
-    """An outside recording has another speed loop."""
+    """A recording of another vehicle may have another speed loop."""
 
-    def test_one_lag_is_told_from_the_rest_and_lacks_nothing(self) -> None:
+    def test_first_order_speed_loop_is_chosen_and_adequate(self) -> None:
         found = diagnose_actuators(LOOPS, [plain_servo()], candidates=COMMANDED)
         assert found.verdict is Verdict.ADEQUATE
         assert found.steps[0].model.name == "monocab_gimbals_lag"
         assert found.steps[0].fitted.parameter("speed_loop_lag").value == pytest.approx(0.04, rel=0.01)
 
-    def test_a_gain_is_found_in_it(self) -> None:
+    def test_gain_error_is_found_in_a_first_order_speed_loop(self) -> None:
         found = diagnose_actuators(LOOPS, [plain_servo(gain=0.05)], candidates=COMMANDED)
         assert [each.effect for each in found.findings] == ["input_gain"]
         assert found.findings[0].parameters["input_gain.gain"].value == pytest.approx(0.05, rel=0.02)
 
 
-def test_both_parts_are_one_diagnosis() -> None:
+def test_findings_of_both_parts_form_one_diagnosis() -> None:
     vehicle = nominal_vehicle()
-    told: list[float] = []
+    shares: list[float] = []
     found = diagnose_parts(
         vehicle,
         LOOPS,
         [multisine("viscous_friction", "input_gain")],
         support=VEHICLE.support,
         candidates=["viscous_friction", "coulomb_friction", "input_gain", "input_deadband"],
-        progress=lambda text, share: told.append(share),
+        progress=lambda text, share: shares.append(share),
     )
     assert {each.effect for each in found.findings} == {"viscous_friction", "input_gain"}
     gains = [each.log_likelihood_gain for each in found.findings]
@@ -191,12 +193,12 @@ def test_both_parts_are_one_diagnosis() -> None:
     assert set(found.minimum_detectable or {}) >= {"viscous_friction", "input_gain"}
     assert not {"input_gain", "input_deadband"} & set(found.to_json()["not_candidates"])
     assert [part.verdict for part in found.parts] == [Verdict.MISSING_EFFECT] * 2
-    assert told == sorted(told)
+    assert shares == sorted(shares)
 
 
-def test_a_sensor_that_is_late_is_no_error_of_the_command() -> None:
-    """18 ms, twice what is detectable: a gain of the command, 0.06 and 0.08 % off, was named beside it in two of two
-    records (none of them this one)."""
+def test_sensor_delay_is_not_reported_as_an_effect_of_the_command() -> None:
+    """18 ms, twice the minimum detectable delay. In two of two records, neither of them this one, a gain error of the
+    command, of 0.06 and 0.08 %, was named beside it."""
     found = diagnose_parts(
         nominal_vehicle(),
         LOOPS,
@@ -207,7 +209,7 @@ def test_a_sensor_that_is_late_is_no_error_of_the_command() -> None:
     assert [each.effect for each in found.findings] == ["sensor_delay"]
 
 
-def test_readings_of_a_late_sensor_are_put_where_they_belong() -> None:
+def test_readings_of_a_late_sensor_are_shifted_back_by_its_delay() -> None:
     model = nominal_vehicle().add("sensor_delay")
     (delay,) = model.effects[-1].amplitudes
     regular = np.arange(len(multisine())) * 5_000_000
@@ -223,12 +225,12 @@ def test_readings_of_a_late_sensor_are_put_where_they_belong() -> None:
     assert on_time([recording], nominal_vehicle().add("sensor_lag")) == [recording]
 
 
-def test_a_ramp_is_short_of_a_step_by_what_it_needs_for_it() -> None:
+def test_ramp_shortfall_is_the_mean_over_each_sample() -> None:
     time = np.arange(4) * 0.01
-    # 10 a second for a step of 0.05 takes 5 ms: half a row, in which half of the step is missing on average.
+    # At 10 per second a step of 0.05 takes 5 ms: half a sample, during which half of the step is missing on average.
     short = ramp_shortfall(np.array([0.0, 0.05, 0.05, 0.3]), time, 10.0)
     assert short == pytest.approx([0.0, -0.05 / 4.0, 0.0, 0.05 - 0.25])
 
 
-def test_the_model_is_shipped() -> None:
+def test_gimbals_model_is_in_the_library() -> None:
     assert get("monocab_gimbals").inputs[1].channel == "precession_rate_setpoint"

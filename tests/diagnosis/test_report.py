@@ -1,4 +1,4 @@
-"""The report of a diagnosis: one page that says what was found, loads nothing and believes no name it is given."""
+"""The report of a diagnosis: one page that states the findings, loads nothing and escapes all names."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from estimators.disturbance_estimate import rms
 from estimators.fit.disturbance import disturbances
 
 
-class TestThePage:
+class TestPage:
     def test_is_one_document_small_enough_to_mail(self) -> None:
         assert len(written().encode()) < LARGEST
         assert [len(page().all(tag)) for tag in ("html", "head", "body", "title", "h1", "footer")] == [1] * 6
 
-    def test_loads_nothing(self) -> None:
+    def test_loads_no_resources(self) -> None:
         assert not {"script", "link", "img", "iframe", "object", "embed"} & {tag for tag, _ in page().tags}
         for _, attributes in page().tags:
             for name in ("src", "href", "xlink:href", "data", "action"):
@@ -49,18 +49,18 @@ class TestThePage:
         assert "@import" not in written()
         assert written().count("url(") == written().count("url(#") > 0
 
-    def test_has_each_id_once_and_refers_to_no_other(self) -> None:
+    def test_ids_are_unique_and_all_references_resolve(self) -> None:
         ids = [attributes["id"] for _, attributes in page().tags if "id" in attributes]
         assert len(ids) == len(set(ids)) > 0
         used = {attributes["xlink:href"][1:] for attributes in page().all("use")}
         assert used
         assert used <= set(ids)
 
-    def test_is_laid_out_for_paper(self) -> None:
+    def test_has_a_print_layout(self) -> None:
         assert "@page { size: A4;" in written()
         assert "@media print" in written()
 
-    def test_says_where_it_is_from(self) -> None:
+    def test_states_its_provenance(self) -> None:
         for text in (HASH, "monocab", "1.2.3", "2031-02-03 04:05", MODEL.name):
             assert text in page().text
 
@@ -79,15 +79,15 @@ class TestThePage:
         assert HOSTILE in Page(drawn).text
 
 
-class TestWhatWasFound:
-    def test_the_verdict_comes_first(self) -> None:
+class TestFindings:
+    def test_verdict_comes_first(self) -> None:
         assert found().verdict is Verdict.MISSING_EFFECT
         before_figures = page().text.split("Measured against predicted")[0]
         assert "Missing effect: the model lacks coulomb_friction" in before_figures
         assert headline(found()).next_step in before_figures
         assert page().all("div")[0]["class"] == "verdict missing_effect"
 
-    def test_every_figure_is_there_and_has_its_curves(self) -> None:
+    def test_every_figure_is_shown_with_its_curves(self) -> None:
         assert page().figures == list(FIGURES)
         for text in (
             "measured",
@@ -99,7 +99,7 @@ class TestWhatWasFound:
         ):
             assert text in page().text
 
-    def test_the_error_falls_from_step_to_step(self) -> None:
+    def test_innovation_ratios_before_and_after_are_shown(self) -> None:
         before, after = found().innovation_ratio_before, found().innovation_ratio_after
         assert before is not None
         assert after is not None
@@ -107,8 +107,8 @@ class TestWhatWasFound:
         assert f"{after:.3g}" in page().text
         assert "with coulomb_friction" in page().text
 
-    def test_probabilities_fill_one_bar(self) -> None:
-        # Each bar is a frame of 100 and the share of it: together all of it, to the two decimals they are written with.
+    def test_probabilities_add_up_to_one_bar(self) -> None:
+        # Each bar is a frame of 100 and its share: the shares add up to 100, to the two decimals that are written.
         widths = [float(each["width"]) for each in page().all("rect") if each.get("height") == "10"]
         assert all(width == 100.0 for width in widths[::2])
         assert sum(widths[1::2]) == pytest.approx(100.0, abs=0.05)
@@ -119,7 +119,7 @@ class TestWhatWasFound:
         expected = [str(1 + len(finding.tied_with))] if finding.tied_with else []
         assert [each["rowspan"] for each in brackets] == expected
 
-    def test_sizes_stand_beside_what_would_have_shown(self) -> None:
+    def test_amplitudes_stand_beside_the_minimum_detectable_ones(self) -> None:
         torque = found().findings[0].parameters["coulomb_friction.torque"].value
         least = found().score_tests[0].score("coulomb_friction").detectable
         assert torque is not None
@@ -127,7 +127,7 @@ class TestWhatWasFound:
         assert f"torque = {torque:.2f} ±" in row
         assert f"torque = {least:.2g} N m" in row
 
-    def test_the_explanation_is_whole(self) -> None:
+    def test_explanation_is_complete(self) -> None:
         assert " ".join(found().findings[0].explanation.split()) in page().text
 
     def test_parameters_stand_beside_their_cad_values(self) -> None:
@@ -136,7 +136,7 @@ class TestWhatWasFound:
         assert "gravity_stiffness N m/rad 12600 ±1800" in row
         assert "coulomb_friction.torque N m" in row
 
-    def test_what_was_not_looked_at_has_its_reason(self) -> None:
+    def test_untested_effects_are_listed_with_their_reasons(self) -> None:
         rest = page().text.split("What was not tested")[1]
         reason = (found().left_out or {})["gyro_bias"].removeprefix("effect gyro_bias: ")
         assert reason
@@ -146,8 +146,8 @@ class TestWhatWasFound:
             assert f"{size:.2g}" in rest
 
 
-class TestWhatShakesTheVehicle:
-    def test_the_disturbance_is_told_with_what_it_was_before(self) -> None:
+class TestDisturbance:
+    def test_disturbance_is_stated_before_and_after(self) -> None:
         section = page().text.split("What shakes the vehicle")[1].split("Which effect")[0]
         (after,) = found().disturbance
         (before,) = disturbances(found().steps[0].fit)
@@ -155,20 +155,20 @@ class TestWhatShakesTheVehicle:
         assert str(before) in section
         assert before.std > after.std
 
-    def test_so_is_the_best_possible_prediction(self) -> None:
+    def test_error_of_the_best_possible_prediction_is_stated(self) -> None:
         limit = found().prediction_limit
         assert limit is not None
         error = np.degrees(limit.disturbed["roll"])
         assert f"The best possible prediction 0.5 s ahead has an error of {error:.2g} deg RMS in roll" in page().text
 
-    def test_the_share_of_the_error_stands_beside_each_finding(self) -> None:
+    def test_share_of_the_error_stands_beside_each_finding(self) -> None:
         relevance = found().findings[0].relevance
         assert relevance is not None
         section = page().text.split("Which effect")[1].split("probability")[0]
         assert "share of the error0.5 s ahead" in section
         assert percent(relevance.ahead) in section
 
-    def test_what_is_negligible_stands_apart_and_makes_no_headline(self) -> None:
+    def test_negligible_effect_is_listed_apart_and_headline_says_so(self) -> None:
         shown_page = Page(write_report(of_little_matter(), MODEL, [record()], support=VEHICLE.support))
         assert "Negligible effect: nothing is missing that matters" in shown_page.text
         assert "may be left out" in headline(of_little_matter()).next_step
@@ -176,22 +176,22 @@ class TestWhatShakesTheVehicle:
         assert found().findings[0].definition.title in below
         assert "Its nearest neighbour" not in above
 
-    def test_what_was_left_untried_is_told_with_the_remedy(self) -> None:
+    def test_untried_effects_are_listed_with_the_remedy(self) -> None:
         hurried = replace(found(), untried=("hysteresis", "further effects"))
         text = write_report(hurried, MODEL, [record()], support=VEHICLE.support, seconds=60.0)
         assert "Left untried for want of time (60 s): hysteresis; further effects. Remedy: --budget 300." in text
         assert "Left untried" not in page().text
 
-    def test_an_adequate_model_is_so_beside_a_disturbance_of_its_size(self) -> None:
+    def test_headline_of_an_adequate_model_states_a_significant_disturbance(self) -> None:
         (shaken,) = found().disturbance
-        told = headline(replace(found(), verdict=Verdict.ADEQUATE, disturbance=(replace(shaken, shown=True),)))
-        assert told.text.endswith(f"to within their noise and a random disturbance of {rms(shaken)}")
-        told = headline(replace(found(), verdict=Verdict.ADEQUATE, disturbance=(replace(shaken, shown=False),)))
-        assert told.text.endswith("to within their noise")
+        line = headline(replace(found(), verdict=Verdict.ADEQUATE, disturbance=(replace(shaken, shown=True),)))
+        assert line.text.endswith(f"to within their noise and a random disturbance of {rms(shaken)}")
+        line = headline(replace(found(), verdict=Verdict.ADEQUATE, disturbance=(replace(shaken, shown=False),)))
+        assert line.text.endswith("to within their noise")
 
 
 class TestOtherVerdicts:
-    def test_an_adequate_model_is_shown_once_with_what_came_nearest(self) -> None:
+    def test_adequate_model_is_shown_once_with_the_nearest_effects(self) -> None:
         alone = replace(
             found(), verdict=Verdict.ADEQUATE, reason="nothing is left", findings=(), steps=found().steps[:1]
         )
@@ -204,8 +204,8 @@ class TestOtherVerdicts:
         assert shown_page.figures == list(FIGURES)
 
     def test_insufficient_data_need_no_figures(self) -> None:
-        told = Diagnosis(Verdict.INSUFFICIENT_DATA, "roll <of> the vehicle: never moves. Remedy: excite it.")
-        text = write_report(told, MODEL, [record()], support=VEHICLE.support, provenance=PROVENANCE)
+        insufficient = Diagnosis(Verdict.INSUFFICIENT_DATA, "roll <of> the vehicle: never moves. Remedy: excite it.")
+        text = write_report(insufficient, MODEL, [record()], support=VEHICLE.support, provenance=PROVENANCE)
         shown_page = Page(text)
         assert shown_page.figures == []
         assert "Insufficient data: these recordings cannot show" in shown_page.text
@@ -214,7 +214,7 @@ class TestOtherVerdicts:
         assert "Parameters" not in shown_page.text
 
     def test_figures_that_cannot_be_drawn_are_explained(self) -> None:
-        # 2 s hold no stretch that a comparison could use: the vehicle still rises.
+        # 2 s contain no segment for a comparison: the vehicle is still getting up.
         early = record().timestamp_ns < record().timestamp_ns[0] + 2_000_000_000
         short = replace(
             record(),
@@ -227,45 +227,45 @@ class TestOtherVerdicts:
 
     @pytest.mark.parametrize("verdict", list(Verdict))
     def test_each_verdict_has_a_line_and_a_next_step_of_one_sentence(self, verdict: Verdict) -> None:
-        told = headline(replace(found(), verdict=verdict))
-        assert told.kind == verdict.value
-        assert told.text
-        assert told.next_step.endswith(".")
-        assert ". " not in told.next_step
+        line = headline(replace(found(), verdict=verdict))
+        assert line.kind == verdict.value
+        assert line.text
+        assert line.next_step.endswith(".")
+        assert ". " not in line.next_step
 
-    def test_tied_effects_are_told_apart_first(self) -> None:
+    def test_next_step_is_to_distinguish_tied_effects(self) -> None:
         finding = replace(found().findings[0], tied_with=("viscous_friction",))
-        told = headline(replace(found(), findings=(finding,)))
-        assert "coulomb_friction or viscous_friction" in told.text
-        assert "Distinguish coulomb_friction from viscous_friction" in told.next_step
+        line = headline(replace(found(), findings=(finding,)))
+        assert "coulomb_friction or viscous_friction" in line.text
+        assert "Distinguish coulomb_friction from viscous_friction" in line.next_step
 
-    def test_a_suggested_experiment_is_the_next_step(self) -> None:
+    def test_suggested_experiment_is_the_next_step(self) -> None:
         suggested = {"experiment": "sweep", "text": "60 s of sweep separates a from b"}
-        told = headline(replace(found(), suggested_experiment=suggested))
-        assert "60 s of sweep separates a from b." in told.next_step
+        line = headline(replace(found(), suggested_experiment=suggested))
+        assert "60 s of sweep separates a from b." in line.next_step
 
 
 class TestDrawing:
-    def test_the_same_figure_is_the_same_text(self) -> None:
+    def test_identical_figures_have_identical_text(self) -> None:
         one, other = (staircase(["as given", "fitted"], [30.0, 1.1]) for _ in range(2))
         assert one == other
 
-    def test_long_curves_are_thinned_alike(self) -> None:
+    def test_long_curves_are_thinned_at_the_same_samples(self) -> None:
         time = np.arange(100_000.0)
         thin, values = thinned(time, 2.0 * time)
         assert len(thin) <= MOST_POINTS
         assert np.array_equal(values, 2.0 * thin)
 
-    def test_recordings_stand_one_after_the_other(self) -> None:
-        # Two parts of one recording with a gap that stays, then one that begins anew.
+    def test_recordings_are_plotted_one_after_the_other(self) -> None:
+        # Two parts of one recording, whose gap stays, then another recording.
         assert in_a_row([1.0, 6.0, 2.0], [5.0, 9.0, 4.0]).tolist() == [0.0, 0.0, 7.0]
 
-    def test_angles_are_read_in_degrees(self) -> None:
+    def test_angles_are_shown_in_degrees(self) -> None:
         factor, unit = shown("rad/s")
         assert factor == pytest.approx(57.29578)
         assert unit == "deg/s"
         assert shown("N m") == (1.0, "N m")
 
-    def test_a_p_value_beyond_the_draws_is_a_bound(self) -> None:
+    def test_very_small_p_value_is_given_as_a_bound(self) -> None:
         assert p_text(1e-9) == "< 1e-6"
         assert p_text(0.0123) == "0.012"
