@@ -123,7 +123,7 @@ def with_band(record: Recording, frequency: float, seconds: float) -> Model:
 
 
 def test_intervals_of_rms_frequency_and_damping_ratio_contain_the_truth() -> None:
-    """Of 20 of their 95 % intervals, in logarithms, as many contain the truth as chance allows at one in a thousand."""
+    """Of 20 of their 95 % intervals, in logarithms, enough contain the truth (1 in 1000 runs has fewer)."""
     band, held = NarrowBand(6.0, 2.0, 0.05), np.zeros(3)
     for seed in range(20):
         record = shaken(band, seed, 60.0)
@@ -250,7 +250,7 @@ def test_record_without_a_narrow_band_suggests_no_random_signal() -> None:
 
 
 def others(tmp_path: Path, sensor: str, seed: int = 11, **more: Any) -> Recording:
-    """A record of another simulator: a disturbance of 8 N m RMS with a time of 0.3 s, and that error of the sensors."""
+    """A record of another simulator: 8 N m RMS of disturbance, correlation time 0.3 s, that error of its sensors."""
     vehicle = OthersVehicle(sensors=SENSORS[sensor], disturbance=(8.0, 0.3), seed=seed, **more)
     return load_recording(vehicle.write(tmp_path / f"{sensor}.csv"), VEHICLE)
 
@@ -342,7 +342,7 @@ def test_search_with_a_random_part_that_is_cut_short_keeps_the_first_result(
 
 
 @pytest.mark.parametrize(("lead", "kept"), [(26.0, True), (19.0, False), (22.0, False)])
-def test_findings_that_lead_by_more_than_a_random_part_explains_are_kept(
+def test_only_findings_that_lead_by_more_than_a_random_part_explains_are_kept(
     monkeypatch: pytest.MonkeyPatch, lead: float, kept: bool
 ) -> None:
     """The random part explains 20 nats; a finding that leads by two more would have odds of 7 to 1."""

@@ -1,4 +1,4 @@
-"""Adding an effect: the error falls on held-out data, a wrong neighbour is told as such, a useless one can go."""
+"""Revision by an effect: the held-out error falls, a wrong neighbour is recognised, an unneeded effect is dropped."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from telemetry.recording import Recording
 
 CHANNELS = ChannelTable((Channel("position", "m", ""), Channel("force", "N", "")))
 NOISE, SMOOTH = 3e-4, 1e-2
-"""m, and the rate, m/s, below which dry friction is a slope."""
+"""m, and the rate, m/s, below which dry friction is nearly proportional to it."""
 
 
 def carriage(*, coulomb: float, seed: int, seconds: float = 16.0, viscous: float = 3.0) -> Recording:
-    """2 kg with dry and viscous friction under a multisine, position alone measured, 200 Hz; ten steps a row."""
+    """2 kg with dry and viscous friction under a multisine; its position is measured at 200 Hz; ten steps a sample."""
     rows, steps, spacing = round(200.0 * seconds), 10, 0.005
     time = spacing * np.arange(rows)
     phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 5)
@@ -73,7 +73,7 @@ def base() -> Model:
 
 @pytest.fixture(scope="module")
 def hidden() -> tuple[Recording, Recording]:
-    """The virtual MONOCAB with a hidden dry friction of 60 N m (LuGre bristles): to fit, and to hold out."""
+    """The virtual MONOCAB with a hidden dry friction of 60 N m (LuGre bristles): one record to fit, one held out."""
     hide = ["coulomb_friction"]
     return (
         record("monocab", "multisine", hide=hide, seed=3, duration=15.0),
@@ -91,8 +91,8 @@ def wrong(base: Model, hidden: tuple[Recording, Recording]) -> Revision:
     return revise(base, "viscous_friction", [hidden[0]], [hidden[1]])
 
 
-def test_the_missing_effect_makes_the_held_out_error_fall(right: Revision) -> None:
-    # Measured: 91 %. The plant's friction is LuGre and the model's a tanh, so some per cent stay.
+def test_missing_effect_reduces_the_held_out_error(right: Revision) -> None:
+    # Measured: 91 %. The plant's friction is LuGre and the model's a tanh, so a few percent remain.
     assert right.budget.fall > 0.8
     assert right.budget.effect > 0.95
     assert right.needed
@@ -101,14 +101,14 @@ def test_the_missing_effect_makes_the_held_out_error_fall(right: Revision) -> No
             before, after = getattr(right.before, side)[channel], getattr(right.after, side)[channel]
             assert all(a < 0.5 * b for a, b in zip(after, before, strict=True)), (side, channel)
     assert right.after.bic < right.before.bic
-    # Both are beside the disturbance that friction's own formula error looks like, 1 at the least.
+    # Both ratios are computed with the disturbance that absorbs the error of the friction's formula, and at least 1.
     assert right.after.innovation_ratio - 1.0 < 0.1 * (right.before.innovation_ratio - 1.0)
 
 
-def test_the_values_are_the_plants(right: Revision) -> None:
+def test_estimates_agree_with_the_plant(right: Revision) -> None:
     torque = right.after.parameters["coulomb_friction.torque"]
     assert torque.status == Status.OK
-    # 60 N m of bristles; the tanh of the model is flatter near zero and makes up for it by some per cent.
+    # 60 N m of bristles; the tanh of the model is flatter near zero and compensates for it by a few percent.
     assert torque.value == pytest.approx(60.0, rel=0.1)
     # 1650 kg m^2 and 14500 N m/rad are the plant's.
     assert right.after.parameters["inertia"].value == pytest.approx(1650.0, rel=0.03)
@@ -117,8 +117,8 @@ def test_the_values_are_the_plants(right: Revision) -> None:
     assert right.model.parameter("coulomb_friction.torque").std == torque.std
 
 
-def test_what_stood_in_for_it_moves_back(right: Revision) -> None:
-    """Without friction in the model its disturbance stands in for most of it, and the drives' offset for the rest."""
+def test_parameters_that_imitated_the_effect_move_back(right: Revision) -> None:
+    """Without friction in the model, its disturbance imitates most of it, and the drives' offset the rest."""
     offset = right.moved["drive_offset"]
     assert offset.back
     assert abs(offset.before) > 0.5 > 0.25 > abs(offset.after)
@@ -126,7 +126,7 @@ def test_what_stood_in_for_it_moves_back(right: Revision) -> None:
     assert before.std > 2.0 * after.std
 
 
-def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Revision) -> None:
+def test_fall_of_the_error_by_a_wrong_neighbour_is_said_to_prove_little(wrong: Revision) -> None:
     assert 0.1 < wrong.budget.fall < 0.6
     assert wrong.needed, "by itself it looks well founded"
     dry = next(each for each in wrong.neighbours if each.effect == "coulomb_friction")
@@ -139,8 +139,8 @@ def test_a_wrong_neighbour_falls_too_and_is_said_to_prove_little(wrong: Revision
     assert "score directions correlate by 0." in text
 
 
-def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(right: Revision) -> None:
-    """As with play in the gear of a robot: each blow that comes late is another robot half a second later."""
+def test_fall_of_the_error_at_a_short_horizon_alone_is_reported_as_such(right: Revision) -> None:
+    """As with backlash in a robot's gear: after a late impact the motion is a different one half a second later."""
     rising = Budget.of(right.budget.before, 1.2 * right.budget.before)
     text = " ".join(in_words(replace(right, budget=rising)))
     assert "At 0.05 s ahead the error falls: roll by" in text
@@ -149,18 +149,18 @@ def test_what_falls_near_and_not_far_is_no_effect_of_the_fitted_records_alone(ri
     assert "explains only the records" in " ".join(in_words(replace(right, budget=rising, after=worse)))
 
 
-def test_the_right_one_is_told_from_the_wrong(right: Revision) -> None:
+def test_right_effect_is_distinguished_from_a_wrong_neighbour(right: Revision) -> None:
     viscous = next(each for each in right.neighbours if each.effect == "viscous_friction")
     assert not viscous.better
     assert not viscous.tied
     assert viscous.fall > 0.1
-    # Asymmetric friction has Coulomb's as a special case: no record of one of them tells it from the other.
+    # Asymmetric friction has Coulomb friction as a special case: on a record of the latter they are indistinguishable.
     asymmetric = next(each for each in right.neighbours if each.effect == "asymmetric_friction")
     assert asymmetric.correlation == pytest.approx(1.0, abs=1e-6)
     assert "viscous_friction (by" in " ".join(in_words(right))
 
 
-def test_the_budget_adds_up(right: Revision) -> None:
+def test_shares_of_the_budget_add_up_to_one(right: Revision) -> None:
     budget = right.budget
     assert budget.sensors + budget.effect + budget.unexplained == pytest.approx(1.0)
     assert min(budget.sensors, budget.effect, budget.unexplained) >= 0.0
@@ -176,13 +176,13 @@ def test_the_budget_adds_up(right: Revision) -> None:
         (0.9, 0.9, (1.0, 0.0, 0.0)),
     ],
 )
-def test_shares_of_the_budget(before: float, after: float, expected: tuple[float, ...]) -> None:
+def test_budget_of_energies_before_and_after(before: float, after: float, expected: tuple[float, ...]) -> None:
     budget = Budget.of(before, after)
     assert (budget.sensors, budget.effect, budget.unexplained) == pytest.approx(expected)
     assert budget.fall == pytest.approx(1.0 - np.sqrt(after / before))
 
 
-def test_the_document_is_json(right: Revision) -> None:
+def test_document_can_be_written_as_json(right: Revision) -> None:
     document = json.loads(json.dumps(right.to_json(), allow_nan=False))
     assert document["effect"] == "coulomb_friction"
     assert document["held_out_error_closed_percent"] > 80.0
@@ -192,7 +192,7 @@ def test_the_document_is_json(right: Revision) -> None:
     assert document["before"]["parameters"].keys() < document["after"]["parameters"].keys()
 
 
-def test_the_picture_has_a_panel_a_channel_and_the_budget(right: Revision) -> None:
+def test_figure_has_a_panel_for_each_channel_and_the_budget(right: Revision) -> None:
     roll, rate, budget = revision_figure(right).axes
     assert "roll, deg" in roll.get_ylabel()
     assert "roll_rate, deg/s" in rate.get_ylabel()
@@ -201,31 +201,31 @@ def test_the_picture_has_a_panel_a_channel_and_the_budget(right: Revision) -> No
     assert held_out.get_ydata() == pytest.approx(np.degrees(right.after.held_out["roll"]))
 
 
-def test_dropping_keeps_the_right_effect_and_lets_the_useless_go(base: Model, hidden: tuple[Recording, ...]) -> None:
+def test_drop_tests_keep_the_right_effect_and_not_an_unneeded_one(base: Model, hidden: tuple[Recording, ...]) -> None:
     model = base.add("coulomb_friction").add("viscous_friction")
-    told = {each.effect: each for each in drop_tests(model, [hidden[0]])}
-    assert told["coulomb_friction"].needed
-    assert not told["viscous_friction"].needed
-    assert told["viscous_friction"].degrees == 1
-    assert told["viscous_friction"].likelihood_ratio < 20.0 < told["coulomb_friction"].likelihood_ratio
+    tests = {each.effect: each for each in drop_tests(model, [hidden[0]])}
+    assert tests["coulomb_friction"].needed
+    assert not tests["viscous_friction"].needed
+    assert tests["viscous_friction"].degrees == 1
+    assert tests["viscous_friction"].likelihood_ratio < 20.0 < tests["coulomb_friction"].likelihood_ratio
 
 
 def test_with_one_recording_its_last_third_is_held_out() -> None:
     recording = carriage(coulomb=4.0, seed=1, seconds=10.0)
-    training, tried = split(bare(), [recording], [])
-    known = [np.isfinite(each["position"]) for each in (training[0], tried[0])]
+    training, validation = split(bare(), [recording], [])
+    known = [np.isfinite(each["position"]) for each in (training[0], validation[0])]
     assert np.array_equal(known[0], ~known[1])
     assert np.mean(known[0]) == pytest.approx(2.0 / 3.0, abs=0.01)
     assert not known[0][-1]
-    # Time goes on counting from the first row, as a step or a drift of the model asks for.
-    assert problem(bare(), tried).segments[0].time[0] == pytest.approx(2.0 / 3.0 * recording.duration, abs=0.02)
+    # Time still counts from the first sample, as a step or a drift in the model requires.
+    assert problem(bare(), validation).segments[0].time[0] == pytest.approx(2.0 / 3.0 * recording.duration, abs=0.02)
     answer = revise(bare().add("viscous_friction"), "coulomb_friction", [recording])
     assert answer.held_out == ("last third of carriage 1",)
     assert answer.after.parameters["coulomb_friction.torque"].value == pytest.approx(4.0, rel=0.02)
     assert answer.budget.fall > 0.9
 
 
-def test_an_effect_that_is_not_there_is_not_asked_for() -> None:
+def test_absent_effect_is_not_needed() -> None:
     recording = carriage(coulomb=0.0, seed=5)
     answer = revise(bare().add("viscous_friction"), "coulomb_friction", [recording])
     assert not answer.needed
@@ -233,20 +233,20 @@ def test_an_effect_that_is_not_there_is_not_asked_for() -> None:
     assert answer.budget.effect < 0.2
 
 
-def test_a_right_model_is_off_by_the_sensors_alone() -> None:
+def test_error_of_a_right_model_is_that_of_the_sensors() -> None:
     recording = carriage(coulomb=0.0, seed=7)
-    training, tried = split(bare(), [recording], [])
+    training, validation = split(bare(), [recording], [])
     model = bare().add("viscous_friction")
     fitted = alone(model, samples(model, training, None))
-    there = on(fitted.fit, problem(model, tried))
-    horizons = horizons_of(there)
-    rms = np.array([np.sqrt(np.mean(each**2, axis=0)) for each in errors(there, horizons)])
-    # About 10 s of held-out data with errors that go together for as long as the horizon: a third is two deviations.
-    assert rms == pytest.approx(sensor_floors(there, horizons), rel=0.35)
+    applied = on(fitted.fit, problem(model, validation))
+    horizons = horizons_of(applied)
+    rms = np.array([np.sqrt(np.mean(each**2, axis=0)) for each in errors(applied, horizons)])
+    # About 10 s of held-out data, with errors correlated over the horizon: a third is two standard deviations.
+    assert rms == pytest.approx(sensor_floors(applied, horizons), rel=0.35)
 
 
-def test_what_is_known_beforehand_is_not_dropped_for_its_t_ratio() -> None:
-    """An effect whose amplitude is held has no standard deviation that could be too large."""
+def test_effect_with_a_fixed_amplitude_has_an_infinite_t_ratio() -> None:
+    """An effect with a fixed amplitude has no standard deviation that could be too large."""
     recording = carriage(coulomb=0.0, seed=7)
     model = bare().add("viscous_friction")
     held = model.change(estimated=[each.name for each in bare().parameters if each.estimated])
@@ -257,21 +257,21 @@ def test_what_is_known_beforehand_is_not_dropped_for_its_t_ratio() -> None:
 
 def test_the_initial_state_of_held_out_data_is_fitted() -> None:
     recording = carriage(coulomb=0.0, seed=7)
-    training, tried = split(bare(), [recording], [])
+    training, validation = split(bare(), [recording], [])
     model = bare().add("viscous_friction")
     fitted = alone(model, samples(model, training, None))
-    task = problem(model, tried)
+    task = problem(model, validation)
     assert task.initials[0][1] == 0.0, "the rate is not measured"
-    there = on(fitted.fit, task)
+    applied = on(fitted.fit, task)
     time, position = recording.time, recording["position"]
     begin = int(np.searchsorted(time, task.segments[0].time[0]))
     measured = (position[begin + 8] - position[begin - 8]) / (time[begin + 8] - time[begin - 8])
-    # The difference of two positions 80 ms apart is 5 mm/s off by noise and up to 7 by the multisine's curvature.
-    assert there.starts[0][1] == pytest.approx(measured, abs=3e-2)
+    # The rate from two positions 80 ms apart is off by 5 mm/s by noise, and by up to 7 by the multisine's curvature.
+    assert applied.starts[0][1] == pytest.approx(measured, abs=3e-2)
     assert abs(measured) > 0.1
 
 
-def test_what_cannot_be_is_said() -> None:
+def test_unknown_effect_and_constant_channel_are_refused() -> None:
     recording = carriage(coulomb=0.0, seed=5, seconds=4.0)
     with pytest.raises(ModelError, match="no effect of this name"):
         revise(bare(), "no_such_effect", [recording])
@@ -280,7 +280,7 @@ def test_what_cannot_be_is_said() -> None:
         revise(bare(), "coulomb_friction", [stuck])
 
 
-def test_better_needs_held_out_data_and_tied_does_not() -> None:
+def test_better_neighbour_needs_held_out_evidence_and_a_tied_one_does_not() -> None:
     def neighbour(bic_difference: float, t_ratio: float) -> Neighbour:
         return Neighbour("other", bic_difference, 0.5, t_ratio, None, "")
 
@@ -298,7 +298,7 @@ def test_better_needs_held_out_data_and_tied_does_not() -> None:
 def test_emps_dry_friction_explains_most_of_the_error(measured_data: Path) -> None:
     recording, model = _emps(measured_data)
     answer = revise(model.add("static_torque"), "coulomb_friction", [recording])
-    # Measured: 71 %, and what is left is no sensor noise: the axis has more than the four terms of the benchmark.
+    # Measured: 71 %. The remainder is not sensor noise: the axis has more than the four terms of the benchmark.
     assert 0.6 < answer.budget.fall < 0.8
     assert answer.budget.effect > 0.85
     assert answer.after.parameters["coulomb_friction.torque"].value == pytest.approx(20.39, rel=0.03)
@@ -307,8 +307,8 @@ def test_emps_dry_friction_explains_most_of_the_error(measured_data: Path) -> No
 
 
 @pytest.mark.measured
-def test_emps_without_its_offset_asks_for_an_asymmetric_friction(measured_data: Path) -> None:
-    """With the constant force left out, dry friction takes 30 % away, and the record says that there is more to it."""
+def test_emps_without_its_offset_suggests_asymmetric_friction(measured_data: Path) -> None:
+    """Without the constant force, dry friction removes 30 % of the error, and the record shows that this is not all."""
     recording, model = _emps(measured_data)
     answer = revise(model, "coulomb_friction", [recording])
     assert 0.2 < answer.budget.fall < 0.4

@@ -1,7 +1,7 @@
 """A delay of the balancing robot's voltages, hidden in the virtual robot, found and added from the command line.
 
-The paper's gains bear none, so a softer controller balances. How late a voltage is on the bus anyway, a millisecond
-here, is a number of the model that no record tells from a delay: it must not take up one that no bus has.
+The paper's gains do not tolerate a delay, so a softer controller balances. The latency of a voltage on the bus, a
+millisecond here, is a parameter that no record distinguishes from a delay: it must not absorb one that no bus has.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from vehicles.file import load
 pytestmark = pytest.mark.patient
 
 SEED = 84
-"""Decided nothing."""
+"""No decision was based on it."""
 LOOKED_FOR = ("input_delay", "coulomb_friction", "static_torque")
 OTHERS = ("sine", "doublet", "sine_stream")
 WITHIN = 3.0
-"""Standard deviations that the size may be off."""
+"""Standard deviations by which the estimate may be off."""
 CLOSED = 0.9
-"""Share of the error's energy, half a second ahead, that goes."""
+"""Share of the error energy, half a second ahead, that the delay removes."""
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +52,12 @@ def upright(*arguments: Any) -> Any:
     return json.loads(done.stdout)
 
 
-def test_no_bus_is_later_than_a_row() -> None:
+def test_offset_of_the_bus_is_below_a_sampling_period() -> None:
     offset = get("twsbr").parameter("voltage_offset")
     assert max(-offset.lower, offset.upper) < 1.0 / load("twsbr").control.rate
 
 
-def test_a_delay_is_found_with_its_size(vehicle: Path) -> None:
+def test_delay_is_found_with_its_value(vehicle: Path) -> None:
     names = [word for name in LOOKED_FOR for word in ("--effect", name)]
     found = upright("diagnose", recorded("square", vehicle), "--vehicle", vehicle, *names)
     assert [each["effect"] for each in found["findings"]] == ["input_delay"], found["reason"]
@@ -66,7 +66,7 @@ def test_a_delay_is_found_with_its_size(vehicle: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(vehicle: Path, tmp_path: Path) -> None:
+def test_added_delay_reduces_the_error_of_three_held_out_experiments(vehicle: Path, tmp_path: Path) -> None:
     others = [word for name in OTHERS for word in ("--held-out", recorded(name, vehicle))]
     square = ["--recording", recorded("square", vehicle)]
     output = ["--output", tmp_path / "repaired.toml"]

@@ -1,8 +1,7 @@
 """What the balancing robot's model lacks, hidden in the virtual robot, found and added from the command line.
 
-`upright diagnose RECORDING -v twsbr` is told nothing but the recording and a few effects to look for (all of them take
-longer).
-`upright model add` with three other experiments held out says by how much the error falls where nothing was fitted.
+`upright diagnose RECORDING -v twsbr` gets only the recording and a few effects to look for (all of them take longer).
+`upright model add` with three other experiments held out reports by how much the error falls on data not fitted.
 """
 
 from __future__ import annotations
@@ -26,23 +25,23 @@ from vehicles.file import load
 from vehicles.registry import nominal_model
 
 SEED = 83
-"""Decided nothing."""
+"""No decision was based on it."""
 EXCITED = 16.0
-"""s of excitation: with getting up and lying down what is left is a little more than the gate asks for."""
+"""s of excitation: without getting up and lying down a little more remains than the gate requires."""
 LOOKED_FOR = ("static_torque", "coulomb_friction", "viscous_friction", "input_deadband")
-"""At all places: a torque on the tilt and one on the wheels are two."""
+"""At all places: a torque on the tilt and one on the wheels are two effects."""
 HIDDEN = {
     "static_torque": ("static_torque", "tilt", "static_torque.torque", 0.01),
     "slope": ("static_torque@travel", "travel", "static_torque@travel.torque", -9.3e-3),
     "input_deadband": ("input_deadband", "motors", "input_deadband.width", 0.6),
     "coulomb_friction": ("coulomb_friction@wheels", "wheels", "coulomb_friction@wheels.torque", 0.02),
 }
-"""What is hidden: its name in the model, its place, its size's name and the plant's own (a slope of 2 deg is -(m_b + 2
-m_w) g r sin, and friction that of both gears)."""
+"""Hidden effect: its name in the model, its place, the name of its amplitude and the plant's value (a slope of 2 deg is
+-(m_b + 2 m_w) g r sin, and friction that of both gears)."""
 WITHIN = 3.0
-"""Standard deviations that a size may be off."""
+"""Standard deviations by which an estimate may be off."""
 CLOSED = 0.9
-"""Of the held-out error energy, half a second ahead, that exceeds the sensors'."""
+"""Share of the held-out error energy above the sensors', half a second ahead, that the added effect removes."""
 
 
 def upright(*arguments: Any) -> Any:
@@ -52,7 +51,7 @@ def upright(*arguments: Any) -> Any:
 
 
 def recorded(experiment: str, folder: Path, *hide: str, seed: int = SEED, duration: float = EXCITED) -> Path:
-    """A robot in a draught, as one that a person starts."""
+    """A robot in a draught, like one that a user starts."""
     path = folder / f"{experiment}.arrow"
     save(record("twsbr", experiment, hide=["disturbance", *hide], seed=seed, duration=duration), path)
     return path
@@ -64,18 +63,18 @@ def diagnosed(recording: Path) -> Any:
 
 
 @pytest.mark.parametrize("hidden", of_many(HIDDEN, "slope", "coulomb_friction"))
-def test_what_is_hidden_is_found_with_its_size(hidden: str, tmp_path: Path) -> None:
+def test_hidden_effect_is_found_with_its_amplitude(hidden: str, tmp_path: Path) -> None:
     name, _, size, true = HIDDEN[hidden]
     found = diagnosed(recorded("square", tmp_path, hidden))
     assert found["verdict"] == "missing_effect", found["reason"]
     assert found["findings"][0]["effect"] == name
-    told = found["findings"][0]["parameters"][size]
-    assert abs(told["value"] - true) < WITHIN * told["std"]
+    estimate = found["findings"][0]["parameters"][size]
+    assert abs(estimate["value"] - true) < WITHIN * estimate["std"]
 
 
 @pytest.mark.thorough
 def test_friction_is_found_beside_a_disturbance_that_has_grown_to_it() -> None:
-    """In the fit of the model alone the disturbance does what the friction of the gears does."""
+    """In the fit of the model alone, the disturbance imitates the friction of the gears."""
     file = load("twsbr")
     model = with_values(nominal_model("twsbr"), file.parameters.values, file.parameters.deviations)
     still = record("twsbr", "square", hide=["coulomb_friction"], seed=SEED, duration=EXCITED)
@@ -84,18 +83,18 @@ def test_friction_is_found_beside_a_disturbance_that_has_grown_to_it() -> None:
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, 2.0])
-def test_where_nothing_is_hidden_the_draught_is_told_as_what_it_is(level: float, tmp_path: Path) -> None:
+def test_draught_without_a_hidden_effect_is_reported_as_a_disturbance(level: float, tmp_path: Path) -> None:
     found = diagnosed(recorded("square", tmp_path, f"disturbance={level:g}"))
     assert found["verdict"] == "adequate", found["reason"]
-    draught, told = TWSBR.disturbance, found["disturbance"]["tilt"]
-    assert told["shown"] is (level > 0.0)
+    draught, estimate = TWSBR.disturbance, found["disturbance"]["tilt"]
+    assert estimate["shown"] is (level > 0.0)
     if level:
-        # All torques are multiples of the motors' gain, which the body's mass gives to a few tenths.
-        assert abs(math.log(told["rms"] / (level * draught.rms))) < 0.5
-        assert abs(told["correlation_time"] - draught.correlation_time) < WITHIN * told["correlation_time_std"]
+        # All torques are proportional to the motors' gain, which the body's mass determines to a few tenths.
+        assert abs(math.log(estimate["rms"] / (level * draught.rms))) < 0.5
+        assert abs(estimate["correlation_time"] - draught.correlation_time) < WITHIN * estimate["correlation_time_std"]
 
 
-def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_path: Path) -> None:
+def test_added_torque_explains_the_error_of_three_held_out_experiments(tmp_path: Path) -> None:
     name, place, _, _ = HIDDEN["static_torque"]
     square, model = recorded("square", tmp_path, name), tmp_path / "repaired.toml"
     others = [recorded(experiment, tmp_path, name) for experiment in ("sine", "doublet", "sine_stream")]
@@ -110,9 +109,9 @@ def test_added_the_error_falls_on_three_experiments_that_were_not_fitted(tmp_pat
 
 
 @pytest.mark.thorough
-def test_friction_that_is_added_explains_another_experiment_as_well(tmp_path: Path) -> None:
-    """On this record a fit that began with none of it ended with four times the motors' resistance, and what `compare`
-    says of the sine was 13 times the noise."""
+def test_added_friction_explains_another_experiment_as_well(tmp_path: Path) -> None:
+    """On this record a fit that started without friction ended at four times the motors' resistance, and the error of
+    the sine in `compare` was 13 times the noise."""
     hide = "coulomb_friction"
     square, sine = (recorded(each, tmp_path, hide, seed=804, duration=20.0) for each in ("square", "sine"))
     model = tmp_path / "repaired.toml"
@@ -128,9 +127,9 @@ def test_friction_that_is_added_explains_another_experiment_as_well(tmp_path: Pa
 @pytest.mark.parametrize(
     ("hidden", "least"), [(("static_torque",), 5.0), (("static_torque", "disturbance=0"), 30.0), ((), None)]
 )
-def test_a_torque_is_asked_for_where_there_is_one(hidden: tuple[str, ...], least: float | None, tmp_path: Path) -> None:
-    """Its size is known to a third only, with the mass of the body; that there is one, beyond doubt, in still air by
-    the square root of a log likelihood ratio of thousands. Held out is the last third of the recording itself."""
+def test_torque_is_needed_only_if_there_is_one(hidden: tuple[str, ...], least: float | None, tmp_path: Path) -> None:
+    """Its amplitude is known to a third only, like the mass of the body. Its presence is certain, in still air by the
+    square root of a log-likelihood ratio of thousands. The last third of the recording itself is held out."""
     square = recorded("square", tmp_path, *hidden)
     revision = upright(
         "model", "add", "twsbr", "static_torque", "--at", "tilt", "--vehicle", "twsbr",

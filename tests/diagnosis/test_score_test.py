@@ -1,4 +1,4 @@
-"""The score test: sizes, signs, and p-values that mean what they say."""
+"""The score test: amplitudes, signs, and calibrated p-values."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def scored(innovations: Whitened) -> ScoreTest:
 
 
 def white(seed: int) -> Whitened:
-    """What a right model would leave."""
+    """The innovations of a right model."""
     _, innovations = clean()
     noise = np.random.default_rng(seed).standard_normal((len(innovations.residual), 1))
     return replace(innovations, residual=project(noise, innovations.nuisance)[:, 0])
 
 
 def planted(name: str, size: float) -> Whitened:
-    """White innovations with what `size` of the first amplitude of `name` would add to them, to first order."""
+    """White innovations plus the contribution of `size` of the first amplitude of `name`, to first order."""
     workspace, innovations = clean()
     candidate = next(each for each in workspace.candidates if each.name == name)
     task = workspace.problem(attached(MODEL, [candidate]))
@@ -57,12 +57,12 @@ def planted(name: str, size: float) -> Whitened:
     return replace(noise, residual=noise.residual + size * project(direction, innovations.nuisance)[:, 0])
 
 
-class TestSizes:
+class TestAmplitudes:
     @pytest.mark.parametrize(
         ("name", "size"), [("static_torque", 5.0), ("coulomb_friction", 4.0), ("viscous_friction", 200.0)]
     )
-    def test_what_was_planted_comes_back(self, name: str, size: float) -> None:
-        """3.3 standard errors: a right implementation would miss them with one seed in a thousand."""
+    def test_planted_amplitude_is_estimated_and_ranks_first(self, name: str, size: float) -> None:
+        """3.3 standard errors: a right implementation exceeds them with one seed in a thousand."""
         found = scored(planted(name, size))
         score = found.score(name)
         first = score.candidate.amplitudes[0]
@@ -70,18 +70,18 @@ class TestSizes:
         assert score.p_value < 1e-4
         assert found.scores[0].candidate.name == name
 
-    def test_a_sign_that_physics_forbids_is_no_finding(self) -> None:
+    def test_physically_impossible_sign_is_not_significant(self) -> None:
         score = scored(planted("coulomb_friction", -4.0)).score("coulomb_friction")
         assert score.sizes["coulomb_friction.torque"] == 0.0
         assert score.p_value > 0.5
 
-    def test_a_size_at_the_detectable_one_is_found(self) -> None:
+    def test_effect_above_the_detectable_amplitude_is_significant(self) -> None:
         least = scored(clean()[1]).score("viscous_friction").detectable
         assert scored(planted("viscous_friction", 1.5 * least)).score("viscous_friction").p_single < 1e-3
 
-    def test_a_step_is_detectable_by_what_it_does_beyond_a_constant_torque(self) -> None:
-        """Four detectable sizes of it beat a constant torque by 4 x 4.66 standard deviations, whose square scatters by
-        twice that: 3.3 standard deviations to either side. At whatever instant it shows best, and only there."""
+    def test_step_is_detectable_by_what_exceeds_a_constant_torque(self) -> None:
+        """Four times the detectable step exceeds a constant torque by 4 x 4.66 standard deviations, whose square
+        scatters by twice that: 3.3 standard deviations to either side. This holds at the best change point only."""
         task, innovations = clean()
         workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, ("static_torque", "torque_step"))
         step = next(each for each in workspace.candidates if each.name == "torque_step")
@@ -99,13 +99,13 @@ class TestSizes:
             seen = noise.residual + 4.0 * least * project(moved, innovations.nuisance)[:, 0]
             found = look(replace(noise, residual=seen))
             one, other = (found.score(name) for name in ("torque_step", "static_torque"))
-            # As if nothing scattered more than the information says, which the rest of the step does.
+            # Without the inflation of the variance, which the remainder of the step causes.
             beyond.append(one.statistic * one.inflation - other.statistic * other.inflation)
         away = 4.0 * DETECTABLE
         assert max(beyond) == pytest.approx(away**2, abs=3.3 * 2.0 * away)
 
-    def test_what_is_detectable_is_told_at_the_usual_shape(self) -> None:
-        """Stribeck friction with nothing left in fast motion is seen at less than half the size: it is another one."""
+    def test_detectable_amplitude_is_that_of_the_usual_shape(self) -> None:
+        """Stribeck friction that vanishes in fast motion is detectable at less than half the amplitude: it is another one."""
         _, innovations = clean()
         workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, ("coulomb_friction", "stribeck_friction"))
         coulomb, stribeck = workspace.candidates
@@ -119,8 +119,8 @@ class TestSizes:
         assert least(*stribeck.variants) == pytest.approx(usual)
         assert min(other) < 0.6 * usual
 
-    def test_friction_of_two_directions_is_detectable_by_what_sets_them_apart(self) -> None:
-        """One direction alone is half Coulomb friction, so that what is beyond is harder to see than the whole."""
+    def test_asymmetric_friction_is_detectable_by_what_exceeds_coulomb_friction(self) -> None:
+        """Friction in one direction is half Coulomb friction, so the remainder is harder to detect than the whole."""
         task, innovations = clean()
         names = ("coulomb_friction", "asymmetric_friction")
         workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, names)
@@ -144,7 +144,7 @@ class TestPairs:
     NAMES = ("gimbal_imbalance", "load_dependent_friction", "static_torque", "viscous_friction")
 
     def look(self, sizes: Mapping[str, float]) -> ScoreTest:
-        """The score test of white innovations with `sizes`, in the standard errors that each would have alone."""
+        """The score test of white innovations plus `sizes` of effects, in the standard errors that each has alone."""
         task, innovations = clean()
         workspace = Workspace.of(MODEL, task.recordings, VEHICLE.support, self.NAMES)
         noise = white(seed=5)
@@ -161,38 +161,38 @@ class TestPairs:
             workspace.candidates,
         )
 
-    def test_two_that_hide_each_other_show_together(self) -> None:
+    def test_two_effects_that_cancel_each_other_are_significant_as_a_pair(self) -> None:
         one, other = self.NAMES[:2]
         nothing = self.look({})
         along = float((nothing.bases[one].T @ nothing.bases[other]).item())
-        # What one does is in part what the other undoes.
+        # One effect partly cancels the other.
         assert abs(along) > 0.5
         found = self.look({one: -8.0 * np.sign(along), other: 8.0})
         assert {each.name for each in found.pairs[0].candidates} == {one, other}
         alone = min(score.p_value for score in found.scores if score.candidate.name in (one, other))
         assert found.pairs[0].p_value < 1e-3 * alone
 
-    def test_a_pair_of_a_sign_that_physics_forbids_is_none(self) -> None:
+    def test_pair_with_physically_impossible_signs_is_excluded(self) -> None:
         one, other = self.NAMES[:2]
         along = float((self.look({}).bases[one].T @ self.look({}).bases[other]).item())
         pairs = self.look({one: 8.0 * np.sign(along), other: -8.0}).pairs
         assert all({each.name for each in pair.candidates} != {one, other} for pair in pairs)
 
-    def test_chance_makes_no_pair(self) -> None:
+    def test_white_noise_has_no_significant_pair(self) -> None:
         assert all(pair.p_value > 0.01 for pair in self.look({}).pairs)
 
 
 class TestProbabilities:
-    def test_p_values_are_uniform_where_nothing_is_missing(self) -> None:
+    def test_p_values_are_uniform_if_nothing_is_missing(self) -> None:
         """White noise in place of the innovations, 60 seeds: the smallest p-value is uniform from 0 to 1 by
-        Kolmogorov and Smirnov's test, at a level of 1 % (what is refused of a right implementation)."""
+        the Kolmogorov-Smirnov test, at a level of 1 % (how often it rejects a right implementation)."""
         found = [min(score.p_value for score in scored(white(seed)).scores) for seed in range(60)]
         assert stats.kstest(found, "uniform").pvalue > 0.01
 
-    def test_a_clean_record_has_none(self) -> None:
+    def test_clean_record_has_no_significant_effect(self) -> None:
         assert min(score.p_value for score in scored(clean()[1]).scores) > 0.01
 
-    def test_frequencies_picked_from_the_data_have_their_price(self) -> None:
+    def test_frequencies_picked_from_the_data_are_counted_if_within_bounds(self) -> None:
         workspace, _ = clean()
         line = next(each for each in workspace.candidates if each.name == "periodic_disturbance")
         (further,) = at_frequencies([line], [2.2, 1e6], among=4000)
@@ -201,7 +201,7 @@ class TestProbabilities:
 
 
 class TestSimilarity:
-    def test_of_an_effect_with_itself_is_one_and_symmetric(self) -> None:
+    def test_similarity_of_an_effect_to_itself_is_one_and_it_is_symmetric(self) -> None:
         found = scored(clean()[1])
         assert found.similarity("coulomb_friction", "coulomb_friction") == pytest.approx(1.0)
         one = found.similarity("coulomb_friction", "viscous_friction")
@@ -210,12 +210,12 @@ class TestSimilarity:
 
 
 class TestCandidates:
-    def test_every_effect_is_a_candidate_or_has_a_reason(self) -> None:
+    def test_every_effect_is_a_candidate_or_left_out_with_a_reason(self) -> None:
         found, left_out = candidates_for(MODEL, [multisine()])
         assert {each.effect.name for each in found} | set(left_out) == set(CATALOGUE)
         assert "input_delay" in {each.name for each in found}, "what passes on a measured motion may be late"
 
-    def test_one_whose_channel_is_not_recorded_is_left_out_with_the_reason(self) -> None:
+    def test_effect_whose_channel_is_not_recorded_is_left_out_with_the_reason(self) -> None:
         whole = multisine()
         kept = type(whole.channels)(channel for channel in whole.channels if channel.name != "precession")
         recording = replace(whole, channels=kept, values={name: whole.values[name] for name in kept.names})
@@ -223,13 +223,13 @@ class TestCandidates:
         assert "gimbal_imbalance" not in {each.name for each in found}
         assert "precession" in left_out["gimbal_imbalance"]
 
-    def test_an_effect_that_is_there_already_is_none(self) -> None:
+    def test_effect_that_the_model_already_has_is_no_candidate(self) -> None:
         found, _ = candidates_for(MODEL.add("coulomb_friction"), [multisine()])
         assert "coulomb_friction" not in {each.name for each in found}
 
 
 def test_every_place_that_can_have_an_effect_is_a_candidate() -> None:
-    """The robot has a joint for the tilt, for each wheel, and for the floor."""
+    """The robot has a joint for the tilt, one for each wheel, and one for the floor."""
     robot = library.get("twsbr")
     found, left_out = candidates_for(robot, (), ["coulomb_friction"])
     assert [each.name for each in found] == [
@@ -238,7 +238,7 @@ def test_every_place_that_can_have_an_effect_is_a_candidate() -> None:
     ]
     assert [each.attached.at for each in found] == [joint.name for joint in robot.joints]
     assert not left_out
-    there = robot.add("coulomb_friction", robot.joints[1].name)
-    assert found[1].name not in {each.name for each in candidates_for(there, (), ["coulomb_friction"])[0]}
+    extended = robot.add("coulomb_friction", robot.joints[1].name)
+    assert found[1].name not in {each.name for each in candidates_for(extended, (), ["coulomb_friction"])[0]}
     both = attached(robot, found[:2])
     assert [each.at for each in both.effects] == [joint.name for joint in robot.joints[:2]]

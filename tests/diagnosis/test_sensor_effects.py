@@ -1,4 +1,4 @@
-"""Effects on a rate that a filter makes an angle of, and on readings that are late: in models, files and diagnoses."""
+"""Effects on a rate from which a filter computes an angle, and late readings: in models, files and diagnoses."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ MODEL = with_values(
 
 
 def turned() -> Model:
-    """Something that is turned at a given rate, under the IMU of the MONOCAB and its filter."""
+    """A body that turns at a given rate, with the IMU of the MONOCAB and its filter."""
     return Model(
         name="turned",
         title="a given rate",
@@ -61,7 +61,7 @@ def turned() -> Model:
 def shown(
     model: Model, rate: np.ndarray, time: np.ndarray, bias_std: np.ndarray | float = 6.9e-4, **values: float
 ) -> np.ndarray:
-    """What the sensor shows, (n, 2), where the turn begins at rest and the filter knows the bias to `bias_std`."""
+    """The readings of the sensor, (n, 2), if the motion starts at rest and the filter knows the bias to `bias_std`."""
     kernel = compile_model(model)
     inputs = np.column_stack((rate, np.broadcast_to(bias_std, len(rate))))
     knots = np.repeat(time[:, None], 2, axis=1)
@@ -71,11 +71,11 @@ def shown(
 
 
 class TestFilter:
-    def test_a_wrong_scale_is_what_the_roll_filter_makes_of_it(self) -> None:
+    def test_scale_error_of_the_model_agrees_with_the_roll_filter(self) -> None:
         scale, period = 0.05, 0.004
         time = period * np.arange(round(60.0 / period))
         tones = ((0.011, 0.15), (0.008, 0.4), (0.003, 1.1))
-        # From 5 s on: for the next minute the filter still learns the bias, slower and slower.
+        # From 5 s on: for the next minute the filter still estimates the bias, more and more slowly.
         moving = np.clip((time - 5.0) / 2.0, 0.0, 1.0)
         roll = moving * sum(size * np.sin(2.0 * math.pi * pitch * time) for size, pitch in tones)
         rate = np.gradient(roll, period)
@@ -98,28 +98,30 @@ class TestFilter:
         late = time > 5.0
 
         def share(bias_std: np.ndarray | float) -> list[float]:
-            """Of the error, by its RMS in angle and rate, that is not said."""
-            said = shown(model, rate, time, bias_std, sensor_scale__scale=scale) - shown(model, rate, time, bias_std)
-            return list(np.std((difference - said)[late], axis=0) / np.std(difference[late], axis=0))
+            """Unexplained share of the error, by its RMS, in angle and rate."""
+            predicted = shown(model, rate, time, bias_std, sensor_scale__scale=scale) - shown(
+                model, rate, time, bias_std
+            )
+            return list(np.std((difference - predicted)[late], axis=0) / np.std(difference[late], axis=0))
 
-        # What is left is a linear direction of gravity, and the other gain as constant: it changes by 4 % meanwhile.
+        # The remainder is from the linearised gravity and the other gain, which changes by 4 % but is constant here.
         angle, turn = share(right[:, 2])
         assert angle < 0.01
         assert turn < 0.005
-        # With a gain that does not change, it is a multiple of that.
+        # With a constant gain of the bias, too, it is a multiple of that.
         assert share(6.9e-4)[0] > 2.0 * angle
-        # Without the filter the angle would be right: the error is most of a twentieth of the motion.
+        # Without the filter the angle would have no error; with it, the error is most of a twentieth of the motion.
         assert np.std(difference[late, 0]) > 0.5 * scale * np.std(roll[late])
 
-    def test_a_constant_error_fades_from_what_is_shown(self) -> None:
+    def test_constant_bias_decays_in_the_readings(self) -> None:
         time = 0.01 * np.arange(18_000)
         error = shown(turned().add("gyro_bias"), np.zeros(len(time)), time, gyro_bias__bias=1e-3)
         assert error[0, 1] == pytest.approx(1e-3)
         assert np.max(np.abs(error[:, 0])) > 1e-3
-        # The slowest pole of the filter is at some 0.1 1/s.
+        # The slowest pole of the filter is at about 0.1 1/s.
         assert np.max(np.abs(error[-1])) < 1e-6
 
-    def test_where_angle_and_rate_are_measured_apart_the_angle_is_right(self) -> None:
+    def test_rate_errors_do_not_affect_an_angle_that_is_measured_separately(self) -> None:
         apart = replace(turned(), sensors=(replace(IMU, filter=None),))
         for name in ("sensor_scale", "gyro_bias"):
             model = apart.add(name)
@@ -128,13 +130,13 @@ class TestFilter:
             assert equations.outputs[0] == compose(apart).outputs[0]
             assert equations.outputs[1] != compose(apart).outputs[1]
 
-    def test_what_changes_both_readings_says_itself_what_becomes_of_the_angle(self) -> None:
+    def test_only_effects_on_the_rate_alone_get_filter_states(self) -> None:
         for name in ("sensor_lag", "sensor_delay", "sensor_offset"):
             states = {state.name for state in ROLL.add(name).states}
             assert not states & {f"{name}.{state}" for state in FILTERED}
         assert {f"sensor_scale.{state}" for state in FILTERED} <= {s.name for s in ROLL.add("sensor_scale").states}
 
-    def test_it_is_shown_with_the_equations(self) -> None:
+    def test_filter_errors_are_rendered_with_the_equations(self) -> None:
         text = rendering.text(ROLL.add("sensor_scale"))
         learning = "sensor_scale.bias_error' = 255000.0 * gyro_bias_std ** 2 * (sensor_scale.angle_error - "
         assert learning in text.replace("  ", " ")
@@ -142,13 +144,13 @@ class TestFilter:
         latex = rendering.latex(ROLL.add("sensor_scale"))
         assert latex.count(r"\left(") == latex.count(r"\right)")
 
-    def test_an_effect_cannot_have_names_of_the_filter(self) -> None:
+    def test_effect_with_a_name_of_the_filter_is_refused(self) -> None:
         scale = find("sensor_scale")
         taken = EffectParameter("level_error", "1", "", amplitude=True, scale="1")
         with pytest.raises(ModelError, match="is predefined"):
             validate(replace(scale, name="own_scale", parameters=(taken,), rate_reading="rate * (1 + level_error)"))
 
-    def test_models_with_other_filters_have_code_of_their_own(self) -> None:
+    def test_models_with_different_filters_have_different_fingerprints(self) -> None:
         other = replace(ROLL, sensors=(replace(IMU, filter=Filter(1.0)),))
         none = replace(ROLL, sensors=(replace(IMU, filter=None),))
         assert len({fingerprint(each) for each in (ROLL, other, none)}) == 3
@@ -195,13 +197,13 @@ name = "sensor_scale"
         write(file, again)
         assert read(again) == file
 
-    def test_a_key_that_is_not_of_a_filter_is_named(self, tmp_path: Path) -> None:
+    def test_unknown_key_of_a_filter_is_refused_by_name(self, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"
         path.write_text(self.TEXT.replace("proportional", "proportionl"))
         with pytest.raises(ModelError, match=r"sensors\.imu\.filter\.proportional"):
             read(path)
 
-    def test_a_filter_without_a_gain_is_none(self, tmp_path: Path) -> None:
+    def test_filter_without_a_gain_is_refused(self, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"
         path.write_text(self.TEXT.replace("proportional = 2.0", "proportional = 0.0"))
         with pytest.raises(ModelError, match="greater than 0"):
@@ -209,13 +211,13 @@ name = "sensor_scale"
 
 
 class TestDelay:
-    def test_of_a_sensor_that_shows_all_is_one_of_whatever_drives_the_model(self) -> None:
+    def test_delay_of_the_only_sensor_becomes_a_delay_of_the_inputs(self) -> None:
         late, offset = compose(ROLL.add("sensor_delay")), compose(ROLL)
         assert late.outputs == offset.outputs
         *driving, of_filter = offset.delays
         assert late.delays == (*((*each, "sensor_delay.delay") for each in driving), of_filter)
 
-    def test_is_exactly_an_offset_of_the_drives(self) -> None:
+    def test_delay_of_the_only_sensor_is_identical_to_an_offset_of_the_drives(self) -> None:
         time = 0.004 * np.arange(250)
         motion = np.stack([np.sin(7.0 * time + phase) for phase in range(5)], axis=1) * 1e-2
         segment = Segment(time, np.repeat(time[:, None], 5, axis=1), motion, np.full((250, 2), np.nan))
@@ -229,34 +231,34 @@ class TestDelay:
             runs[0], kernel.run(segment, kernel.vector(), np.zeros(len(kernel.states))).predicted, atol=1e-6
         )
 
-    def test_beside_other_sensors_is_one_of_the_readings(self) -> None:
+    def test_delay_of_one_of_several_sensors_delays_its_readings_alone(self) -> None:
         reduced = library.get("monocab_reduced")
         late, plain = compose(reduced.add("sensor_delay")), compose(reduced)
         assert late.delays == plain.delays
         assert late.outputs[0] != plain.outputs[0]
         assert late.outputs[2] == plain.outputs[2]
 
-    def test_of_a_command_stays_one_of_the_command(self) -> None:
+    def test_delays_of_command_and_sensor_add_up_on_the_input(self) -> None:
         cart = axis(rate_measured=True).add("input_delay").add("sensor_delay")
         assert compose(cart).delays == (("input_delay.delay", "sensor_delay.delay"),)
 
 
 class TestCandidates:
-    def test_a_bias_that_a_filter_has_learned_is_none(self) -> None:
+    def test_gyro_bias_that_a_filter_estimates_is_no_candidate(self) -> None:
         found, left_out = candidates_for(MODEL, [multisine()])
         assert "gyro_bias" not in {each.name for each in found}
         assert "learned" in left_out["gyro_bias"]
         assert "sensor_scale" in {each.name for each in found}
 
-    def test_while_the_vehicle_runs_it_may_set_in(self) -> None:
+    def test_gyro_bias_is_a_candidate_without_recordings(self) -> None:
         assert "gyro_bias" in {each.name for each in candidates_for(MODEL, ())[0]}
 
     @pytest.mark.parametrize("sensor", [replace(IMU, filter=None), replace(IMU, filter=Filter(proportional=2.0))])
-    def test_a_bias_that_no_filter_learns_is_one(self, sensor: Sensor) -> None:
+    def test_gyro_bias_that_no_filter_estimates_is_a_candidate(self, sensor: Sensor) -> None:
         model = replace(MODEL, sensors=(sensor,))
         assert "gyro_bias" in {each.name for each in candidates_for(model, [multisine()])[0]}
 
-    def test_an_angle_that_was_measured_apart_has_no_filter(self) -> None:
+    def test_separately_measured_angle_removes_the_filter(self) -> None:
         recording = multisine()
         noise = 1e-4 * np.random.default_rng(1).standard_normal(len(recording.time))
         apart = replace(recording, values={**recording.values, "roll": recording["roll"] + noise})
@@ -273,14 +275,14 @@ def found_in(hide: Sequence[str], seed: int) -> Diagnosis:
 
 
 class TestDiagnosis:
-    def test_a_delay_can_be_told_as_far_as_the_drives_time_stamps_are_known(self) -> None:
+    def test_detectable_delay_follows_from_the_uncertainty_of_the_drives_time_stamps(self) -> None:
         sizes = diagnose(MODEL, [multisine()], support=VEHICLE.support, candidates=["sensor_delay"]).minimum_detectable
         assert sizes is not None
-        # All that the record tells is delay and offset together: the offset's 2 ms are what is left, to a hundredth.
+        # The record determines only the sum of delay and offset: the uncertainty of the offset, 2 ms, remains, to 1 %.
         assert sizes["sensor_delay"] == pytest.approx(DETECTABLE * MODEL.parameter("drive_offset").std, rel=0.01)
 
-    def test_a_sensor_that_is_askew_is_as_likely_as_the_torque_that_does_the_same(self) -> None:
-        """Where the vehicle begins is not where such a sensor shows it: that had spoken for the torque."""
+    def test_offset_of_the_sensor_is_tied_with_the_torque_that_it_imitates(self) -> None:
+        """The vehicle does not start where such a sensor shows it; ignoring this had favoured the torque."""
         hide = ("sensor_offset", "disturbance=28,0.3")
         recording = record("monocab", "multisine", hide=hide, seed=8, duration=20.0)
         candidates = ["sensor_offset", "static_torque"]
@@ -288,14 +290,14 @@ class TestDiagnosis:
         assert {found.effect, *found.tied_with} == {"sensor_offset", "static_torque"}
         assert min(found.odds.values()) > 0.8
 
-    def test_a_delay_of_twice_that_is_named(self) -> None:
+    def test_delay_of_twice_the_detectable_one_is_found(self) -> None:
         found = found_in(["sensor_delay=1.55"], seed=5)
         assert found.verdict is Verdict.MISSING_EFFECT
         assert found.findings[0].effect == "sensor_delay"
         assert len(found.findings[0].tied_with) <= 1
 
-    def test_a_scale_of_twice_the_detectable_size_is_named_and_sized(self) -> None:
-        # A record shows 0.028. A fifteenth is for the gains of the filter, which are constant in the model alone.
+    def test_scale_error_of_twice_the_detectable_one_is_found_with_its_value(self) -> None:
+        # 0.028 is detectable. A fifteenth allows for the gains of the filter, which are constant only in the model.
         truth = -1.87 * 0.03
         finding = found_in(["sensor_scale=-1.87"], seed=4).findings[0]
         assert finding.effect == "sensor_scale"
@@ -305,7 +307,7 @@ class TestDiagnosis:
         assert scale.std is not None
         assert scale.value == pytest.approx(truth, abs=4.0 * scale.std + abs(truth) / 15.0)
 
-    def test_a_bias_from_the_beginning_does_no_harm(self) -> None:
+    def test_gyro_bias_from_the_beginning_leaves_the_model_adequate(self) -> None:
         found = found_in(["gyro_bias=0.22"], seed=3)
         assert found.verdict is Verdict.ADEQUATE
         assert "gyro_bias" not in (found.minimum_detectable or {})

@@ -1,4 +1,4 @@
-"""What every page says of a diagnosis: the disturbance, what is negligible, what was left untried."""
+"""Sentences on a diagnosis that all outputs share: the disturbance, negligible effects, untried effects."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def finding(effect: str, gain: float, ahead: float) -> Finding:
 
 
 @pytest.mark.parametrize("each", [SHAKEN, STILL, STATED], ids=["shaken", "still", "stated"])
-def test_a_disturbance_is_read_back_from_a_document(each: DisturbanceEstimate) -> None:
+def test_disturbance_is_unchanged_after_a_round_trip_through_json(each: DisturbanceEstimate) -> None:
     assert DisturbanceEstimate.from_json("roll", json.loads(json.dumps(each.to_json()))) == each
 
 
-def test_an_adequate_model_is_so_to_within_noise_and_what_shakes_the_vehicle() -> None:
+def test_adequate_model_explains_to_within_noise_and_the_disturbance() -> None:
     assert to_within(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,))) == "to within their noise"
     shaken = Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,))
     assert to_within(shaken) == "to within their noise and a random disturbance of 8.1 ± 0.4 N m RMS"
@@ -58,7 +58,7 @@ def test_an_adequate_model_is_so_to_within_noise_and_what_shakes_the_vehicle() -
     )
 
 
-def test_a_finding_leads_by_what_it_explains_beyond_the_next_effect_or_beyond_none() -> None:
+def test_lead_of_a_finding_is_over_the_next_effect_or_over_none() -> None:
     alone = finding("backlash", 80.0, 0.1)
     assert alone.lead == 80.0
     followed = replace(alone, gains={"backlash": 1.0, "hysteresis": 0.75, "static_torque": 0.5})
@@ -67,27 +67,27 @@ def test_a_finding_leads_by_what_it_explains_beyond_the_next_effect_or_beyond_no
     assert replace(followed, tied_with=("hysteresis",)).lead == 0.0
 
 
-def test_where_none_shows_no_effect_has_to_explain_it() -> None:
-    told = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,)))
-    assert told == "Disturbance: none detected; less than 2 N m RMS."
-    told = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,)))
-    assert told == "Disturbance: 8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s; no effect explains it."
+def test_disturbance_sentence_gives_an_estimate_or_an_upper_bound() -> None:
+    sentence = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(STILL,)))
+    assert sentence == "Disturbance: none detected; less than 2 N m RMS."
+    sentence = disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "", disturbance=(SHAKEN,)))
+    assert sentence == "Disturbance: 8.1 ± 0.4 N m RMS, correlation time 0.31 ± 0.03 s; no effect explains it."
     assert disturbance_sentences(Diagnosis(Verdict.ADEQUATE, "")) == ""
     assert disturbance_text((STILL,)) == "none detected; less than 2 N m RMS"
 
 
-def test_a_large_error_has_no_power_of_ten() -> None:
+def test_large_error_is_written_without_a_power_of_ten() -> None:
     assert [two_digits(each) for each in (0.0317, 3.17, 99.4, 843.0)] == ["0.032", "3.2", "99", "840"]
 
 
-def test_what_is_untried_has_its_remedy() -> None:
+def test_untried_effects_are_stated_with_the_remedy() -> None:
     hurried = Diagnosis(Verdict.UNKNOWN, "", untried=("hysteresis",))
     assert untried_sentence(hurried) == "Left untried for want of time: hysteresis. Remedy: --budget SECONDS."
     assert untried_sentence(hurried, 60.0).endswith("(60 s): hysteresis. Remedy: --budget 300.")
     assert untried_sentence(Diagnosis(Verdict.UNKNOWN, "")) == ""
 
 
-def test_what_matters_is_said_first_and_whole() -> None:
+def test_relevant_effect_is_explained_in_full_before_a_negligible_one() -> None:
     large, small = finding("viscous_friction", 10.0, 43.0), finding("sensor_lag", 90.0, 0.2)
     assert together([large, small]) == (
         "viscous_friction explained sensor_lag is detectable but negligible: "
@@ -98,8 +98,8 @@ def test_what_matters_is_said_first_and_whole() -> None:
     assert (percent(43.2), percent(0.34), percent(0.0)) == ("43 %", "0.3 %", "none")
 
 
-def test_of_two_parts_the_one_that_matters_comes_first_and_all_that_is_untried_is_told() -> None:
-    """The evidence of a negligible effect may be larger: a long record shows it all the same."""
+def test_relevant_effect_of_two_parts_comes_first_and_all_untried_are_listed() -> None:
+    """A negligible effect may have more evidence: a long record shows it nevertheless."""
     large, small = finding("input_gain", 10.0, 43.0), finding("sensor_lag", 90.0, 0.2)
     vehicle = Diagnosis(Verdict.MISSING_EFFECT, "", (small,), untried=("hysteresis",))
     actuators = Diagnosis(Verdict.MISSING_EFFECT, "", (large,), untried=("actuator_lag",))
@@ -111,11 +111,11 @@ def test_of_two_parts_the_one_that_matters_comes_first_and_all_that_is_untried_i
     assert merged(vehicle, unknown, []).untried == found.untried
 
 
-def test_a_loop_is_known_on_a_part_of_its_recording() -> None:
+def test_loop_is_shifted_to_a_part_of_its_recording() -> None:
     whole = Loop(7.0, 40.0, lambda: lambda time, seen: {}, frozenset(), frozenset(), ())
     assert (whole.of_part(3.0).begins, whole.of_part(3.0).ends) == (4.0, 37.0)
 
 
-def test_what_there_was_no_time_for_may_explain_it_yet() -> None:
+def test_untried_effects_restrict_the_statement_that_none_explains() -> None:
     assert explained_by_none(()) == "no known effect explains"
     assert explained_by_none(("backlash",)) == "no effect tried so far explains"
