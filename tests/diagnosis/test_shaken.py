@@ -1,4 +1,4 @@
-"""A vehicle that is shaken is not a model that lacks something: the random disturbance in fits and in a diagnosis."""
+"""The random disturbance in fits and in a diagnosis: it is not an effect that the model of the vehicle lacks."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ def fitted(shaken: Recording) -> Fit:
 
 
 class TestModel:
-    def test_every_joint_has_one(self, shaken: Recording) -> None:
+    def test_every_joint_gets_a_disturbance(self, shaken: Recording) -> None:
         model = disturbed(NOMINAL, [shaken])
         assert [state.name for state in model.base_states if state.correlation_time] == ["disturbance_roll"]
         assert model.parameter("disturbance_roll_time").upper == pytest.approx(3.0, rel=0.01)  # a tenth of the record
         assert undisturbed(NOMINAL, model).base_parameters == NOMINAL.base_parameters
 
-    def test_it_is_put_in_once(self, shaken: Recording) -> None:
+    def test_disturbance_is_added_once(self, shaken: Recording) -> None:
         once = disturbed(NOMINAL, [shaken])
         assert disturbed(once, [shaken]) == once
 
-    def test_it_can_be_switched_off_and_stated(self, shaken: Recording) -> None:
+    def test_disturbance_can_be_switched_off_and_stated(self, shaken: Recording) -> None:
         (joint,) = NOMINAL.joints
         off = replace(NOMINAL, joints=(replace(joint, disturbance=None),))
         assert disturbed(off, [shaken]) == off
@@ -75,31 +75,31 @@ class TestModel:
         (found,) = disturbances(fit(_task(shaken, stated)))
         assert (found.std, found.correlation_time, found.known) == (pytest.approx(8.0), 0.3, True)
 
-    def test_a_random_force_of_ones_own_is_the_disturbance(self, shaken: Recording) -> None:
+    def test_model_with_its_own_random_force_gets_no_disturbance(self, shaken: Recording) -> None:
         own = axis(load="wind", process_noise=0.0)
         own = replace(own, base_states=(*own.base_states, State("wind", "N", "-2 * wind", process_noise=1.0)))
         assert disturbed(own, [shaken]) == own
 
-    def test_the_machine_is_given_back_without_it(self, shaken: Recording) -> None:
+    def test_disturbance_is_removed_from_the_result(self, shaken: Recording) -> None:
         made = ready(NOMINAL, [shaken])
         assert {each.name for each in unready(NOMINAL, made).parameters} == {each.name for each in NOMINAL.parameters}
 
 
 class TestBias:
-    def test_the_likeliest_correlation_time_is_told_longer(self, fitted: Fit) -> None:
-        """By 4 / duration in the rate, and the RMS by the root of that, as the torque's density stays."""
-        (told,) = disturbances(fitted)
+    def test_most_likely_correlation_time_is_corrected_upwards(self, fitted: Fit) -> None:
+        """Its inverse by 4 / duration, and the RMS by the root of the factor, as the torque's density is kept."""
+        (estimate,) = disturbances(fitted)
         likeliest = fitted.values[fitted.problem.kernel.index("disturbance_roll_time")]
-        assert told.correlation_time is not None
-        assert told.correlation_time == pytest.approx(1.0 / (1.0 / likeliest - 4.0 / fitted.problem.span), rel=1e-3)
-        assert told.correlation_time > 1.01 * likeliest
+        assert estimate.correlation_time is not None
+        assert estimate.correlation_time == pytest.approx(1.0 / (1.0 / likeliest - 4.0 / fitted.problem.span), rel=1e-3)
+        assert estimate.correlation_time > 1.01 * likeliest
 
 
 class TestLikelihood:
     @pytest.mark.parametrize("effect", ["", "sensor_offset", "sensor_delay"])
-    def test_its_slope_is_that_of_differences(self, shaken: Recording, effect: str) -> None:
-        """Also by the RMS and the correlation time, which say how far off the disturbance may begin, and by errors of
-        sensors, which say how far off a start is from what these show."""
+    def test_gradient_agrees_with_finite_differences(self, shaken: Recording, effect: str) -> None:
+        """Also with respect to the RMS and the correlation time, which bound the initial disturbance, and to errors of
+        sensors, which bound how far the initial state is from their readings."""
         task = _task(shaken.between(0.0, 4.0), NOMINAL.add(effect) if effect else NOMINAL)
         likelihood = Likelihood.of(task, np.array([parameter.std for parameter in task.parameters]))
         common = np.concatenate((1.02 * task.start, 0.4 * np.cos(np.arange(likelihood.noise.size))))
@@ -116,7 +116,7 @@ class TestLikelihood:
             rise = (ends[0].cost - ends[1].cost) / (2.0 * step[place])  # type: ignore[union-attr]
             assert slope[place] == pytest.approx(rise, rel=2e-3, abs=1e-3 / scale[place])
 
-    def test_what_all_rows_tell_of_their_beginning_is_what_one_tells_and_all_others(self, fitted: Fit) -> None:
+    def test_information_on_the_start_satisfies_its_recursion(self, fitted: Fit) -> None:
         noise, size = NoiseModel.of(fitted.problem), len(fitted.problem.free)
         values, logarithms = fitted.values, fitted.minimum.common[size:]
         transition, output = noise.covariances(values, logarithms)[:2]
@@ -132,8 +132,8 @@ class TestLikelihood:
         assert found == pytest.approx(total, rel=1e-6, abs=1e-9 * float(np.max(total)))
 
     @pytest.mark.parametrize("seed", [3, 4])
-    def test_a_weak_one_that_fades_fast_ends_in_one_place_from_wherever_it_begins(self, seed: int) -> None:
-        """Maximised together with where it begins, it ended at nothing from one of them."""
+    def test_fit_of_a_weak_fast_disturbance_ends_at_one_optimum_from_all_starts(self, seed: int) -> None:
+        """Maximised jointly with the initial state, the likelihood ended at no disturbance from one of the starts."""
         task = _task(Shaken(rms=3.0, correlation_time=0.06).record(seed))
         ends = [
             fit(task, begin=Begin({}, noise_of(task, shaken=shaken, white=white)))
@@ -144,8 +144,8 @@ class TestLikelihood:
         assert found.shown
         assert abs(math.log(found.std / 3.0)) < 3.0 * (found.std_error or 0.0) / found.std
 
-    def test_both_numbers_and_the_vehicle_are_within_their_intervals(self) -> None:
-        """40 records: of each number as many 95 % intervals hold the truth as chance has it, at one in a thousand."""
+    def test_intervals_of_disturbance_and_vehicle_contain_the_truth(self) -> None:
+        """40 records: enough of the 95 % intervals of each number contain the truth (1 in 1000 runs has fewer)."""
         truth = {"inertia": 1620.0, "gravity_stiffness": 13650.0, "std": 8.0, "time": 0.3}
         held = dict.fromkeys(truth, 0)
         for seed in range(40):
@@ -156,39 +156,39 @@ class TestLikelihood:
             assert each.correlation_time_error is not None
             deviations = np.sqrt(np.diag(np.linalg.inv(found.minimum.information)))
             names = [parameter.name for parameter in found.problem.parameters]
-            told = {
+            estimates = {
                 name: (found.minimum.common[names.index(name)], deviations[names.index(name)])
                 for name in ("inertia", "gravity_stiffness")
             }
-            # Their logarithms are nearer to normal than they are.
-            told["std"] = (math.log(each.std), each.std_error / each.std)
-            told["time"] = (math.log(each.correlation_time), each.correlation_time_error / each.correlation_time)
-            for name, (value, std) in told.items():
+            # Their logarithms are closer to normally distributed than they are.
+            estimates["std"] = (math.log(each.std), each.std_error / each.std)
+            estimates["time"] = (math.log(each.correlation_time), each.correlation_time_error / each.correlation_time)
+            for name, (value, std) in estimates.items():
                 right = math.log(truth[name]) if name in ("std", "time") else truth[name]
                 held[name] += abs(value - right) < 1.96 * std
         least = int(binom.ppf(1e-3, 40, 0.95))
         assert all(count >= least for count in held.values()), held
 
-    def test_where_there_is_none_its_rms_has_a_bound(self) -> None:
+    def test_absent_disturbance_has_an_upper_bound(self) -> None:
         (found,) = disturbances(fit(_task(Shaken(rms=0.0).record(2))))
         assert not found.shown
         assert found.std < 1.0
         assert "less than" in str(found)
 
-    def test_it_is_told_beside_the_parameters(self, shaken: Recording) -> None:
+    def test_disturbance_is_reported_separately_from_the_parameters(self, shaken: Recording) -> None:
         estimate = prediction_error(NOMINAL, [shaken], support=VEHICLE.support)
         assert "disturbance_roll_time" not in estimate.parameters
         assert estimate.to_json()["disturbance"]["roll"]["rms"] == pytest.approx(8.0, abs=1.5)
 
 
-def test_numbers_for_people() -> None:
+def test_numbers_are_rounded_to_their_errors() -> None:
     assert with_error(8.123, 0.4123) == "8.1 ± 0.4"
     assert with_error(0.3142, 0.0312) == "0.31 ± 0.03"
     assert with_error(1613.0, 152.0) == "1610 ± 150"
 
 
 class TestCompare:
-    def test_all_models_are_held_against_what_the_best_one_leaves(self) -> None:
+    def test_all_models_are_compared_with_the_disturbance_of_the_best_one(self) -> None:
         record = Shaken(more=lambda time, roll, rate: -900.0 * rate).record(3)
         with_it = NOMINAL.add("viscous_friction").change({"viscous_friction.coefficient": 900.0})
         values = {"inertia": 1620.0, "gravity_stiffness": 13650.0}
@@ -209,14 +209,14 @@ def _diagnosed(record: Recording, **options: object) -> Diagnosis:
 
 class TestDiagnosis:
     @pytest.mark.parametrize("time", [0.05, 0.3, 1.5])
-    def test_nothing_is_missing_but_a_random_torque(self, time: float) -> None:
+    def test_random_torque_leaves_the_model_adequate(self, time: float) -> None:
         found = _diagnosed(Shaken(rms=12.0, correlation_time=time).record(4))
         assert found.verdict is Verdict.ADEQUATE
         assert found.disturbance[0].std == pytest.approx(12.0, rel=0.35)
         assert found.prediction_limit is not None
         assert found.prediction_limit.disturbed["roll"] > 1.5 * found.prediction_limit.undisturbed["roll"]
 
-    def test_what_follows_a_state_stays_an_effect(self) -> None:
+    def test_torque_that_depends_on_a_state_is_found_as_an_effect(self) -> None:
         record = Shaken(more=lambda time, roll, rate: -600.0 * rate).record(5)
         found = _diagnosed(record)
         assert [each.effect for each in found.findings] == ["viscous_friction"]
@@ -228,11 +228,11 @@ class TestDiagnosis:
         assert found.findings[0].relevance is not None
         assert found.findings[0].relevance.ahead > 10.0
 
-    def test_what_is_periodic_stays_an_effect(self) -> None:
+    def test_periodic_torque_is_found_as_an_effect(self) -> None:
         record = Shaken(more=lambda time, roll, rate: 15.0 * math.sin(2.0 * math.pi * 1.7 * time)).record(6)
         assert [each.effect for each in _diagnosed(record).findings] == ["periodic_disturbance"]
 
-    def test_a_gust_is_an_event(self) -> None:
+    def test_gust_is_reported_as_an_event(self) -> None:
         found = _diagnosed(Shaken(gust=5.0, gust_from=20.0, gust_to=25.0).record(7, 60.0))
         assert found.verdict is Verdict.ADEQUATE
         (event,) = found.events
@@ -243,14 +243,14 @@ class TestDiagnosis:
         assert found.disturbance[0].std == pytest.approx(8.0, abs=1.5)
 
     @pytest.mark.parametrize(("gust", "least", "most"), [(1.0, 0.0, 0.06), (5.0, 0.9, 1.0)])
-    def test_blows_all_along_are_no_event_and_hide_none(self, gust: float, least: float, most: float) -> None:
-        """Parts of 50 rows with half of a neper's scatter: a Gaussian of one variance would have an event in each."""
+    def test_scattered_impulses_are_no_event_and_hide_none(self, gust: float, least: float, most: float) -> None:
+        """Parts of 50 samples scatter by half a neper: with a Gaussian of one variance each record has an event."""
         chances = []
         for seed in range(50):
             random = np.random.default_rng(seed)
-            blows = random.standard_normal(12000) * np.repeat(np.exp(0.5 * random.standard_normal(240)), 50)
-            blows[4000:5000] *= gust
-            squares = blows**2 / np.mean(blows**2)
+            impulses = random.standard_normal(12000) * np.repeat(np.exp(0.5 * random.standard_normal(240)), 50)
+            impulses[4000:5000] *= gust
+            squares = impulses**2 / np.mean(impulses**2)
             best, tried = _best(squares, 200)
             assert best is not None
             rest = np.concatenate((squares[: best[0]], squares[best[1] :]))
@@ -258,11 +258,11 @@ class TestDiagnosis:
         assert least <= float(np.mean(np.array(chances) < LEVEL)) <= most
 
     @pytest.mark.thorough
-    def test_where_nothing_changes_there_is_no_event(self) -> None:
+    def test_constant_disturbance_has_no_event(self) -> None:
         assert not any(_diagnosed(Shaken().record(seed, 60.0), candidates=()).events for seed in range(8))
 
-    def test_a_disturbance_beside_which_nothing_shows_says_what_would_do(self) -> None:
-        """A carriage of 2 kg that is pushed by hundredths of a newton, and shaken by whole ones."""
+    def test_dominant_disturbance_is_reported_with_the_required_excitation(self) -> None:
+        """A carriage of 2 kg that is driven by hundredths of a newton and disturbed by whole newtons."""
         random, spacing, rows = np.random.default_rng(9), 0.01, 4000
         force = 0.02 * np.sign(np.sin(2.0 * np.pi * 0.37 * spacing * np.arange(rows)))
         torque = position = rate = 0.0
@@ -283,17 +283,17 @@ class TestDiagnosis:
 
 
 class TestBudget:
-    def test_a_piece_of_work_that_takes_too_long_fails(self, shaken: Recording) -> None:
+    def test_fit_without_time_left_fails(self, shaken: Recording) -> None:
         with pytest.raises(OutOfTime):
             fit(replace(_task(shaken), budget=Budget.of(0.0)))
 
-    def test_a_search_without_time_says_what_it_left(self, shaken: Recording) -> None:
+    def test_search_without_time_lists_what_it_left_untried(self, shaken: Recording) -> None:
         record = Shaken(more=lambda time, roll, rate: -600.0 * rate).record(5)
         found = _diagnosed(record, budget=0.0)
         assert "viscous_friction" in found.untried
         assert not found.findings
 
-    def test_one_stiff_effect_does_not_keep_the_others_from_being_tried(self) -> None:
+    def test_stiff_effect_does_not_keep_the_others_from_being_tried(self) -> None:
         record = Shaken(more=lambda time, roll, rate: -600.0 * rate).record(5)
         stiff = Effect(
             name="stiff_spring",
@@ -324,8 +324,10 @@ RIGHT = {
 @pytest.mark.parametrize(
     ("name", "effect"), of_many(RIGHT.items(), ("clean", None), ("cubic_stiffness_9e6", "cubic_stiffness"))
 )
-def test_records_of_another_simulator(measured_data: Path, name: str, effect: str | None) -> None:
-    """What they hide is first, or tied with the first: a delay of what drives a model is one of what it shows."""
+def test_effect_and_disturbance_of_another_simulator_are_found(
+    measured_data: Path, name: str, effect: str | None
+) -> None:
+    """The hidden effect is first, or tied with the first: a delay of a model's inputs is one of its outputs."""
     found = _diagnosed(load_recording(measured_data / "shaken" / f"{name}.csv"))
     if effect is None:
         assert found.verdict is Verdict.ADEQUATE
@@ -335,9 +337,9 @@ def test_records_of_another_simulator(measured_data: Path, name: str, effect: st
         assert effect in (first.effect, *first.tied_with)
         assert len(first.tied_with) <= 1
     rms, time = {"clean_slow": (15.0, 2.0)}.get(name, (8.0, 0.3))
-    (told,) = found.disturbance
-    assert told.std_error is not None
-    assert told.correlation_time is not None
-    assert told.correlation_time_error is not None
-    assert abs(told.std - rms) < 3.0 * told.std_error
-    assert abs(told.correlation_time - time) < 3.0 * told.correlation_time_error
+    (estimate,) = found.disturbance
+    assert estimate.std_error is not None
+    assert estimate.correlation_time is not None
+    assert estimate.correlation_time_error is not None
+    assert abs(estimate.std - rms) < 3.0 * estimate.std_error
+    assert abs(estimate.correlation_time - time) < 3.0 * estimate.correlation_time_error

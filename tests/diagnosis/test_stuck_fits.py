@@ -1,4 +1,4 @@
-"""Fits that had stopped short of where they could go, on the records on which they did."""
+"""Fits that had stopped short of the optimum, on the records on which they did."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ VALUES, DEVIATIONS = VEHICLE.parameters.values, VEHICLE.parameters.deviations
 MODEL = with_values(nominal_model("monocab").remove("static_torque"), VALUES, DEVIATIONS)
 
 
-def test_the_model_alone_goes_on_from_where_its_fit_seemed_to_settle() -> None:
-    """It was 1,200 nats short, and so was each effect beside it: none looked missing."""
+def test_fit_of_the_model_alone_continues_from_its_apparent_optimum() -> None:
+    """It was 1,200 nats short, and so was the fit with each effect: none appeared to be missing."""
     hide = ("input_deadband=0.0110519", "load_dependent_friction=0.00994092")
     recording = record("monocab", "multisine", hide=hide, seed=239602470, duration=30.0)
     actuators = [with_values(each, VALUES, DEVIATIONS) for each in registry.of("monocab").models().actuators]
@@ -26,8 +26,8 @@ def test_the_model_alone_goes_on_from_where_its_fit_seemed_to_settle() -> None:
     assert [each.effect for each in found.findings] == ["input_deadband"]
 
 
-def test_a_quick_fit_that_overshoots_begins_again_from_none_of_the_effect() -> None:
-    """Beside a creeping torque the score test's size of the scale made the error grow, and halving it did, too."""
+def test_quick_fit_that_overshoots_restarts_from_zero_amplitude() -> None:
+    """Beside a creeping torque, the score test's amplitude of the scale increased the error, and so did half of it."""
     hide = ("sensor_scale=-1.16901", "torque_drift=-0.129222")
     recording = record("monocab", "multisine", hide=hide, seed=675140893, duration=30.0)
     candidates = ("sensor_scale", "sensor_offset", "torque_drift", "static_torque")

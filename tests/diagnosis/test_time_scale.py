@@ -1,4 +1,4 @@
-"""The same plant at another pace is the same plant: verdict, names and sizes in their own units do not change."""
+"""A plant at another pace gets the same diagnosis: verdict, names and amplitudes in their own units do not change."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from vehicles.monocab.model import MODELS as MONOCABS
 from vehicles.twsbr.model import MODELS as ROBOTS
 
 PACES = (0.01, 1.0, 100.0)
-"""Seconds of the plant that take place while one of it passes at pace 1."""
+"""Seconds that the plant takes for what takes one second at pace 1."""
 MASS, STIFFNESS, DAMPING = 2.0, 50.0, 4.0
 NOISE = 2e-5
 LATE = 0.045
-"""s by which the force acts late where that is what is hidden."""
+"""s by which the force acts late if that is the hidden effect."""
 SPACING, FINER, DURATION = 0.01, 20, 24.0
 CHANNELS = ChannelTable((Channel("position", "m", "of the mass"), Channel("force", "N", "on it")))
 Missing = Callable[[float, float, float], float]
@@ -44,9 +44,9 @@ HIDDEN: dict[str, tuple[Missing, dict[str, tuple[float, int]]]] = {
     "torque_step": (lambda t, x, v: 0.3 if t > 11.0 else 0.0, {"torque": (0.3, 0), "start": (11.0, 1)}),
     "input_delay": (lambda t, x, v: 0.0, {"delay": (LATE, 1)}),
 }
-"""Force (N) by time, position and rate at pace 1; parameters that were put in, and the power of time in their units."""
-UNSURE = {"torque_step"}
-"""A slow random force may take its place: asked is only that all paces say the same."""
+"""Force (N) of time, position and rate at pace 1; the true parameters, and the power of time in their units."""
+AMBIGUOUS = {"torque_step"}
+"""A slow random force may imitate it: only identical results at all paces are required."""
 FILE = """
 title = "Mass on a spring"
 
@@ -119,7 +119,7 @@ def model(folder: Path, pace: float) -> Model:
 
 @cache
 def columns(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Position and force of the plant at pace 1, by the leapfrog rule, twenty steps a row."""
+    """Position and force of the plant at pace 1, by the leapfrog rule, twenty steps per sample."""
     missing = HIDDEN[name][0] if name else lambda t, x, v: 0.0
     random = np.random.default_rng(31)
     count = round(DURATION / SPACING)
@@ -153,14 +153,14 @@ def diagnosed(folder: Path, name: str, pace: float) -> Diagnosis:
 
 
 @pytest.mark.parametrize("name", of_many([*HIDDEN, ""], "cubic_stiffness", "torque_step", ""))
-def test_a_plant_at_another_pace_is_the_same_plant(name: str, tmp_path: Path) -> None:
+def test_diagnosis_does_not_depend_on_the_pace_of_the_plant(name: str, tmp_path: Path) -> None:
     usual, *others = (diagnosed(tmp_path, name, pace) for pace in (1.0, *PACES))
-    if name not in UNSURE:
+    if name not in AMBIGUOUS:
         assert usual.verdict is (Verdict.MISSING_EFFECT if name else Verdict.ADEQUATE), usual.reason
         assert [name in names(each) for each in usual.findings] == [True][: bool(name)]
     for pace, found in zip(PACES, others, strict=True):
         assert found.verdict is usual.verdict, found.reason
-        # Of a tie that nothing tells apart, rounding says which comes first.
+        # Rounding decides which of indistinguishable effects comes first.
         assert [names(each) for each in found.findings] == [names(each) for each in usual.findings]
         for here, there in zip(found.findings, usual.findings, strict=True):
             for local, (true, power) in HIDDEN[name][1].items():
@@ -177,7 +177,7 @@ def names(finding: Finding) -> set[str]:
     return {finding.effect, *finding.tied_with}
 
 
-def test_windows_follow_the_plant(tmp_path: Path) -> None:
+def test_time_scales_and_required_durations_follow_the_plant(tmp_path: Path) -> None:
     for pace in PACES:
         plant = model(tmp_path, pace)
         rows = segments(plant, [recording("", pace)])
@@ -191,13 +191,13 @@ def test_windows_follow_the_plant(tmp_path: Path) -> None:
             check(plant, [recording("", pace).between(0.0, 6.0 * pace)])
 
 
-def test_a_record_of_few_rows_is_refused(tmp_path: Path) -> None:
+def test_record_of_few_samples_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="400 samples of free motion"):
         check(model(tmp_path, 1.0), [recording("", 1.0, every=6)])
 
 
-def test_a_record_bounds_sizes_that_are_far_off(tmp_path: Path) -> None:
-    """A model file with the rate of a plant that is a hundred times slower: it says 40 s, where the record has 24."""
+def test_record_bounds_a_time_scale_that_is_far_off(tmp_path: Path) -> None:
+    """A model file with the rate of a plant that is a hundred times slower: it implies 40 s, but the record has 24."""
     slow = model(tmp_path, 100.0)
     (there,) = segments(slow, [recording("", 1.0)])
     swing = [replace(there, measured=0.01 * np.sin(4.0 * math.pi * there.time)[:, None])]
@@ -206,16 +206,16 @@ def test_a_record_bounds_sizes_that_are_far_off(tmp_path: Path) -> None:
     assert time_scale(slow, swing) < 0.5
     assert needed(slow, swing) < 10.0
     few = [replace(there, time=100.0 * there.time)]
-    assert time_scale(model(tmp_path, 0.01), few) == pytest.approx(10.0)  # ten of its rows, 1 s apart
+    assert time_scale(model(tmp_path, 0.01), few) == pytest.approx(10.0)  # ten of its samples, 1 s apart
 
 
 @pytest.mark.parametrize("model", [*MONOCABS, *ROBOTS], ids=lambda model: str(model.name))
-def test_the_vehicles_that_seconds_were_once_written_for_have_one_time_scale(model: Model) -> None:
+def test_natural_time_of_the_monocab_and_robot_models_is_400_ms(model: Model) -> None:
     assert natural_time(model) == 0.4
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_the_seconds_of_an_effect_follow_the_plant(name: str, tmp_path: Path) -> None:
+def test_durations_and_frequencies_of_an_effect_follow_the_plant(name: str, tmp_path: Path) -> None:
     usual, fast = (model(tmp_path, pace) for pace in (1.0, 0.01))
     try:
         parts = [(each, each.add(name).effects[-1]) for each in (usual, fast)]

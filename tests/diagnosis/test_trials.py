@@ -1,4 +1,4 @@
-"""A candidate whose fits fail is one that failed: the verdict is the same as without it, and the reason is told."""
+"""A candidate whose fits fail is excluded: the verdict is the same as without it, and the reason is reported."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def pushing(name: str, force: str) -> Effect:
 DIVERGES = {
     "a_blow_up": "size * exp(60 * rate**2)",
     "no_number": "size * log(-1 - rate**2)",
-    # The score test sees a drag, and no step of a fit from there has a finite value.
+    # To the score test it is a drag, but no step of a fit from there has a finite value.
     "a_trap": "size * rate * exp(1e9 * size**2)",
 }
 DIVERGED = "1e6 * size * rate**3"
@@ -54,7 +54,7 @@ def verdict(*further: str) -> Diagnosis:
 
 
 @pytest.mark.parametrize("name", DIVERGES)
-def test_the_verdict_is_the_same_beside_one_that_always_diverges(name: str) -> None:
+def test_verdict_does_not_change_with_a_candidate_that_always_diverges(name: str) -> None:
     without, beside = verdict(), verdict(name)
     assert without.verdict is Verdict.MISSING_EFFECT, without.reason
     assert beside.verdict is without.verdict, beside.reason
@@ -66,7 +66,7 @@ def test_the_verdict_is_the_same_beside_one_that_always_diverges(name: str) -> N
 
 
 @pytest.mark.parametrize("error", [ArithmeticError("a"), np.linalg.LinAlgError("a"), FloatingPointError("a")])
-def test_what_ends_a_fit_is_told(error: Exception) -> None:
+def test_failed_fit_reports_its_reason(error: Exception) -> None:
     def fails() -> None:
         raise error
 
@@ -77,7 +77,7 @@ def test_what_ends_a_fit_is_told(error: Exception) -> None:
     assert failed == {}
 
 
-def test_bounds_that_cross_end_a_fit_and_a_mistake_of_the_program_ends_all() -> None:
+def test_crossing_bounds_fail_one_trial_but_a_programming_error_is_raised() -> None:
     def crossing() -> None:
         raise EstimationError("parameter a", "its bounds cross", remedy="mend them.")
 
@@ -89,7 +89,7 @@ def test_bounds_that_cross_end_a_fit_and_a_mistake_of_the_program_ends_all() -> 
         tried(mistaken)
 
 
-def test_a_model_that_runs_away_by_itself_is_said_to() -> None:
+def test_model_that_diverges_by_itself_is_reported_as_diverging() -> None:
     model = BODY.model(1e-3, 0.3).add(pushing("a_runaway", DIVERGED)).change({"a_runaway.size": 1.0})
     held = model.change(estimated=[each.name for each in model.base_parameters if each.estimated])
     found = diagnose(held, [BODY.by_encoder(4096)], candidates=OTHERS)
