@@ -105,7 +105,7 @@ class TestAmplitudes:
         assert max(beyond) == pytest.approx(away**2, abs=3.3 * 2.0 * away)
 
     def test_detectable_amplitude_is_that_of_the_usual_shape(self) -> None:
-        """Stribeck friction that fades in fast motion is detectable at less than half the amplitude: it is another one."""
+        """Stribeck friction that fades in fast motion is detectable at less than half the amplitude: another effect."""
         _, innovations = clean()
         workspace = Workspace.of(MODEL, [multisine()], VEHICLE.support, ("coulomb_friction", "stribeck_friction"))
         coulomb, stribeck = workspace.candidates

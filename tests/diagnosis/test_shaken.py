@@ -87,7 +87,7 @@ class TestModel:
 
 class TestBias:
     def test_most_likely_correlation_time_is_corrected_upwards(self, fitted: Fit) -> None:
-        """Its inverse by 4 / duration, and the RMS by the root of the factor, as the torque's density is kept."""
+        """Its inverse is reduced by 4 / duration, and the RMS by the root of the factor: the density is kept."""
         (estimate,) = disturbances(fitted)
         likeliest = fitted.values[fitted.problem.kernel.index("disturbance_roll_time")]
         assert estimate.correlation_time is not None

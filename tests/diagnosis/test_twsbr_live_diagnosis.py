@@ -1,8 +1,8 @@
-"""What the balancing robot lacks, named while it runs, in a draught; replayed, which gives the same bit for bit.
+"""Effects that the robot's model lacks, named while it runs in a draught; replayed, with bit-identical results.
 
-How an onset in the first second is called was decided on the slope and the step of these seeds, and nothing else. By
-its level a name where nothing is missing is due once in a hundred minutes; a few more are seen
-(docs/how-to/estimate-the-robot.md), so that the seeds of clean runs are fixed.
+How an effect that sets in within the first second is named was decided on the slope and the step of these seeds, and
+nothing else. At its level, a false name is expected once in a hundred minutes; a few more are observed
+(docs/how-to/estimate-the-robot.md), so the seeds of clean runs are fixed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ HIDDEN = {
     "input_asymmetry": "input_asymmetry",
     "sensor_offset": "sensor_offset",
 }
-"""What is hidden, and its name in the model."""
+"""Hidden effect, and its name in the model."""
 
 
 @cache
@@ -64,7 +64,7 @@ def made(settling: float = MODEL.settling) -> LiveDiagnosis:
 
 
 def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[LiveResult]:
-    """What it says every second, the end included."""
+    """Its result every second, and at the end."""
     diagnosis.reset()
     frames = list(recording.frames(TWSBR))
     for place, frame in enumerate(frames, 1):
@@ -75,32 +75,32 @@ def course(recording: Recording, diagnosis: LiveDiagnosis) -> Iterator[LiveResul
 
 @pytest.mark.parametrize("air", ["disturbance", "disturbance=2", ""])
 @pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
-def test_where_nothing_is_missing_nothing_is_named_at_any_time(seed: int, air: str) -> None:
-    """Without a disturbance in the model three of three robots in a draught had a name."""
-    told = list(course(run(seed=seed, air=air), made()))
-    assert [each.findings for each in told] == [()] * len(told)
-    assert told[0].verdict == "insufficient_data"
-    assert told[-1].verdict == "adequate"
+def test_no_effect_is_named_at_any_time_if_none_is_hidden(seed: int, air: str) -> None:
+    """Without a disturbance in the model, effects were named in three of three robots in a draught."""
+    results = list(course(run(seed=seed, air=air), made()))
+    assert [each.findings for each in results] == [()] * len(results)
+    assert results[0].verdict == "insufficient_data"
+    assert results[-1].verdict == "adequate"
 
 
 @pytest.mark.parametrize("air", ["disturbance", ""])
 @pytest.mark.parametrize("experiment", ["hold", "doublet", "sine_stream"])
-def test_while_the_wheels_hardly_move_nothing_is_named(experiment: str, air: str) -> None:
-    """An encoder's error then stays for seconds, which is like friction: something was named in four of four runs of
+def test_no_effect_is_named_while_the_wheels_hardly_move(experiment: str, air: str) -> None:
+    """An encoder's error then persists for seconds, like friction: an effect was named in four of four runs of
     `hold`."""
     *_, last = course(run(experiment=experiment, air=air), made())
     assert last.findings == ()
     assert last.seconds > 0
 
 
-def test_of_wheels_that_hardly_move_less_is_gathered_than_of_a_run() -> None:
+def test_fewer_seconds_are_used_while_the_wheels_hardly_move() -> None:
     *_, still = course(run(experiment="hold", air=""), made())
     *_, moving = course(run(), made())
     assert 0 < still.seconds < 0.6 * moving.seconds
 
 
 @pytest.mark.parametrize("hidden", list(HIDDEN))
-def test_what_is_hidden_is_named_in_the_end_or_tied_with_the_name(hidden: str) -> None:
+def test_hidden_effect_is_named_or_tied_with_the_name_at_the_end(hidden: str) -> None:
     *_, last = course(run(hidden), made())
     assert last.verdict == "missing_effect"
     first = last.findings[0]
@@ -108,38 +108,38 @@ def test_what_is_hidden_is_named_in_the_end_or_tied_with_the_name(hidden: str) -
     assert first.p_value < 1e-4
 
 
-def test_a_name_is_that_of_an_effect_at_its_place() -> None:
+def test_name_contains_the_place_of_the_effect() -> None:
     *_, last = course(run("coulomb_friction"), made())
     first = last.findings[0]
     assert first.effect.endswith("@wheels")
     assert all(name.startswith(f"{first.effect}.") for name in first.sizes)
     assert first.explanation.startswith(f"{first.effect}: ")
-    # Both can be read as a model has them.
+    # A model accepts both names.
     for name in (first.effect, *first.tied_with):
         kind, _, at = name.partition("@")
         MODEL.add(kind, at)
 
 
-def test_a_load_that_is_put_on_during_the_run_is_named_with_its_time() -> None:
-    """Of 5 mN m; one twice as large nearly uses up the way that the robot may roll."""
+def test_load_added_during_the_run_is_named_with_its_time() -> None:
+    """The load is 5 mN m; with one twice as large the robot rolls nearly as far as it may."""
     recording, without = run("torque_step=0.5@14"), run()
     *_, last = course(recording, made())
     first = last.findings[0]
     assert "torque_step" in (first.effect, *first.tied_with)
     rows = min(len(recording.time), len(without.time))
     onset = recording.time[np.argmax(recording["tilt"][:rows] != without["tilt"][:rows])]
-    assert abs(first.since - onset) < 1.0  # a ramp of 0.3 s, told in whole seconds
+    assert abs(first.since - onset) < 1.0  # a ramp of 0.3 s, reported in whole seconds
 
 
 @pytest.mark.parametrize("seed", [SEED, SEED + 1, SEED + 2])
-def test_a_stretch_that_begins_in_the_midst_of_motion_has_no_name_either(seed: int) -> None:
-    """The tilt filter's low pass holds what the wheels did before: up to 0.03 rad that no reading tells. With a prior
-    of 0.001 rad for it effects of the first seconds' size were named in 5 of 11 runs."""
+def test_no_effect_is_named_in_a_segment_that_begins_in_motion(seed: int) -> None:
+    """The tilt filter's low pass remembers earlier motion of the wheels: up to 0.03 rad that no reading shows. With a
+    prior of 0.001 rad for it, effects of the first seconds' size were named in 5 of 11 runs."""
     *_, last = course(run(seed=seed), made(5.0))
     assert last.findings == ()
 
 
-def test_the_observer_has_it_and_tells_the_same() -> None:
+def test_observer_has_the_live_diagnosis_and_a_replay_gives_its_result() -> None:
     bank = online_estimators("twsbr", GIVEN["parameters"], GIVEN["deviations"], VEHICLE.support)
     waiting = bank.diagnosis()
     assert waiting is not None
@@ -148,7 +148,7 @@ def test_the_observer_has_it_and_tells_the_same() -> None:
     assert live_diagnosis(run("input_deadband"), VEHICLE) == last.to_json()
 
 
-def test_one_that_cannot_be_made_is_its_own_result() -> None:
+def test_live_diagnosis_that_cannot_be_created_reports_its_failure() -> None:
     def broken() -> LiveDiagnosis:
         raise EstimationError("model twsbr", "no compiler", remedy="install one.")
 
@@ -157,13 +157,13 @@ def test_one_that_cannot_be_made_is_its_own_result() -> None:
     bank.join()
     assert bank.results()[RECURSION]["status"] == "failed"
     assert "no compiler" in bank.results()[RECURSION]["reason"]
-    told = bank.diagnosis()
-    assert told is not None
-    assert told["verdict"] == "insufficient_data"
-    assert "no compiler" in told["reason"]
+    diagnosis = bank.diagnosis()
+    assert diagnosis is not None
+    assert diagnosis["verdict"] == "insufficient_data"
+    assert "no compiler" in diagnosis["reason"]
 
 
-# --- until it has settled
+# --- settling of the model
 
 
 def chunks(model: Model, recording: Recording) -> list[Chunk]:
@@ -171,7 +171,7 @@ def chunks(model: Model, recording: Recording) -> list[Chunk]:
     return [chunk for frame in recording.frames(TWSBR) if (chunk := cutter.update(frame))]
 
 
-def test_a_stretch_begins_where_the_model_has_settled_and_knows_the_voltages_before() -> None:
+def test_segment_begins_after_settling_and_includes_the_voltages_before() -> None:
     found = chunks(MODEL, run())
     begins = [place for place, chunk in enumerate(found) if chunk.begins]
     settled = [place for place, chunk in enumerate(found) if chunk.settled]
@@ -187,21 +187,21 @@ def test_a_stretch_begins_where_the_model_has_settled_and_knows_the_voltages_bef
     assert all(chunk.settled for chunk in without)
 
 
-def test_a_recording_is_looked_at_from_where_the_model_has_settled() -> None:
+def test_recording_is_used_from_where_the_model_has_settled() -> None:
     (cut,) = after_settling(MODEL, [run()], VEHICLE.support)
     whole = run()
     got_up = whole.time[np.argmax(np.abs(whole["tilt"]) < VEHICLE.support - np.radians(1.0))]
     assert cut.timestamp_ns[-1] == whole.timestamp_ns[-1]
     began = (cut.timestamp_ns[0] - whole.timestamp_ns[0]) * 1e-9
     assert began == pytest.approx(got_up - whole.time[0] + MODEL.settling, abs=0.1)
-    # One that somebody has cut is looked at as it is, and so is what a model takes that needs no settling.
+    # A recording that a user has cut is used as it is, and so is any recording if the model needs no settling.
     assert after_settling(MODEL, [cut], VEHICLE.support) == [cut]
     assert after_settling(replace(MODEL, settling=0.0), [whole], VEHICLE.support) == [whole]
     early = whole.between(0.0, began - 1.0)
     assert after_settling(MODEL, [early], VEHICLE.support) == [early]
 
 
-def test_a_model_file_keeps_and_says_how_long_it_takes(tmp_path: Path) -> None:
+def test_settling_time_is_written_to_and_read_from_a_model_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     write(ModelFile(replace(library.get("twsbr"), name="mine")), path)
     assert "settling" not in path.read_text()
@@ -211,13 +211,13 @@ def test_a_model_file_keeps_and_says_how_long_it_takes(tmp_path: Path) -> None:
     assert "settling = 7.5" in path.read_text()
     assert read(path).model == slow
     path.write_text(path.read_text().replace("7.5", "-1"))
-    told: Any = CliRunner().invoke(app, ["model", "show", str(path)])
-    assert told.exit_code != 0
-    assert "settling" in str(told.exception or told.output)
+    refused: Any = CliRunner().invoke(app, ["model", "show", str(path)])
+    assert refused.exit_code != 0
+    assert "settling" in str(refused.exception or refused.output)
 
 
-def test_nobody_has_to_say_from_where(tmp_path: Path) -> None:
-    """A clean run, diagnosed from its first row on: the seconds of settling have no name."""
+def test_settling_is_excluded_without_an_option(tmp_path: Path) -> None:
+    """A clean run, diagnosed from its first sample on: no effect is named for the seconds of settling."""
     path = tmp_path / "square.arrow"
     save(run(), path)
     words = ["diagnose", str(path), "--vehicle", "twsbr", "--effect", "static_torque", "--effect", "viscous_friction"]

@@ -1,4 +1,4 @@
-"""Each view finds what was planted where it was planted, and a right model is adequate."""
+"""Each view finds a planted force where it was planted, and a right model is adequate."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from estimators.fit.problem import problem
 from telemetry.recording import Recording
 
 
-def looked_at(*recordings: Recording, process_noise: float = 1e-3, **values: float) -> Views:
+def views_of(*recordings: Recording, process_noise: float = 1e-3, **values: float) -> Views:
     task = problem(axis_plant.model(process_noise).change(values), recordings)
     return views(with_nuisances(task, task.kernel.vector()))
 
 
 def planted(missing: Callable[[float, float, float], float]) -> Views:
-    return looked_at(axis_plant.record(missing))
+    return views_of(axis_plant.record(missing))
 
 
-def test_a_right_model_is_adequate_at_the_level_it_says() -> None:
-    """20 records: 0.2 false alarms are expected, three or more come once in a thousand times."""
+def test_right_model_fails_no_more_often_than_at_the_stated_level() -> None:
+    """20 records: 0.2 false alarms are expected, three or more have a probability of one in a thousand."""
     alarms = 0
     for seed in range(20):
-        found = looked_at(axis_plant.record(seed=100 + seed, duration=8.0))
+        found = views_of(axis_plant.record(seed=100 + seed, duration=8.0))
         alarms += not found.adequate
         assert found.adequate != any(found.fails.values())
     assert LEVEL == 0.01
     assert alarms <= 2
 
 
-def test_p_values_of_pure_noise_are_spread_evenly() -> None:
+def test_p_values_of_pure_noise_are_uniform() -> None:
     """200 of them by frequency and time: the share below one half is known to 3.5 %."""
     p_values = []
     for seed in range(6):
-        found = looked_at(axis_plant.record(seed=200 + seed))
+        found = views_of(axis_plant.record(seed=200 + seed))
         p_values += [each.p_value for each in found.by_frequency]
     assert np.mean(np.array(p_values) < 0.5) == pytest.approx(0.5, abs=0.2)
     assert np.mean(np.array(p_values) < 0.02) < 0.12
 
 
-def test_a_push_is_found_at_its_time() -> None:
+def test_push_is_found_at_its_time() -> None:
     found = planted(lambda time, position, rate: 0.3 if 9.0 < time < 9.4 else 0.0)
     assert not found.adequate
     worst = found.fails["time"][0]
@@ -54,14 +54,14 @@ def test_a_push_is_found_at_its_time() -> None:
     assert all(entry["to"] > 8.0 and entry["from"] < 12.0 for entry in found.fails["time"])
 
 
-def test_a_tone_is_found_at_its_frequency() -> None:
+def test_tone_is_found_at_its_frequency() -> None:
     found = planted(lambda time, position, rate: 0.4 * np.sin(2.0 * np.pi * 9.0 * time))
     worst = found.fails["frequency"][0]
     assert worst["from_hz"] < 9.0 < worst["to_hz"]
     assert worst["power_over_floor"] > 2.0
 
 
-def test_a_hardening_spring_is_found_by_position() -> None:
+def test_hardening_spring_is_found_by_position() -> None:
     found = planted(lambda time, position, rate: -300.0 * position**3)
     assert not found.adequate
     words = summary(found.fails)
@@ -73,7 +73,7 @@ def test_a_hardening_spring_is_found_by_position() -> None:
         assert abs(entry["missing_force"]) > 3.0 * entry["std"]
 
 
-def test_a_constant_force_is_found_in_the_equation_with_its_size() -> None:
+def test_constant_force_is_found_in_the_equation_with_its_value() -> None:
     (equation,) = planted(lambda time, position, rate: 0.3).fails["equation"]
     assert equation["equation"] == "axis"
     assert equation["unit"] == "N"
@@ -81,22 +81,22 @@ def test_a_constant_force_is_found_in_the_equation_with_its_size() -> None:
     assert equation["mean_std"] < 0.02
 
 
-def test_a_wrong_mass_fails_but_not_by_state() -> None:
-    found = looked_at(axis_plant.record(), inertia=2.2)
+def test_wrong_mass_fails_in_the_equation_but_not_by_state() -> None:
+    found = views_of(axis_plant.record(), inertia=2.2)
     assert found.fails["equation"]
     assert not found.fails["state"]
     assert any("other values of the estimated parameters" in sentence for sentence in summary(found.fails))
 
 
-def test_several_recordings_are_one_test_that_says_which_of_them_fails() -> None:
+def test_views_of_several_recordings_state_which_of_them_fails() -> None:
     pushed = axis_plant.record(lambda time, position, rate: 0.3 if 5.0 < time < 5.4 else 0.0, seed=7, source="second")
-    found = looked_at(axis_plant.record(), pushed)
+    found = views_of(axis_plant.record(), pushed)
     assert {each.recording for each in found.by_time} == {"axis", "second"}
     assert {entry["recording"] for entry in found.fails["time"]} == {"second"}
 
 
-def test_every_view_is_there_and_empty_where_nothing_fails() -> None:
-    found = looked_at(axis_plant.record())
+def test_every_view_is_present_and_empty_if_nothing_fails() -> None:
+    found = views_of(axis_plant.record())
     assert tuple(found.fails) == VIEWS
     assert found.adequate
     assert summary(found.fails) == []
