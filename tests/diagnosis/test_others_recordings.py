@@ -2,7 +2,7 @@
 
 The drives respond to the gyro's noise before its next sample: this response must not be taken for an effect.
 Amplitudes are ten or more times the minimum detectable ones. No decision was based on these seeds. That dry friction
-and the effects of the command were called unknown was observed on a third simulator, which this one resembles.
+and the effects of the command were called unknown was observed on another simulator, which this one resembles.
 """
 
 from __future__ import annotations

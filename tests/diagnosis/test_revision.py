@@ -149,7 +149,7 @@ def test_fall_of_the_error_at_a_short_horizon_alone_is_reported_as_such(right: R
     assert "explains only the records" in " ".join(in_words(replace(right, budget=rising, after=worse)))
 
 
-def test_right_effect_is_distinguished_from_a_wrong_neighbour(right: Revision) -> None:
+def test_correct_effect_is_distinguished_from_a_wrong_neighbour(right: Revision) -> None:
     viscous = next(each for each in right.neighbours if each.effect == "viscous_friction")
     assert not viscous.better
     assert not viscous.tied
@@ -201,7 +201,7 @@ def test_figure_has_a_panel_for_each_channel_and_the_budget(right: Revision) -> 
     assert held_out.get_ydata() == pytest.approx(np.degrees(right.after.held_out["roll"]))
 
 
-def test_drop_tests_keep_the_right_effect_and_not_an_unneeded_one(base: Model, hidden: tuple[Recording, ...]) -> None:
+def test_drop_tests_keep_the_correct_effect_and_not_an_unneeded_one(base: Model, hidden: tuple[Recording, ...]) -> None:
     model = base.add("coulomb_friction").add("viscous_friction")
     tests = {each.effect: each for each in drop_tests(model, [hidden[0]])}
     assert tests["coulomb_friction"].needed
@@ -233,7 +233,7 @@ def test_absent_effect_is_not_needed() -> None:
     assert answer.budget.effect < 0.2
 
 
-def test_error_of_a_right_model_is_that_of_the_sensors() -> None:
+def test_error_of_a_correct_model_is_that_of_the_sensors() -> None:
     recording = carriage(coulomb=0.0, seed=7)
     training, validation = split(bare(), [recording], [])
     model = bare().add("viscous_friction")

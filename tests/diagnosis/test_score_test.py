@@ -41,7 +41,7 @@ def scored(innovations: Whitened) -> ScoreTest:
 
 
 def white(seed: int) -> Whitened:
-    """The innovations of a right model."""
+    """The innovations of a correct model."""
     _, innovations = clean()
     noise = np.random.default_rng(seed).standard_normal((len(innovations.residual), 1))
     return replace(innovations, residual=project(noise, innovations.nuisance)[:, 0])
@@ -62,7 +62,7 @@ class TestAmplitudes:
         ("name", "size"), [("static_torque", 5.0), ("coulomb_friction", 4.0), ("viscous_friction", 200.0)]
     )
     def test_planted_amplitude_is_estimated_and_ranks_first(self, name: str, size: float) -> None:
-        """3.3 standard errors: a right implementation exceeds them with one seed in a thousand."""
+        """3.3 standard errors: a correct implementation exceeds them with one seed in a thousand."""
         found = scored(planted(name, size))
         score = found.score(name)
         first = score.candidate.amplitudes[0]
@@ -185,7 +185,7 @@ class TestPairs:
 class TestProbabilities:
     def test_p_values_are_uniform_if_nothing_is_missing(self) -> None:
         """White noise in place of the innovations, 60 seeds: the smallest p-value is uniform from 0 to 1 by
-        the Kolmogorov-Smirnov test, at a level of 1 % (how often it rejects a right implementation)."""
+        the Kolmogorov-Smirnov test, at a level of 1 % (how often it rejects a correct implementation)."""
         found = [min(score.p_value for score in scored(white(seed)).scores) for seed in range(60)]
         assert stats.kstest(found, "uniform").pvalue > 0.01
 

@@ -98,8 +98,8 @@ class TestBias:
 class TestLikelihood:
     @pytest.mark.parametrize("effect", ["", "sensor_offset", "sensor_delay"])
     def test_gradient_agrees_with_finite_differences(self, shaken: Recording, effect: str) -> None:
-        """Also with respect to the RMS and the correlation time, which bound the initial disturbance, and to errors of
-        sensors, which bound how far the initial state is from their readings."""
+        """Also with respect to the RMS and the correlation time, which determine the variance of the disturbance at the
+        start, and to errors of sensors, which determine how far the initial state is from their readings."""
         task = _task(shaken.between(0.0, 4.0), NOMINAL.add(effect) if effect else NOMINAL)
         likelihood = Likelihood.of(task, np.array([parameter.std for parameter in task.parameters]))
         common = np.concatenate((1.02 * task.start, 0.4 * np.cos(np.arange(likelihood.noise.size))))
@@ -160,7 +160,7 @@ class TestLikelihood:
                 name: (found.minimum.common[names.index(name)], deviations[names.index(name)])
                 for name in ("inertia", "gravity_stiffness")
             }
-            # Their logarithms are closer to normally distributed than they are.
+            # Their logarithms are closer to a normal distribution than the values themselves.
             estimates["std"] = (math.log(each.std), each.std_error / each.std)
             estimates["time"] = (math.log(each.correlation_time), each.correlation_time_error / each.correlation_time)
             for name, (value, std) in estimates.items():

@@ -1,4 +1,4 @@
-"""Each view finds a planted force where it was planted, and a right model is adequate."""
+"""Each view finds a planted force where it was planted, and a correct model is adequate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def planted(missing: Callable[[float, float, float], float]) -> Views:
     return views_of(axis_plant.record(missing))
 
 
-def test_right_model_fails_no_more_often_than_at_the_stated_level() -> None:
+def test_correct_model_fails_no_more_often_than_at_the_stated_level() -> None:
     """20 records: 0.2 false alarms are expected, three or more have a probability of one in a thousand."""
     alarms = 0
     for seed in range(20):
