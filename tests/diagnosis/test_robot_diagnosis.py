@@ -73,7 +73,7 @@ def test_hidden_effect_is_found_with_its_amplitude(hidden: str, tmp_path: Path) 
 
 
 @pytest.mark.thorough
-def test_friction_is_found_beside_a_disturbance_that_has_grown_to_it() -> None:
+def test_friction_is_found_beside_a_disturbance_that_imitates_it() -> None:
     """In the fit of the model alone, the disturbance imitates the friction of the gears."""
     file = load("twsbr")
     model = with_values(nominal_model("twsbr"), file.parameters.values, file.parameters.deviations)
