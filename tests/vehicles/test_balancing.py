@@ -1,4 +1,4 @@
-"""The controller, the rise and the lowering against the plant of `roll_plant`, at every IMU rate."""
+"""The controller, the rise and the lowering with the plant of `roll_plant`, at every IMU rate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vehicles.monocab.control.rise import RiseState, lowering_side, lowering_tra
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_gets_up_is_caught_and_holds_for_20_s(rate: int, delay: int, side: float) -> None:
+def test_vehicle_rises_is_caught_and_balances_for_20_s(rate: int, delay: int, side: float) -> None:
     vehicle = vehicle_at(rate)
     plant, log = Plant(vehicle.period, delay=delay, side=side), Log()
     rise, controller = get_up(vehicle, plant, log)
@@ -26,7 +26,7 @@ def test_gets_up_is_caught_and_holds_for_20_s(rate: int, delay: int, side: float
     balance(vehicle, plant, log, controller, "hold", 20.0)
 
     assert rise.done
-    # The lean that brings the gimbals back takes most of this, not the catch.
+    # Most of this is due to the lean that brings the gimbals back, not to the catch.
     assert peak(log.roll["settle"][round(0.3 * rate) :]) < 2.0
     assert side * min(side * value for value in log.roll["settle"]) > -2.0
     assert peak(log.roll["hold"][10 * rate :]) < 0.05
@@ -56,7 +56,7 @@ def test_every_shipped_experiment_stays_in_bounds_and_ends_at_rest(name: str, ra
     assert log.roll["rest"][-1] == pytest.approx(side * 4.0, abs=0.1)
     assert log.setpoint["lower"][-1] == 0.0
     if excitation.peak and name != "step":
-        # Ten times the noise of the roll angle (0.009 deg) at least, or nothing can be learnt from it.
+        # At least ten times the noise of the roll angle (0.009 deg), or the record is of no use for identification.
         mean = sum(log.roll["excite"]) / len(log.roll["excite"])
         rms = math.sqrt(sum((value - mean) ** 2 for value in log.roll["excite"]) / len(log.roll["excite"]))
         assert rms > 0.09
@@ -67,7 +67,7 @@ def person_sits_down(t: float) -> float:
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_a_person_who_sits_on_the_frame_is_borne_and_leant_against(rate: int) -> None:
+def test_vehicle_leans_against_the_load_of_a_person_who_sits_down(rate: int) -> None:
     vehicle = vehicle_at(rate)
     plant, log = Plant(vehicle.period, load=person_sits_down), Log()
     _, controller = get_up(vehicle, plant, log)
@@ -76,13 +76,13 @@ def test_a_person_who_sits_on_the_frame_is_borne_and_leant_against(rate: int) ->
 
     assert peak(log.roll["loaded"]) < 3.0
     assert peak(log.precession["loaded"]) < 25.0
-    # At the end the vehicle leans against the load, gimbals in the middle: roll = -550 / 14500 rad.
+    # At the end the vehicle leans against the load with its gimbals centred: roll = -550 / 14500 rad.
     assert log.roll["loaded"][-1] == pytest.approx(math.degrees(-550.0 / 14500.0), abs=0.1)
     assert abs(log.precession["loaded"][-1]) < 3.0
 
 
-def test_without_the_lean_a_person_moves_the_roll_angle_by_less_than_0_2_deg() -> None:
-    """The disturbance response of the roll loop alone; figure 4 of the paper has 0.05 deg, with the trim mass."""
+def test_without_lean_a_person_changes_the_roll_angle_by_less_than_0_2_deg() -> None:
+    """The disturbance response of the roll loop alone; figure 4 of the paper shows 0.05 deg, with the trim mass."""
     vehicle = vehicle_at(250)
     plant, log = Plant(vehicle.period, load=person_sits_down), Log()
     _, controller = get_up(vehicle, plant, log)
@@ -93,7 +93,7 @@ def test_without_the_lean_a_person_moves_the_roll_angle_by_less_than_0_2_deg() -
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_a_static_torque_of_50_newton_metres_does_not_use_up_the_gimbals_in_a_minute(rate: int) -> None:
+def test_static_torque_of_50_nm_does_not_saturate_the_gimbals_within_a_minute(rate: int) -> None:
     vehicle = vehicle_at(rate)
     plant, log = Plant(vehicle.period, load=lambda t: 50.0), Log()
     _, controller = get_up(vehicle, plant, log)
@@ -102,7 +102,7 @@ def test_a_static_torque_of_50_newton_metres_does_not_use_up_the_gimbals_in_a_mi
     assert abs(log.precession["minute"][-1]) < 0.5
 
 
-def test_without_precession_return_a_static_torque_turns_the_gimbals_away() -> None:
+def test_without_precession_return_a_static_torque_makes_the_gimbals_drift() -> None:
     """The paper's reduced controller: 50 N m turn the gimbals by 50 / 3300 rad/s, 17 deg in 20 s."""
     vehicle = vehicle_at(250)
     section = vehicle.controller.model_copy(update={"precession_return_time": 0.0})
@@ -115,7 +115,7 @@ def test_without_precession_return_a_static_torque_turns_the_gimbals_away() -> N
     assert drift == pytest.approx(math.degrees(-50.0 / 3300.0 * 20.0), rel=0.03)
 
 
-def test_balances_a_vehicle_whose_gyro_torque_falls_with_the_cosine_of_the_gimbal_angle() -> None:
+def test_vehicle_balances_with_gyro_torque_proportional_to_cosine_of_precession() -> None:
     vehicle = vehicle_at(250)
     excitation = make_excitation(vehicle.experiments["multisine"], 250.0)
     plant, log = Plant(vehicle.period, gimbal_coupling=True, load=lambda t: 100.0), Log()
@@ -127,7 +127,7 @@ def test_balances_a_vehicle_whose_gyro_torque_falls_with_the_cosine_of_the_gimba
 
 
 class HeldDown(Enum):
-    """What keeps the vehicle on its support, and what the rise says to it."""
+    """Causes of a failed rise: (reason, rise rate, holding torque, roll angle below which it acts)."""
 
     TOO_WEAK = ("did not lift off", 0.25, 0.0, 0.0)
     BALLAST = ("did not lift off", None, 600.0, 1.0)
@@ -135,7 +135,7 @@ class HeldDown(Enum):
 
 
 @pytest.mark.parametrize("case", HeldDown)
-def test_a_rise_that_fails_says_why_and_leaves_the_vehicle_on_its_support(case: HeldDown) -> None:
+def test_failed_rise_reports_its_reason_and_leaves_the_vehicle_on_its_support(case: HeldDown) -> None:
     words, rate, torque, below = case.value
     vehicle = vehicle_at(250)
     plant, log = Plant(vehicle.period, held_down=lambda roll: torque if roll < below else 0.0), Log()
@@ -152,7 +152,7 @@ def test_a_rise_that_fails_says_why_and_leaves_the_vehicle_on_its_support(case: 
     assert max(steps) <= vehicle.limits.precession_acceleration * vehicle.period + 1e-12
 
 
-def test_lowering_onto_a_support_that_sits_lower_than_the_file_says_still_ends_at_rest() -> None:
+def test_lowering_onto_a_support_beyond_the_angle_in_the_file_ends_at_rest() -> None:
     vehicle = vehicle_at(250)
     plant, log = Plant(vehicle.period, support=math.radians(4.6)), Log()
     _, controller = get_up(vehicle, plant, log)
@@ -163,8 +163,8 @@ def test_lowering_onto_a_support_that_sits_lower_than_the_file_says_still_ends_a
     assert peak(log.roll["lower"]) < vehicle.limits.roll_deg
 
 
-def test_lowering_with_the_gimbals_at_the_budget_relieves_them() -> None:
-    """Going down to the side it came from would pass the hard limit; the other side turns the gimbals back."""
+def test_lowering_with_gimbals_at_the_budget_uses_the_side_that_turns_them_back() -> None:
+    """Lowering to the side it came from would exceed the hard limit; the other side turns the gimbals back."""
     vehicle = vehicle_at(250)
     parameters = designed(250).parameters
     plant, log = Plant(vehicle.period), Log()
@@ -182,7 +182,7 @@ def test_lowering_with_the_gimbals_at_the_budget_relieves_them() -> None:
     assert lowering_side(-1.0, 0.1, travel, budget) == -1.0
 
 
-def test_lowering_takes_the_precession_that_the_momentum_balance_says() -> None:
+def test_precession_during_lowering_is_bounded_by_the_momentum_balance() -> None:
     vehicle = vehicle_at(250)
     plant, log = Plant(vehicle.period), Log()
     _, controller = get_up(vehicle, plant, log)
@@ -190,6 +190,6 @@ def test_lowering_takes_the_precession_that_the_momentum_balance_says() -> None:
     get_down(vehicle, plant, log, controller, 1.0)
     travel = log.precession["lower"][0] - min(log.precession["lower"])
     parameters = replace(designed(250).parameters, gravity_stiffness=plant.gravity_stiffness)
-    # Roll runs ahead of the reference and touches down moving, so the estimate bounds it from above.
+    # Roll leads the reference and touches down with some rate, so the estimate is an upper bound.
     estimate = math.degrees(lowering_travel(parameters, vehicle.support))
     assert 0.3 * estimate < travel < estimate

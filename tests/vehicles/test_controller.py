@@ -1,4 +1,4 @@
-"""The roll controller by itself: limits, anti-windup, takeover, lean."""
+"""The roll controller alone: limits, anti-windup, takeover, lean."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def controller(return_time: float = 0.0, limits: SetpointLimits = LIMITS) -> Rol
     return RollController(GAINS, limits, PrecessionReturn(PARAMETERS, return_time, math.radians(2.5)))
 
 
-def test_a_roll_to_the_right_is_met_with_precession_that_turns_it_back() -> None:
+def test_setpoint_has_the_right_sign_for_roll_rate_reference_and_excitation() -> None:
     assert controller().step(0.001, 0.0, 0.0, 0.0, 0.0, DT) < 0.0
     assert controller().step(0.0, 0.005, 0.0, 0.0, 0.0, DT) < 0.0
     assert controller().step(0.0, 0.0, 0.0, 0.0, 0.001, DT) > 0.0
@@ -33,7 +33,7 @@ def test_a_roll_to_the_right_is_met_with_precession_that_turns_it_back() -> None
 
 
 @given(st.lists(st.tuples(finite, finite, finite, finite, finite, finite), min_size=1, max_size=50))
-def test_the_setpoint_never_passes_its_limits_whatever_comes_in(rows: list[tuple[float, ...]]) -> None:
+def test_setpoint_never_exceeds_its_limits_for_any_input(rows: list[tuple[float, ...]]) -> None:
     subject, before = controller(6.0), 0.0
     for roll, roll_rate, precession_rate, precession, reference, excitation in rows:
         setpoint = subject.step(roll, roll_rate, precession_rate, precession, reference, DT, excitation)
@@ -42,7 +42,7 @@ def test_the_setpoint_never_passes_its_limits_whatever_comes_in(rows: list[tuple
         before = setpoint
 
 
-def test_it_takes_over_from_the_last_setpoint_without_a_jump() -> None:
+def test_controller_takes_over_from_the_last_setpoint_without_a_jump() -> None:
     subject = controller()
     subject.reset(-0.42)
     setpoint = subject.step(0.0, -0.2, -0.42, -0.3, 0.0, DT)
@@ -50,7 +50,7 @@ def test_it_takes_over_from_the_last_setpoint_without_a_jump() -> None:
     assert subject.limited
 
 
-def test_reset_forgets_what_the_last_run_learnt() -> None:
+def test_reset_clears_the_state_of_the_last_run() -> None:
     used, fresh = controller(6.0), controller(6.0)
     for _ in range(500):
         used.step(0.01, 0.0, 0.0, 0.2, 0.0, DT)
@@ -61,7 +61,7 @@ def test_reset_forgets_what_the_last_run_learnt() -> None:
         assert used.step(*row) == fresh.step(*row)
 
 
-def test_anti_windup_a_long_saturation_does_not_delay_the_way_back() -> None:
+def test_anti_windup_keeps_a_long_saturation_from_delaying_recovery() -> None:
     """5 s against the limit: without back-calculation the integral would hold the setpoint there for seconds."""
     subject = controller()
     for _ in range(1250):
@@ -74,8 +74,8 @@ def test_anti_windup_a_long_saturation_does_not_delay_the_way_back() -> None:
     assert cycles * DT < 0.2
 
 
-def test_within_its_limits_the_integral_is_that_of_the_error() -> None:
-    """With no other gain at work the setpoint after n cycles of a constant error e is -k_i e dt (n - 1)."""
+def test_integral_term_is_the_integral_of_the_error_within_the_limits() -> None:
+    """With all other gains at zero, the setpoint after n cycles of a constant error e is -k_i e dt (n - 1)."""
     gains = LqiGains((0.0, 0.0, 0.0), 0.0, 180.0, DT)
     subject = RollController(gains, LIMITS, PrecessionReturn(PARAMETERS, 0.0, 0.04))
     for _ in range(100):
@@ -84,7 +84,7 @@ def test_within_its_limits_the_integral_is_that_of_the_error() -> None:
     assert subject.setpoint == pytest.approx(-180.0 * 0.0005 * DT * 99)
 
 
-def test_the_reference_it_shows_has_the_lean_in_it_and_lean_off_has_not() -> None:
+def test_reported_reference_includes_the_lean_only_while_lean_is_on() -> None:
     subject = controller(6.0)
     for _ in range(500):
         subject.step(0.0, 0.0, 0.0, 0.1, 0.002, DT)
@@ -95,7 +95,7 @@ def test_the_reference_it_shows_has_the_lean_in_it_and_lean_off_has_not() -> Non
 
 
 def lean_loop(static_torque: float, seconds: float, limit: float = math.radians(2.5)) -> list[float]:
-    """The precession angle when roll follows the lean at once: precession' = -(T_V roll + static_torque) / L."""
+    """The precession angle if roll follows the lean immediately: precession' = -(T_V roll + static_torque) / L."""
     outer = PrecessionReturn(PARAMETERS, 6.0, limit)
     precession, angles = 0.3, []
     for _ in range(round(seconds / DT)):
@@ -105,8 +105,8 @@ def lean_loop(static_torque: float, seconds: float, limit: float = math.radians(
     return angles
 
 
-def test_the_gimbals_come_back_with_the_configured_time_constant() -> None:
-    """Double pole at -1/T from rest at 0.3 rad: precession = 0.3 (1 - t/T) exp(-t/T); the slew blunts the start."""
+def test_gimbals_return_with_the_configured_time_constant() -> None:
+    """Double pole at -1/T from rest at 0.3 rad: precession = 0.3 (1 - t/T) exp(-t/T). The slew limit delays it."""
     angles = lean_loop(0.0, 36.0, limit=1.0)
     for t in (3.0, 6.0, 12.0, 18.0):
         assert angles[round(t / DT)] == pytest.approx(0.3 * (1.0 - t / 6.0) * math.exp(-t / 6.0), abs=0.02)
@@ -114,12 +114,12 @@ def test_the_gimbals_come_back_with_the_configured_time_constant() -> None:
 
 
 @pytest.mark.parametrize("static_torque", [50.0, -300.0, 520.0])
-def test_a_static_torque_ends_with_the_gimbals_in_the_middle(static_torque: float) -> None:
+def test_gimbals_end_centred_under_a_static_torque(static_torque: float) -> None:
     angles = lean_loop(static_torque, 120.0)
     assert abs(angles[-1]) < 0.002
 
 
-def test_more_torque_than_the_lean_can_hold_does_not_wind_the_integral_up() -> None:
+def test_lean_integral_does_not_wind_up_when_the_torque_exceeds_the_lean_limit() -> None:
     outer = PrecessionReturn(PARAMETERS, 6.0, 0.02)
     for _ in range(5000):
         lean = outer.step(1.0, DT)
@@ -131,7 +131,7 @@ def test_more_torque_than_the_lean_can_hold_does_not_wind_the_integral_up() -> N
     assert seconds < 6.0
 
 
-def test_the_shipped_file_gives_a_controller_within_its_own_limits() -> None:
+def test_controller_of_the_shipped_file_saturates_at_its_rate_limit() -> None:
     vehicle = load("monocab")
     subject = RollController.from_design(design(vehicle), vehicle)
     for _ in range(200):

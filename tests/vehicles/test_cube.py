@@ -1,4 +1,4 @@
-"""The reaction-wheel cube, the vehicle that was added by its folders alone: held up, recorded, identified, compared."""
+"""The reaction-wheel cube, a vehicle that was added by its folders alone: balanced, recorded, identified, compared."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ VEHICLE = load("cube")
 FILE = Path(VEHICLE.path).read_text()
 DT = VEHICLE.period
 UP = (Phase.SETTLE, Phase.EXCITE, Phase.FADE)
-RIGHT = CUBE.change(CubeTruth().parameters)
+TRUE_MODEL = CUBE.change(CubeTruth().parameters)
 SECONDS = 10.0
 
 
@@ -52,7 +52,7 @@ def recorded(experiment: str, *hide: str, seed: int = 31) -> Recording:
 # --- vehicle file and drive
 
 
-def test_the_cad_values_are_those_of_the_models_table() -> None:
+def test_cad_values_match_the_parameter_table_of_the_model() -> None:
     table = {each.name: each for each in CUBE.base_parameters}
     for name, value in VEHICLE.parameters.values.items():
         assert (value, VEHICLE.parameters.deviations[name]) == (table[name].value, table[name].std)
@@ -70,7 +70,7 @@ def test_the_cad_values_are_those_of_the_models_table() -> None:
         ("mode = 10 ", "mode = 8 ", "mode"),
     ],
 )
-def test_what_is_wrong_in_its_vehicle_file_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_errors_in_the_cube_vehicle_file_are_reported(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in FILE
     path = tmp_path / "mine.toml"
     path.write_text(FILE.replace(old, new, 1))
@@ -79,7 +79,7 @@ def test_what_is_wrong_in_its_vehicle_file_is_named(tmp_path: Path, old: str, ne
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_a_torque_is_sent_in_thousandths_of_the_rated_one_and_read_back(direction: int) -> None:
+def test_torque_is_sent_in_thousandths_of_rated_torque_and_read_back(direction: int) -> None:
     config = replace(drive_config(VEHICLE, VEHICLE.drive[0]), direction=direction)
     drive, reader = Drive(config), Drive(config)
     drive.handle(CanFrame(1, 0x181, (0x0237).to_bytes(2, "little") + bytes(4)))
@@ -92,22 +92,22 @@ def test_a_torque_is_sent_in_thousandths_of_the_rated_one_and_read_back(directio
     assert drive.torque == pytest.approx(-0.1 * 0.083)
 
 
-def test_config_check_tells_of_controller_and_experiments() -> None:
+def test_config_check_reports_controller_and_experiments() -> None:
     answer = CliRunner().invoke(app, ["config", "check", "cube", "--json"])
     assert answer.exit_code == 0, answer.output
-    told = json.loads(answer.stdout)
-    assert told["controller"]["delay_margin"] > 4.0 * DT
-    assert set(told["experiments"]) == set(VEHICLE.experiments)
+    report = json.loads(answer.stdout)
+    assert report["controller"]["delay_margin"] > 4.0 * DT
+    assert set(report["experiments"]) == set(VEHICLE.experiments)
 
 
 # --- model
 
 
-def test_the_model_moves_as_the_plant_does() -> None:
-    """The plant with nothing hidden and the model with its numbers go alike for 0.1 s from the same state, but for the
-    plant's own integration: three steps for one of the model's."""
+def test_model_trajectory_matches_the_plant() -> None:
+    """From the same state, the plant without hidden effects and the model with its parameters agree for 0.1 s, except
+    for the integration error: the plant takes three steps for each step of the model."""
     config = SimulationConfig(plant=replace(CubeTruth(), support_angle=100.0, torque_lag=1e-9, torque_noise=0.0))
-    kernel = compile_model(RIGHT)
+    kernel = compile_model(TRUE_MODEL)
     time = 1e-3 * np.arange(101)
     random = np.random.default_rng(5)
     for tilt, tilt_rate, angle, rate, torque in random.uniform(-1.0, 1.0, (10, 5)) * (0.1, 1.0, 3.0, 40.0, 0.1):
@@ -127,8 +127,8 @@ def test_the_model_moves_as_the_plant_does() -> None:
 
 
 @pytest.mark.parametrize("name", list(VEHICLE.experiments))
-def test_it_balances_through_every_experiment_from_its_support_and_back(name: str) -> None:
-    """Within 3 deg, the truth at every cycle from upright to the order to get down; then it lies, its wheel at rest."""
+def test_cube_balances_through_every_experiment_and_returns_to_its_support(name: str) -> None:
+    """The true tilt stays within 3 deg from upright to the command to get down; then the cube and its wheel rest."""
     closed, worst = ClosedLoop(VEHICLE, hide=["disturbance"]), 0.0
     plant = closed.plant_side.plant
     assert isinstance(plant, CubePlant)
@@ -145,7 +145,7 @@ def test_it_balances_through_every_experiment_from_its_support_and_back(name: st
     assert abs(plant.wheel_rate) < 2.0
 
 
-def test_a_load_on_one_side_is_leant_against_and_the_wheel_comes_to_rest() -> None:
+def test_cube_leans_against_a_static_load_and_its_wheel_comes_to_rest() -> None:
     recording = record("cube", "hold", hide=["static_torque"])
     last = np.flatnonzero(recording["phase"] == Phase.EXCITE)[-1000:]
     assert recording["tilt"][last].mean() == pytest.approx(-4e-3 / CubeTruth().gravity_stiffness, rel=0.05)
@@ -153,12 +153,12 @@ def test_a_load_on_one_side_is_leant_against_and_the_wheel_comes_to_rest() -> No
     assert recording.channels == CHANNELS
 
 
-def test_a_cube_that_cannot_get_up_says_so_and_stays_down() -> None:
+def test_cube_that_cannot_get_up_reports_that_it_was_not_upright_in_time() -> None:
     with pytest.raises(VirtualRunError, match="was not upright within"):
         record("cube", "hold", hide=["static_torque=30"])
 
 
-def test_an_immediate_stop_leaves_the_cube_lying() -> None:
+def test_cube_rests_on_its_support_after_an_immediate_stop() -> None:
     closed = ClosedLoop(VEHICLE)
     closed.loop.start_experiment("hold")
     closed.advance(8.0)
@@ -171,7 +171,7 @@ def test_an_immediate_stop_leaves_the_cube_lying() -> None:
 
 
 @pytest.mark.parametrize(("fault", "code"), [("imu_gap@9", "imu_silent"), ("drive_silent:wheel@9", "drive_silent")])
-def test_a_fault_ends_in_a_stop_with_its_reason_and_the_cube_lies(fault: str, code: str) -> None:
+def test_fault_stops_the_cube_with_its_code_and_it_rests_on_its_support(fault: str, code: str) -> None:
     closed = ClosedLoop(VEHICLE, faults=[fault])
     closed.loop.start_experiment("hold")
     closed.until(lambda: closed.loop.mode is Mode.FAULT, 15.0)
@@ -183,10 +183,10 @@ def test_a_fault_ends_in_a_stop_with_its_reason_and_the_cube_lies(fault: str, co
     assert abs(plant.tilt) == pytest.approx(VEHICLE.support, abs=math.radians(0.3))
 
 
-# --- what needs a model
+# --- identification and diagnosis
 
 
-def test_identified_the_right_numbers_come_out() -> None:
+def test_prediction_error_fit_finds_the_true_parameters_within_1_percent() -> None:
     from estimators.methods.prediction_error import prediction_error
 
     found = prediction_error(CUBE, [recorded("multisine")], support=VEHICLE.support)
@@ -195,13 +195,13 @@ def test_identified_the_right_numbers_come_out() -> None:
 
 
 @pytest.mark.parametrize("experiment", ["doublet", "multisine"])
-def test_a_right_model_goes_with_the_record_in_the_loop(experiment: str) -> None:
+def test_true_model_reproduces_the_record_in_closed_loop(experiment: str) -> None:
     recording = recorded(experiment)
     loop = recorded_loop(VEHICLE, recording)
     assert isinstance(loop, Loop)
     assert loop.begins == pytest.approx(recording.time[recording["phase"] == Phase.EXCITE][0])
     found = compare(
-        {"right": RIGHT, "file": CUBE.change(VEHICLE.parameters.values)},
+        {"right": TRUE_MODEL, "file": CUBE.change(VEHICLE.parameters.values)},
         [recording],
         support=VEHICLE.support,
         loops=[loop],
@@ -212,31 +212,31 @@ def test_a_right_model_goes_with_the_record_in_the_loop(experiment: str) -> None
     assert file.over_floor("tilt") > 2.0 * right.over_floor("tilt")
 
 
-def test_the_torques_of_another_controller_are_found_out() -> None:
+def test_recorded_loop_rejects_the_torques_of_another_controller() -> None:
     section = VEHICLE.controller.model_copy(update={"effort_weight": 100.0})
     other = VEHICLE.model_copy(update={"controller": section})
     assert "does not give the recorded torques" in str(recorded_loop(other, recorded("doublet")))
 
 
-def test_its_experiments_can_be_predicted() -> None:
+def test_all_experiments_with_excitation_can_be_predicted() -> None:
     found, left_out = experiments_of(VEHICLE)
     assert {each.name for each in found} == set(VEHICLE.experiments) - {"hold"}
     assert left_out == {"hold": "has no excitation"}
 
 
-def test_its_live_estimator_is_the_recursion_and_a_diagnosis_looks_over_it() -> None:
+def test_live_estimator_is_recursive_and_its_diagnosis_finds_nothing() -> None:
     bank = online_estimators("cube", VEHICLE.parameters.values, VEHICLE.parameters.deviations, VEHICLE.support)
     bank.join()
     bank.update(recorded("multisine").frames(CHANNELS))
     found = bank.results()["recursive_prediction_error"]["parameters"]
     for name, true in CubeTruth().parameters.items():
         assert found[name]["value"] == pytest.approx(true, rel=0.05), name
-    told = bank.diagnosis()
-    assert told is not None
-    assert told["findings"] == []
+    report = bank.diagnosis()
+    assert report is not None
+    assert report["findings"] == []
 
 
-def test_every_command_takes_it(tmp_path: Path) -> None:
+def test_identify_compare_and_model_show_accept_the_cube(tmp_path: Path) -> None:
     path = tmp_path / "doublet.arrow"
     save(recorded("doublet"), path)
     for words in (

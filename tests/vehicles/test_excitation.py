@@ -1,4 +1,4 @@
-"""Excitations: their spectra, bounds and smoothness, and the sections they refuse."""
+"""Excitations: their spectra, bounds and smoothness, and the experiment sections that are refused."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_shipped_excitations_start_and_end_at_zero_within_their_peak(name: str) 
     assert np.max(np.abs(values)) <= excitation.peak * (1.0 + 1e-9)
     for t in (-1.0, 0.0, excitation.duration, excitation.duration + 1.0):
         assert excitation.value(t) == 0.0
-    # No jump: from one millisecond to the next a twentieth of the peak at most.
+    # No jumps: the value changes by about a twentieth of the peak per millisecond at most.
     assert np.max(np.abs(np.diff(values))) <= 0.06 * excitation.peak
     if excitation.at != "rest" and excitation.peak:
         assert np.max(np.abs(values)) > 0.9 * excitation.peak
@@ -63,21 +63,21 @@ def test_value_is_pure() -> None:
     assert [excitation.value(t) for t in (9.0, 5.0, 1.0)] == forwards[::-1]
 
 
-def test_a_sweep_runs_from_the_first_to_the_last_frequency_in_equal_time_an_octave() -> None:
+def test_sweep_spends_equal_time_in_each_octave_from_first_to_last_frequency() -> None:
     sweep = Sweep(0.5, 8.0, 40.0)
     t = np.arange(0.0, 40.0, 1e-4)
     values = np.array([sweep(x) for x in t])
-    ups = t[1:][(values[:-1] < 0.0) & (values[1:] >= 0.0)]
-    frequency = 1.0 / np.diff(ups)
-    middle = 0.5 * (ups[1:] + ups[:-1])
-    # Within a period the frequency itself moves; at 0.5 Hz by 14 %, in the middle of it by far less.
+    crossings = t[1:][(values[:-1] < 0.0) & (values[1:] >= 0.0)]
+    frequency = 1.0 / np.diff(crossings)
+    middle = 0.5 * (crossings[1:] + crossings[:-1])
+    # The frequency changes within a period, at 0.5 Hz by 14 %; at the middle of the period the error is far smaller.
     expected = 0.5 * 16.0 ** (middle / 40.0)
     assert np.allclose(frequency, expected, rtol=0.01)
     assert frequency[0] < 0.62
     assert frequency[-1] > 7.8
 
 
-def test_a_multisine_has_its_lines_and_nothing_else_at_a_low_crest_factor() -> None:
+def test_multisine_has_only_its_spectral_lines_and_a_low_crest_factor() -> None:
     excitation = make_excitation(SHIPPED["multisine"], RATE)
     n = round(excitation.duration * RATE)
     values = np.array([excitation.waveform(k / RATE) for k in range(n)])
@@ -88,11 +88,11 @@ def test_a_multisine_has_its_lines_and_nothing_else_at_a_low_crest_factor() -> N
     assert frequency[0] == pytest.approx(0.1)
     assert frequency[-1] == pytest.approx(3.0)
     assert np.ptp(amplitude[lines]) < 1e-9
-    # Cosines in phase would have sqrt(2 * 24) = 6.9.
+    # Cosines in phase would give sqrt(2 * 24) = 6.9.
     assert 1.0 < excitation.crest_factor < 2.3
 
 
-def test_a_sine_stream_plays_whole_periods_of_each_frequency() -> None:
+def test_sine_stream_plays_whole_periods_of_each_frequency() -> None:
     excitation = make_excitation(section("sine_stream", frequencies=[0.3, 0.7, 2.0], duration=30.0), RATE)
     stream = excitation.waveform
     assert isinstance(stream, SineStream)
@@ -107,7 +107,7 @@ def test_a_sine_stream_plays_whole_periods_of_each_frequency() -> None:
     assert excitation.duration == stream.ends[-1] <= 30.0
 
 
-def test_a_doublet_leaves_nothing_behind_and_comes_back_mirrored() -> None:
+def test_doublet_has_zero_mean_and_is_repeated_with_opposite_sign() -> None:
     doublet = Doublet(0.4)
     t = np.arange(0.0, 8.0, 1e-3)
     values = np.array([doublet(x) for x in t])
@@ -119,7 +119,7 @@ def test_a_doublet_leaves_nothing_behind_and_comes_back_mirrored() -> None:
     assert not values[1300:4300].any()
 
 
-def test_a_square_wave_is_at_one_or_the_other_side_nine_tenths_of_the_time() -> None:
+def test_square_wave_is_at_full_amplitude_for_nine_tenths_of_the_time() -> None:
     square = Square(0.5)
     values = np.array([square(k * 1e-3) for k in range(4000)])
     assert np.mean(np.abs(values) == 1.0) == pytest.approx(0.9, abs=0.01)
@@ -145,7 +145,7 @@ def test_a_square_wave_is_at_one_or_the_other_side_nine_tenths_of_the_time() -> 
         ("sine_stream", {"frequencies": [1.0, 60.0]}, "frequencies"),
     ],
 )
-def test_what_cannot_be_played_is_refused_with_its_key_and_a_remedy(kind: str, keys: dict[str, Any], key: str) -> None:
+def test_infeasible_excitation_is_refused_with_its_key_and_a_remedy(kind: str, keys: dict[str, Any], key: str) -> None:
     with pytest.raises(ExcitationError) as caught:
         make_excitation(section(kind, **keys), RATE)
     assert caught.value.key == key
@@ -159,7 +159,7 @@ def test_the_remedy_for_too_many_lines_works() -> None:
     assert make_excitation(section("multisine", lines=21, **keys), RATE).peak == 0.1
 
 
-def test_no_excitation_and_the_step_are_silent_while_upright() -> None:
+def test_hold_and_step_experiments_have_no_excitation_while_upright() -> None:
     for name in ("hold", "step"):
         excitation = make_excitation(SHIPPED[name], RATE)
         assert not sampled(excitation).any()

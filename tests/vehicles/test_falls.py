@@ -1,6 +1,6 @@
-"""A vehicle that falls while it is recorded: what the fall is in is found, said, and left out.
+"""A vehicle that falls while it is recorded: the fall is detected, reported, and excluded from fits.
 
-The virtual robot, and the virtual MONOCAB, to which more torque is given than they can bear.
+The vehicles are the virtual robot and the virtual MONOCAB, with a torque step larger than they can withstand.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from vehicles.phases import Phase
 
 MODEL = {"twsbr": "twsbr", "monocab": "monocab_roll"}
 PUSH = {"twsbr": 90.0, "monocab": 60.0}
-"""The torque that sets in, in the virtual vehicle's own steps of it."""
+"""Level of the torque step: a multiple of the virtual vehicle's own `torque_step`."""
 PUSHED = 18.0
-"""s after the start of the virtual vehicle at which it does."""
+"""s after the start of the virtual vehicle at which the torque step sets in."""
 
 
 @functools.cache
@@ -42,7 +42,7 @@ def fallen(name: str) -> Recording:
 
 
 @pytest.mark.parametrize("name", list(MODEL))
-def test_a_fall_and_what_led_to_it_are_left_out(name: str) -> None:
+def test_fall_and_the_time_before_it_are_excluded_from_the_segments(name: str) -> None:
     recording, vehicle, model = fallen(name), load(name), library.get(MODEL[name])
     begin = falls_at(model, recording, vehicle.support)
     ended = float(recording.time[recording["phase"] != Phase.NONE][-1])
@@ -58,7 +58,7 @@ def test_a_fall_and_what_led_to_it_are_left_out(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", list(MODEL))
-def test_live_nothing_is_used_once_the_vehicle_is_let_go(name: str) -> None:
+def test_live_estimation_uses_no_samples_after_the_end_of_the_run(name: str) -> None:
     recording, vehicle, model = fallen(name), load(name), library.get(MODEL[name])
     channels = assembly.channels(vehicle)
     cutter = FrameChunks(model, channels, support=vehicle.support, rows=25)
@@ -69,20 +69,20 @@ def test_live_nothing_is_used_once_the_vehicle_is_let_go(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", list(MODEL))
-def test_a_run_that_ends_in_order_is_no_fall(name: str) -> None:
+def test_run_that_ends_in_order_is_not_a_fall(name: str) -> None:
     recording, vehicle, model = record(name, "hold", seed=9, duration=8.0), load(name), library.get(MODEL[name])
     assert falls_at(model, recording, vehicle.support) is None
     (used,) = segments(model, [recording], support=vehicle.support)
     unknown = {**recording.values, "phase": np.full(len(recording.time), math.nan)}
-    (blind,) = segments(model, [replace(recording, values=unknown)], support=vehicle.support)
-    assert np.array_equal(used.time, blind.time)
+    (without_phase,) = segments(model, [replace(recording, values=unknown)], support=vehicle.support)
+    assert np.array_equal(used.time, without_phase.time)
 
 
-def test_the_command_line_says_when_it_falls_and_why(tmp_path: Path) -> None:
+def test_command_line_reports_time_and_cause_of_the_fall(tmp_path: Path) -> None:
     path = tmp_path / "fallen.arrow"
     save(fallen("twsbr"), path)
     done = CliRunner().invoke(app, ["identify", str(path), "--vehicle", "twsbr", "--method", "prediction_error"])
-    said = " ".join(done.stderr.split())
-    assert "the vehicle falls 1" in said
-    assert "tilt while balancing" in said
-    assert "No fit uses the rest" in said
+    output = " ".join(done.stderr.split())
+    assert "the vehicle falls 1" in output
+    assert "tilt while balancing" in output
+    assert "No fit uses the rest" in output

@@ -1,4 +1,4 @@
-"""The linear model of the MONOCAB: signs, physics, refusals."""
+"""The linear model of the MONOCAB: signs, physics, refused values."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ VALUES = {
 PARAMETERS = MonocabParameters.from_values(VALUES)
 
 
-def test_upright_is_unstable_with_the_pole_of_the_pendulum() -> None:
+def test_upright_equilibrium_has_the_unstable_pole_of_the_pendulum() -> None:
     poles = np.linalg.eigvals(reduced_model(PARAMETERS).A)
     assert max(poles.real) == pytest.approx(math.sqrt(14500.0 / 1650.0))
     assert PARAMETERS.unstable_pole == pytest.approx(max(poles.real))
 
 
-def test_a_steady_precession_rate_holds_the_vehicle_at_the_roll_angle_of_the_torque_balance() -> None:
+def test_constant_precession_rate_holds_roll_at_the_torque_balance_angle() -> None:
     model = reduced_model(PARAMETERS)
     rate = 0.1
     roll = -3300.0 * rate / 14500.0
@@ -42,7 +42,7 @@ def test_a_steady_precession_rate_holds_the_vehicle_at_the_roll_angle_of_the_tor
     assert np.allclose(derivative, 0.0)
 
 
-def test_the_trim_mass_weighs_towards_positive_roll_and_kicks_the_other_way_when_it_starts() -> None:
+def test_trim_mass_tips_towards_positive_roll_and_its_acceleration_reacts_opposite() -> None:
     model = full_model(PARAMETERS)
     displaced = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
     roll_acceleration = (model.A @ displaced)[1]
@@ -52,7 +52,7 @@ def test_the_trim_mass_weighs_towards_positive_roll_and_kicks_the_other_way_when
     assert kick == pytest.approx(-500.0 * 0.4 * trim_acceleration / 1650.0)
 
 
-def test_without_the_trim_mass_the_full_model_moves_like_the_reduced_one() -> None:
+def test_full_model_with_centred_trim_mass_matches_the_reduced_model() -> None:
     full, reduced = full_model(PARAMETERS), reduced_model(PARAMETERS)
     start = np.array([0.01, -0.02, 0.0, 0.0, 0.3, 0.05])
     roll, _, _, _, precession, _ = expm(full.A * 0.3) @ start
@@ -62,8 +62,8 @@ def test_without_the_trim_mass_the_full_model_moves_like_the_reduced_one() -> No
     assert full.outputs == ("roll", "precession")
 
 
-def test_with_roll_at_rest_the_precession_angle_cannot_be_held_against_a_static_torque() -> None:
-    """Why the reduced model leaves the angle out, and why only a lean brings the gimbals back."""
+def test_static_torque_with_roll_at_zero_requires_a_constant_precession_rate() -> None:
+    """The reason why the reduced model omits the precession angle, and why only a lean brings the gimbals back."""
     model = reduced_model(PARAMETERS)
     static_torque = np.array([0.0, 50.0 / 1650.0, 0.0])
     _, _, precession_rate, setpoint = np.linalg.solve(
@@ -72,7 +72,7 @@ def test_with_roll_at_rest_the_precession_angle_cannot_be_held_against_a_static_
     assert precession_rate == setpoint == pytest.approx(-50.0 / 3300.0)
 
 
-def test_apparent_inertia_is_the_papers_formula() -> None:
+def test_apparent_inertia_follows_the_formula_of_the_paper() -> None:
     # 4 tau = 40 ms: 8 * 0.01^2 * 3300^2 / 60 = 145.2 kg m^2.
     assert apparent_inertia(1650.0, 3300.0, 0.04, 60.0) == pytest.approx(1650.0 + 145.2)
     assert apparent_inertia(1650.0, 3300.0, 0.0, 60.0) == 1650.0
@@ -89,7 +89,7 @@ def test_impossible_values_are_refused_by_name(name: str, value: float) -> None:
     assert "vehicle file" in caught.value.remedy
 
 
-def test_a_missing_parameter_is_named_and_others_are_left_alone() -> None:
+def test_missing_parameter_is_named_and_unknown_parameters_are_ignored() -> None:
     with pytest.raises(ParameterError, match="trim_mass"):
         MonocabParameters.from_values({name: value for name, value in VALUES.items() if name != "trim_mass"})
     assert MonocabParameters.from_values({**VALUES, "coulomb_friction.torque": 3.0}) == PARAMETERS

@@ -1,4 +1,4 @@
-"""What `identify` measures all methods by: free motion, the sensors' noise in it, and predictions from it."""
+"""The measure that `identify` applies to all methods: free motion, its sensor noise, and predictions from it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def sweep() -> Recording:
     return small_vehicle.recording(*small_vehicle.run(1, 31.0, reference=lambda t: small_vehicle.sweep(t, 30.0)), 0)
 
 
-def test_sensor_noise_is_read_from_the_record(sweep: Recording) -> None:
+def test_sensor_noise_is_estimated_from_the_record(sweep: Recording) -> None:
     noise = sensor_noise(free_motion(sweep, SUPPORT))
     assert noise.roll_rate_std == pytest.approx(3.5e-5 / np.sqrt(2 * 0.004), rel=0.05)
     assert 0.5e-4 < noise.roll_std < 3e-4
@@ -47,11 +47,11 @@ def test_free_motion_ends_at_the_support_at_gaps_and_at_unknown_values(sweep: Re
     values["precession_rate"][3000] = np.nan
     keep = np.r_[0:5000, 5100 : len(sweep)]
     damaged = Recording(sweep.channels, sweep.timestamp_ns[keep], {n: v[keep] for n, v in values.items()})
-    lengths = [len(stretch.time) for stretch in free_motion(damaged, SUPPORT)]
+    lengths = [len(segment.time) for segment in free_motion(damaged, SUPPORT)]
     assert lengths == [1000, 1900, 1999, len(sweep) - 5100]
 
 
-def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
+def test_identify_document_has_status_parameters_and_fit_of_each_method(sweep: Recording) -> None:
     document = identify([sweep], CAD, SUPPORT, RECURSIVE, model=MODEL, own=OWN)
     json.dumps(document, allow_nan=False)
     assert tuple(document["methods"]) == RECURSIVE
@@ -63,7 +63,7 @@ def test_identify_gives_the_agreed_document(sweep: Recording) -> None:
         assert method["fit_percent"]["roll"] > 90.0
 
 
-def test_a_missing_channel_is_named(sweep: Recording) -> None:
+def test_missing_channel_is_named_in_the_reason(sweep: Recording) -> None:
     names = [channel for channel in sweep.channels if channel.name != "drive_age"]
     fewer = Recording(ChannelTable(names), sweep.timestamp_ns, {c.name: sweep.values[c.name] for c in names})
     entry = identify([fewer], CAD, SUPPORT, RECURSIVE, model=MODEL, own=OWN)["methods"][RECURSIVE[0]]
@@ -71,7 +71,7 @@ def test_a_missing_channel_is_named(sweep: Recording) -> None:
     assert "drive_age" in entry["reason"]
 
 
-def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
+def test_two_recordings_give_a_smaller_standard_deviation_than_one(sweep: Recording) -> None:
     step = small_vehicle.recording(*small_vehicle.run(1, 8.0, from_support=True), 0)
     method = RECURSIVE[0]
     alone, both = (
@@ -82,7 +82,7 @@ def test_two_recordings_know_more_than_one(sweep: Recording) -> None:
     assert both["parameters"][name]["std"] < alone["parameters"][name]["std"]
 
 
-def test_the_measure_of_the_roll_is_for_models_of_the_roll_alone(sweep: Recording) -> None:
+def test_roll_prediction_is_limited_to_shipped_roll_models_without_other_effects(sweep: Recording) -> None:
     roll = library.get("monocab_roll")
     measured = OWN.prediction(Subject(roll.add("static_torque"), CAD, {}, SUPPORT), [sweep])
     assert measured is not None
